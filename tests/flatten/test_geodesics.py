@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planish.flatten.geodesics import Places, geodesic_error, random_places, trace_lines, whole_cells
+from planish.flatten.geodesics import MeshPoints, geodesic_error, random_places, trace_lines, whole_cells
 
 
 def grid(rows, cols, pitch=1.0):
@@ -75,7 +75,9 @@ def test_lines_through_nodes_do_no_harm(direction):
         cell = np.floor(at).astype(int)
         x, y = at - cell
         half, weights = (0, [1 - x, x - y, y]) if x > y else (1, [1 - y, x, y - x])
-        ends.append(Places(row=cell[1:], col=cell[:1], half=np.array([half]), weights=np.array([weights], dtype=float)))
+        ends.append(
+            MeshPoints(row=cell[1:], col=cell[:1], half=np.array([half]), weights=np.array([weights], dtype=float))
+        )
     flat, space = trace_lines(points, uv, *ends)
     assert flat == pytest.approx([7 * 2.5 * np.hypot(*direction)])
     assert space == pytest.approx(flat)
@@ -112,7 +114,7 @@ def test_great_circles_of_a_cap():
     whole = whole_cells(points, uv)
     end = random_places(whole, 300, np.random.default_rng(0))
     ones = np.ones(300, dtype=np.intp)
-    middle = Places(row=40 * ones, col=40 * ones, half=0 * ones, weights=np.tile([0.998, 0.001, 0.001], (300, 1)))
+    middle = MeshPoints(row=40 * ones, col=40 * ones, half=0 * ones, weights=np.tile([0.998, 0.001, 0.001], (300, 1)))
     flat, space = trace_lines(points, uv, middle, end)
     # chords of 20 um, 28 um along the diagonal
     np.testing.assert_allclose(flat / space, 1.0, atol=2e-6)

@@ -231,7 +231,7 @@ def test_doubted_nodes_do_not_steer(weight):
     points[wrong, 2] += rng.normal(0, 30.0, np.count_nonzero(wrong))
     found = relax_grid(points, weights=np.where(wrong, weight, 1.0))
     assert misplaced(found.uv, truth) < 0.01 * 2.0
-    assert np.array_equal(found.made_up, wrong)
+    assert np.array_equal(found.imputed, wrong)
     assert misplaced(relax_grid(points).uv, truth) > 1.0
 
 

@@ -7,7 +7,7 @@ from .distortion import measure_distortion as measure_distortion
 from .geodesics import GeodesicError as GeodesicError
 from .geodesics import geodesic_error as geodesic_error
 from .multigrid import Step as Step
-from .others import flat_moves as flat_moves
+from .neutral_surface import flat_moves as flat_moves
 from .params import FlattenParams as FlattenParams
 from .relax import Relaxed as Relaxed
 from .relax import relax_grid as relax_grid

@@ -5,18 +5,16 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.typing import Bools, Floats
 from planish.flatten.distortion import row_blocks
 
-Array = NDArray[np.float64]
-
 # Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the upper left.
-_HERE, _THERE = slice(-1), slice(1, None)
+_LOW, _HIGH = slice(-1), slice(1, None)
 _HALVES = (
-    ((_HERE, _HERE), (_HERE, _THERE), (_THERE, _THERE)),
-    ((_HERE, _HERE), (_THERE, _THERE), (_THERE, _HERE)),
+    ((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)),
+    ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)),
 )
 _TRUNCATE = 3.0  # Gaussian windows end after so many standard deviations
 _RIM = 1 / 3  # width, in half-sizes of a patch, over which patches fade towards the outline
@@ -45,8 +43,8 @@ class CurvatureCheck:
         Largest ``strain``.
     """
 
-    curvature: Array
-    strain: Array
+    curvature: Floats
+    strain: Floats
     patch_um: float
     limit: float
     share: float
@@ -71,7 +69,7 @@ class CurvatureCheck:
         )
 
 
-def curvature_check(points: Array, *, patch_um: float = 1000.0) -> CurvatureCheck:
+def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureCheck:
     """Compare the strain that flattening asks of patches of the sheet with what paper carries.
 
     Parameters
@@ -106,26 +104,26 @@ def curvature_check(points: Array, *, patch_um: float = 1000.0) -> CurvatureChec
         weight = _soft_outline(inside, pitch, patch_um * _RIM)
         window = [patch_um / np.sqrt(3) / p for p in pitch]
 
-        def over_patch(values: Array) -> Array:
-            known = np.where(inside, weight * values, 0.0)
-            return ndimage.gaussian_filter(known, window, mode="constant", truncate=_TRUNCATE)
+        def over_patch(values: Floats) -> Floats:
+            weighted = np.where(inside, weight * values, 0.0)
+            return ndimage.gaussian_filter(weighted, window, mode="constant", truncate=_TRUNCATE)
 
-        enough = inside & (over_patch(np.ones((rows, cols))) >= _LEAST)
-        curvature[enough] = over_patch(lacking)[enough] / over_patch(area)[enough]
+        is_covered = inside & (over_patch(np.ones((rows, cols))) >= _LEAST)
+        curvature[is_covered] = over_patch(lacking)[is_covered] / over_patch(area)[is_covered]
     strain = np.abs(curvature) * patch_um**2 / 16
-    judged = np.isfinite(strain)
+    is_judged = np.isfinite(strain)
     return CurvatureCheck(
         curvature=curvature,
         strain=strain,
         patch_um=patch_um,
         limit=_LIMIT,
-        share=float(area[strain > _LIMIT].sum() / area[judged].sum()) if judged.any() else np.nan,
-        largest=float(strain[judged].max()) if judged.any() else np.nan,
+        share=float(area[strain > _LIMIT].sum() / area[is_judged].sum()) if is_judged.any() else np.nan,
+        largest=float(strain[is_judged].max()) if is_judged.any() else np.nan,
     )
 
 
-def _turn_and_area(points: Array) -> tuple[Array, Array]:
-    """What the angles about each node lack of a full turn, and the area of a third of its triangles.
+def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:
+    """Give what the angles about each node lack of a full turn, and the area of a third of its triangles.
 
     Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
     """
@@ -136,7 +134,7 @@ def _turn_and_area(points: Array) -> tuple[Array, Array]:
         turn, share = angles[part.start : part.stop + 1], area[part.start : part.stop + 1]
         for p, q, r in _HALVES:
             pq, pr = block[q] - block[p], block[r] - block[p]
-            normal = _cross(pq, pr)
+            normal = np.cross(pq, pr)
             twice = np.sqrt(_dot(normal, normal))
             with_p = _dot(pq, pr)
             at_p = np.arctan2(twice, with_p)
@@ -153,26 +151,19 @@ def _turn_and_area(points: Array) -> tuple[Array, Array]:
     return lacking, area
 
 
-def _soft_outline(inside: NDArray[np.bool_], pitch: tuple[float, float], rim_um: float) -> Array:
+def _soft_outline(inside: Bools, pitch: tuple[float, float], rim_um: float) -> Floats:
     """Weights that rise smoothly from 0 beside the nodes that are not ``inside`` to 1 at a distance of ``rim_um``."""
     away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
     share = np.minimum(away / rim_um, 1.0)
     return share * share * (3 - 2 * share)
 
 
-def _pitch(points: Array) -> tuple[float, float]:
+def _pitch(points: Floats) -> tuple[float, float]:
     """Median length in um of the edges from row to row and from column to column; infinite where there is none."""
     lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
     down, across = (float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths))
     return down, across
 
 
-def _dot(p: Array, q: Array) -> Array:
+def _dot(p: Floats, q: Floats) -> Floats:
     return np.einsum("ijk,ijk->ij", p, q)
-
-
-def _cross(p: Array, q: Array) -> Array:
-    out = np.empty_like(p)
-    for k, (i, j) in enumerate(((1, 2), (2, 0), (0, 1))):
-        out[..., k] = p[..., i] * q[..., j] - p[..., j] * q[..., i]
-    return out

@@ -9,9 +9,8 @@ from numpy.typing import NDArray
 from scipy import sparse
 from scipy.sparse.linalg import splu
 
+from planish.core.typing import Bools, Floats
 from planish.flatten.levels import Level
-
-Array = NDArray[np.float64]
 
 # Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift and turn.
 _TIE = 1e-10
@@ -23,11 +22,11 @@ _ENDS = (((0, 0), (0, 1)), ((0, 0), (1, 0)), ((0, 0), (1, 1)), ((0, 1), (1, 0)))
 class Network:
     """The springs of a level as lists: ends by node number, rest lengths and stiffness."""
 
-    mask: NDArray[np.bool_]
+    mask: Bools
     first: NDArray[np.intp]
     second: NDArray[np.intp]
-    rest: Array
-    stiff: Array
+    rest: Floats
+    stiff: Floats
 
     @classmethod
     def of(cls, level: Level) -> Network:
@@ -45,12 +44,12 @@ class Network:
             stiff.append(level.stiff[family, np.minimum(rows + 1, level.stiff.shape[1] - 1), cols + 1].astype(float))
         return cls(mask, *(np.concatenate(part) for part in (first, second, rest, stiff)))
 
-    def energy(self, uv: Array) -> float:
+    def energy(self, uv: Floats) -> float:
         """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
         long = np.linalg.norm(uv[self.second] - uv[self.first], axis=1)
         return float(np.sum(self.stiff * (long - self.rest) ** 2))
 
-    def forces(self, uv: Array) -> Array:
+    def forces(self, uv: Floats) -> Floats:
         """Minus half the energy's gradient, (nodes, 2)."""
         step = uv[self.second] - uv[self.first]
         # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to infinity.
@@ -62,7 +61,7 @@ class Network:
             out[:, axis] -= np.bincount(self.second, pull[:, axis], len(uv))
         return out
 
-    def matrix(self, uv: Array, *, exact: bool) -> sparse.csc_array:
+    def matrix(self, uv: Floats, *, exact: bool) -> sparse.csc_array:
         """Half the second derivative of the energy, (2 nodes, 2 nodes), node by node (u, v).
 
         The Gauss-Newton part k d d', and if ``exact`` also k (1 - L / l) (1 - d d') of the springs under tension;
@@ -73,14 +72,14 @@ class Network:
         # For both axes of either end, the four pairs of ends: (2, 2, 4, springs).
         values = block[:, :, None] * np.array([1.0, 1.0, -1.0, -1.0])[:, None]
         ends = np.stack([self.first, self.second, self.first, self.second])
-        others = np.stack([self.first, self.second, self.second, self.first])
-        row, col = 2 * ends + np.arange(2)[:, None, None, None], 2 * others + np.arange(2)[:, None, None]
+        partners = np.stack([self.first, self.second, self.second, self.first])
+        row, col = 2 * ends + np.arange(2)[:, None, None, None], 2 * partners + np.arange(2)[:, None, None]
         places = (np.broadcast_to(k, values.shape).ravel() for k in (row, col))
         size = 2 * len(uv)
         whole = sparse.coo_array((values.ravel(), tuple(places)), (size, size))
         return (whole + _TIE * sparse.eye_array(size)).tocsc()
 
-    def full_matrix(self, uv: Array, *, exact: bool) -> Array:
+    def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
         """As ``matrix``, of a small network and without ties."""
         d, bend = self._directions(uv, exact)
         ends = np.zeros((len(self.rest), len(uv)))
@@ -94,7 +93,7 @@ class Network:
             out[1::2, 1::2] += across
         return out
 
-    def _directions(self, uv: Array, exact: bool) -> tuple[Array, Array]:
+    def _directions(self, uv: Floats, exact: bool) -> tuple[Floats, Floats]:
         """Unit vectors of the springs, and the share of their stiffness that acts across them."""
         step = uv[self.second] - uv[self.first]
         long = np.maximum(np.linalg.norm(step, axis=1), 1e-150)
@@ -106,10 +105,10 @@ _NEWTON_STEPS = 60
 _FEW = 200  # nodes up to which a full matrix is quicker than a sparse one
 
 
-class Exact:
+class StiffnessSolver:
     """Stiffness at given places: answers forces with moves, the sheet as a whole staying where it is."""
 
-    def __init__(self, network: Network, uv: Array, *, exact: bool = False) -> None:
+    def __init__(self, network: Network, uv: Floats, *, exact: bool = False) -> None:
         centred = uv - uv.mean(axis=0)
         # Shifts, and the turn about the middle, at right angles to them.
         rigid = np.zeros((len(uv), 2, 3))
@@ -117,7 +116,7 @@ class Exact:
         rigid[:, 0, 2], rigid[:, 1, 2] = -centred[:, 1], centred[:, 0]
         flat = rigid.reshape(-1, 3)
         self._rigid = flat / np.maximum(np.sqrt(np.sum(flat * flat, axis=0)), 1e-300)
-        self._matrix: Array | None = None
+        self._matrix: Floats | None = None
         if len(uv) <= _FEW:
             # Stiff against moves of the whole, which neither forces nor moves contain.
             matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
@@ -131,14 +130,14 @@ class Exact:
             ).solve
 
     @property
-    def inverse(self) -> Array | None:
+    def inverse(self) -> Floats | None:
         """Moves for unit forces, (2 nodes, 2 nodes); None for a network that is too large for that."""
         if self._matrix is None:
             return None
         free = np.eye(len(self._matrix)) - self._rigid @ self._rigid.T
         return free @ np.linalg.inv(self._matrix) @ free
 
-    def __call__(self, force: Array) -> Array:
+    def __call__(self, force: Floats) -> Floats:
         """Moves (nodes, 2) under ``force`` (nodes, 2)."""
         flat = force.ravel()
         flat = flat - self._rigid @ (self._rigid.T @ flat)
@@ -146,14 +145,14 @@ class Exact:
         return (move - self._rigid @ (self._rigid.T @ move)).reshape(-1, 2)
 
 
-def relax_exactly(network: Network, uv: Array, *, tolerance: float = 1e-10) -> Array:
+def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> Floats:
     """Newton's method from ``uv`` (nodes, 2) until no node moves further than ``tolerance``.
 
     A step is shortened until the energy falls.
     """
     now = network.energy(uv)
     for _ in range(_NEWTON_STEPS):
-        move = Exact(network, uv, exact=True)(network.forces(uv))
+        move = StiffnessSolver(network, uv, exact=True)(network.forces(uv))
         if not np.isfinite(move).all():
             return uv
         share, longest = 1.0, float(np.abs(move).max())

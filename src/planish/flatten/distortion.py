@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.flatten.geodesics import GeodesicError, geodesic_error, triangle_areas, whole_cells
-
-Array = NDArray[np.float64]
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
 
@@ -73,7 +71,7 @@ class Distortion:
 
 
 def measure_distortion(
-    points: Array, uv: Array, *, rng: np.random.Generator, strain: xr.Dataset | None = None
+    points: Floats, uv: Floats, *, rng: np.random.Generator, strain: xr.Dataset | None = None
 ) -> Distortion:
     """Sum up a flattening in a few numbers.
 
@@ -122,7 +120,7 @@ def measure_distortion(
     )
 
 
-def edge_strain(points: Array, uv: Array) -> tuple[Array, Array]:
+def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
     """Relative change of length of the edges along rows and along columns.
 
     Parameters
@@ -141,7 +139,7 @@ def edge_strain(points: Array, uv: Array) -> tuple[Array, Array]:
     )
 
 
-def cell_strain(points: Array, uv: Array) -> xr.Dataset:
+def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
     """Strains of each cell between the sheet in space and the plane.
 
     Parameters
@@ -178,7 +176,7 @@ def row_blocks(rows: int, cols: int) -> Iterator[slice]:
     return (slice(k, min(k + step, rows)) for k in range(0, rows, step))
 
 
-def boundary_lengths(points: Array, uv: Array) -> tuple[float, float]:
+def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     """Length in um, in space and in the plane, of the edges that border on exactly one whole cell."""
     inside = np.pad(whole_cells(points, uv), 1)
     across = inside[1:, 1:-1] != inside[:-1, 1:-1]  # (rows, cols - 1): edges along rows
@@ -191,7 +189,7 @@ def boundary_lengths(points: Array, uv: Array) -> tuple[float, float]:
     return total[0], total[1]
 
 
-def _block_strain(points: Array, uv: Array) -> dict[str, Array]:
+def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
     across, down = _cell_edges(points)
     (au, av), (du, dv) = (np.moveaxis(e, -1, 0) for e in _cell_edges(uv))
     g11, g12, g22 = (np.einsum("ijk,ijk->ij", p, q) for p, q in ((across, across), (across, down), (down, down)))
@@ -203,8 +201,8 @@ def _block_strain(points: Array, uv: Array) -> dict[str, Array]:
         # from the parts that turn and scale alike and those that do not.
         j11, j21 = au / side, av / side
         j12, j22 = (du - au * g12 / g11) / height, (dv - av * g12 / g11) / height
-        alike, apart = np.hypot(j11 + j22, j21 - j12) / 2, np.hypot(j11 - j22, j21 + j12) / 2
-        high, low = alike + apart, np.abs(alike - apart)
+        conformal, anticonformal = np.hypot(j11 + j22, j21 - j12) / 2, np.hypot(j11 - j22, j21 + j12) / 2
+        high, low = conformal + anticonformal, np.abs(conformal - anticonformal)
         area = au * dv - av * du
         return {
             "stretch_max": high,
@@ -218,25 +216,25 @@ def _block_strain(points: Array, uv: Array) -> dict[str, Array]:
         }
 
 
-def _cell_edges(nodes: Array) -> tuple[Array, Array]:
+def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
     """Mean edge of each cell along its rows and along its columns."""
     across, down = np.diff(nodes, axis=1), np.diff(nodes, axis=0)
     return 0.5 * (across[:-1] + across[1:]), 0.5 * (down[:, :-1] + down[:, 1:])
 
 
-def _spread(values: Array) -> Spread:
+def _spread(values: Floats) -> Spread:
     values = values[np.isfinite(values)] if np.isfinite(values).any() else np.array([np.nan])
-    found = *np.percentile(values, [50, 5, 95]), *np.percentile(np.abs(values), [95, 100])
-    return Spread(*map(float, found))
+    percentiles = *np.percentile(values, [50, 5, 95]), *np.percentile(np.abs(values), [95, 100])
+    return Spread(*map(float, percentiles))
 
 
-def _against_projection(points: Array, uv: Array) -> tuple[float, float, float, Array]:
+def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:
     """Scale of the similarity from (x, y) to (u, v), ratio of the affine map's singular values, direction of the first.
 
     And the distances (n,) in um that are left after the rotation and shift that make them smallest.
     """
-    known = np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1)
-    a, b = points[..., :2][known], uv[known]
+    is_node = np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1)
+    a, b = points[..., :2][is_node], uv[is_node]
     if len(a) < 3:
         return np.nan, np.nan, np.nan, np.zeros(len(a))
     a, b = a - a.mean(axis=0), b - b.mean(axis=0)
@@ -244,8 +242,8 @@ def _against_projection(points: Array, uv: Array) -> tuple[float, float, float, 
     grown = float(np.hypot(mixed[0, 0] + mixed[1, 1], mixed[1, 0] - mixed[0, 1]) / np.trace(inertia))
     turn = np.arctan2(np.sum(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]), np.sum(a * b))
     cos, sin = np.cos(turn), np.sin(turn)
-    moved = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
+    moves = np.linalg.norm(b - a @ np.array([[cos, sin], [-sin, cos]]), axis=1)
     if np.linalg.cond(inertia) > 1e12:  # a sheet on edge: its projection is a line
-        return grown, np.nan, np.nan, moved
+        return grown, np.nan, np.nan, moves
     _, size, axes = np.linalg.svd(mixed @ np.linalg.inv(inertia))
-    return grown, float(size[0] / size[1]), float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180), moved
+    return grown, float(size[0] / size[1]), float(np.degrees(np.arctan2(axes[0, 1], axes[0, 0])) % 180), moves

@@ -1,4 +1,4 @@
-"""Do lengths in the flat sheet equal lengths on the warped one: straight lines of the plane, traced on the surface."""
+"""Lengths in the flat sheet against lengths on the warped one: straight lines of the plane, traced on the surface."""
 
 from __future__ import annotations
 
@@ -7,7 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
+
 Index = NDArray[np.intp]
 
 # Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is cut along a-c:
@@ -19,19 +20,19 @@ _LONGEST = 20  # times rows + cols: no line crosses so many triangles unless it 
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Places:
+class MeshPoints:
     """Places (n,) on a mesh: cell, its half (0 above the first diagonal, 1 below), shares (n, 3) of its corners."""
 
     row: Index
     col: Index
     half: Index
-    weights: Array
+    weights: Floats
 
-    def on(self, nodes: Array) -> Array:
+    def on(self, nodes: Floats) -> Floats:
         """Interpolate ``nodes`` (rows, cols, k) at the places: (n, k)."""
         corner = _CORNERS[self.half]
-        at = nodes[self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]]
-        return np.einsum("nc,nck->nk", self.weights, at)
+        corner_values = nodes[self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]]
+        return np.einsum("nc,nck->nk", self.weights, corner_values)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,7 +56,7 @@ class GeodesicError:
     dropped: int
 
 
-def geodesic_error(points: Array, uv: Array, *, rng: np.random.Generator, pairs: int = 1000) -> GeodesicError:
+def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000) -> GeodesicError:
     """Compare the lengths of straight lines in the plane with the lengths of the same lines on the surface.
 
     Parameters
@@ -92,23 +93,23 @@ def geodesic_error(points: Array, uv: Array, *, rng: np.random.Generator, pairs:
     )
 
 
-def whole_cells(points: Array, uv: Array) -> NDArray[np.bool_]:
+def whole_cells(points: Floats, uv: Floats) -> Bools:
     """Cells (rows - 1, cols - 1) whose four corners are known both in space and in the plane."""
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
-    return known[:-1, :-1] & known[:-1, 1:] & known[1:, 1:] & known[1:, :-1]
+    is_node: Bools = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
+    return is_node[:-1, :-1] & is_node[:-1, 1:] & is_node[1:, 1:] & is_node[1:, :-1]
 
 
-def triangle_areas(grid: Array) -> tuple[Array, Array]:
+def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
     """Twice the signed areas of the triangles (a, b, c) and (a, c, d) of each cell; NaN where a corner is missing."""
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
 
-    def area(one: Array, two: Array) -> Array:
-        return one[..., 0] * two[..., 1] - one[..., 1] * two[..., 0]
+    def area(p: Floats, q: Floats) -> Floats:
+        return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
 
     return area(b - a, c - a), area(c - a, d - a)
 
 
-def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 0.0) -> NDArray[np.bool_]:
+def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float = 0.0) -> Bools:
     """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
 
     ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
@@ -123,15 +124,15 @@ def folded_cells(points: Array, uv: Array, *, side: float = 1.0, floor: float = 
         return np.minimum(side * first, side * second) <= least
 
 
-def random_places(whole: NDArray[np.bool_], count: int, rng: np.random.Generator) -> Places:
+def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoints:
     """Draw ``count`` places: every triangle of the whole cells is as likely, and every place in it."""
     cells = np.flatnonzero(whole)
     row, col = np.divmod(cells[rng.integers(cells.size, size=count)], whole.shape[1])
     half = rng.integers(2, size=count)
-    return Places(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
+    return MeshPoints(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
 
 
-def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[Array, Array]:
+def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) -> tuple[Floats, Floats]:
     """Trace straight lines of the plane through the triangles of the mesh, from inside of one to inside of another.
 
     Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet.
@@ -141,9 +142,7 @@ def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[A
     triangle that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells
     a line follows the sheet there and back.
     """
-    cols = points.shape[1]
     inside = np.pad(whole_cells(points, uv), 1)
-    plane, room = uv.reshape(-1, 2), points.reshape(-1, 3)
     first, goal = start.on(uv), end.on(points)
     along = end.on(uv) - first
     flat = np.hypot(along[:, 0], along[:, 1])
@@ -153,30 +152,40 @@ def trace_lines(points: Array, uv: Array, start: Places, end: Places) -> tuple[A
 
     # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
     walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half], axis=1)
-    gone: Array = np.column_stack([start.on(points), np.zeros(flat.size)])
-    offset = _CORNERS[..., 0] * cols + _CORNERS[..., 1]
+    path: Floats = np.column_stack([start.on(points), np.zeros(flat.size)])
     for _ in range(_LONGEST * sum(points.shape[:2])):
-        there = (walk[:, 1:] == target[walk[:, 0]]).all(axis=1)
-        arrived = walk[there, 0]
-        space[arrived] = gone[there, 3] + np.linalg.norm(goal[arrived] - gone[there, :3], axis=1)
-        walk, gone = walk[~there], gone[~there]
+        has_arrived = (walk[:, 1:] == target[walk[:, 0]]).all(axis=1)
+        arrived = walk[has_arrived, 0]
+        space[arrived] = path[has_arrived, 3] + np.linalg.norm(goal[arrived] - path[has_arrived, :3], axis=1)
+        walk, path = walk[~has_arrived], path[~has_arrived]
         if walk.size == 0:
             break
-        line, row, col, half = walk.T
-        corner = (row * cols + col)[:, None] + offset[half]
-        x, y = plane[corner, 0] - first[line, 0, None], plane[corner, 1] - first[line, 1, None]
-        left = along[line, 0, None] * y - along[line, 1, None] * x
-        right = (left > 0) == turned[line, None]
-        leaves = right & ~right[:, [1, 2, 0]]
-        every, edge = np.arange(line.size), np.argmax(leaves, axis=1)
-        left_a, left_b = left[every, edge], left[every, (edge + 1) % 3]
-        met = leaves.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
-        share = left_a / np.where(met, left_a - left_b, 1.0)
-        a, b = room[corner[every, edge]], room[corner[every, (edge + 1) % 3]]
-        here = a + share[:, None] * (b - a)
-        gone = np.column_stack([here, gone[:, 3] + np.linalg.norm(here - gone[:, :3], axis=1)])
-        step = _BEHIND[half, edge]
-        walk = np.stack([line, row + step[:, 0], col + step[:, 1], step[:, 2]], axis=1)
-        on = met & inside[walk[:, 1] + 1, walk[:, 2] + 1]
-        walk, gone = walk[on], gone[on]
+        line = walk[:, 0]
+        exits, walk, crosses = _leave_triangles(points, uv, walk, first[line], along[line], turned[line])
+        path = np.column_stack([exits, path[:, 3] + np.linalg.norm(exits - path[:, :3], axis=1)])
+        is_on_sheet = crosses & inside[walk[:, 1] + 1, walk[:, 2] + 1]
+        walk, path = walk[is_on_sheet], path[is_on_sheet]
     return flat, space
+
+
+def _leave_triangles(
+    points: Floats, uv: Floats, walk: Index, first: Floats, along: Floats, turned: Bools
+) -> tuple[Floats, Index, Bools]:
+    """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which lines cross an edge.
+
+    Lines begin at ``first`` (n, 2) and run ``along`` (n, 2); those ``turned`` began in a triangle that is turned over.
+    """
+    line, row, col, half = walk.T
+    corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
+    x, y = np.moveaxis(uv[corner] - first[:, None], -1, 0)
+    left = along[:, :1] * y - along[:, 1:] * x
+    right = (left > 0) == turned[:, None]
+    leaves = right & ~right[:, [1, 2, 0]]
+    edge = np.argmax(leaves, axis=1)
+    begin, stop = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
+    crosses = leaves.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
+    share = left[begin] / np.where(crosses, left[begin] - left[stop], 1.0)
+    a = points[corner][begin]
+    exits = a + share[:, None] * (points[corner][stop] - a)
+    down, across, half = _BEHIND[half, edge].T
+    return exits, np.stack([line, row + down, col + across, half], axis=1), crosses

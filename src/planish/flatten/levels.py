@@ -11,10 +11,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import FAR
 from planish.flatten._mesh_kernels import coarsen
 
-Array = NDArray[np.float64]
 Single = NDArray[np.float32]
 
 _LEAST = 5  # meshes of fewer rows or columns are not halved any more
@@ -77,14 +77,14 @@ class Level:
     rows: int
     cols: int
     parts: list[tuple[int, int]]
-    rest: Array
+    rest: Floats
     stiff: Single
-    xy: Array = field(init=False)
+    xy: Floats = field(init=False)
     near: Single = field(init=False)
     ease: Single = field(init=False)
     move: Single = field(init=False)
     force: Single = field(init=False)
-    sums: Array = field(init=False)
+    sums: Floats = field(init=False)
     alone: Single = field(init=False)
 
     def open(self) -> None:
@@ -101,14 +101,14 @@ class Level:
         self.rest = np.empty((4, 0, 0))
 
     @property
-    def nodes(self) -> NDArray[np.bool_]:
+    def nodes(self) -> Bools:
         """Mask (rows, cols) of the nodes that a spring holds."""
         across, down, right, left = self.rest > 0
-        held = across | down | right
-        held[:, 1:] |= across[:, :-1] | left[:, :-1]
-        held[1:] |= down[:-1] | left[:-1]
-        held[1:, 1:] |= right[:-1, :-1]
-        return held[1 : self.rows + 1, 1 : self.cols + 1]
+        is_held = across | down | right
+        is_held[:, 1:] |= across[:, :-1] | left[:, :-1]
+        is_held[1:] |= down[:-1] | left[:-1]
+        is_held[1:, 1:] |= right[:-1, :-1]
+        return is_held[1 : self.rows + 1, 1 : self.cols + 1]
 
     def clear(self) -> None:
         """Take away the places of what is not a node."""

@@ -14,17 +14,14 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.outcome import Outcome
+from planish.core.typing import Floats
 from planish.flatten._kernels import FAR, advance, descend, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import hold_open, interpolate
-from planish.flatten.direct import Exact, Network, relax_exactly
-from planish.flatten.levels import Level, Team
-
-Array = NDArray[np.float64]
-Single = NDArray[np.float32]
+from planish.flatten.direct import Network, StiffnessSolver, relax_exactly
+from planish.flatten.levels import Level, Single, Team
 
 # Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own stiffness divides its
 # matrix so that eigenvalues reach 2 (a little more near borders); those of waves shorter than four nodes begin at 1/2.
@@ -111,16 +108,16 @@ class Multigrid:
             outcome = self.relax(k, tolerance if k == 0 else _ROUGHLY, _STEPS)
         return outcome
 
-    def start(self, level: Level, places: Array) -> None:
+    def start(self, level: Level, places: Floats) -> None:
         """Set the places of the coarsest mesh to (nodes, 2), relaxed exactly."""
         level.open()
         self._network = Network.of(level)
         uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 0.3)
-        for kept in (level.xy, level.near):
-            inside = kept[:, 1 : level.rows + 1, 1 : level.cols + 1]
+        for coordinates in (level.xy, level.near):
+            inside = coordinates[:, 1 : level.rows + 1, 1 : level.cols + 1]
             inside[:] = FAR
             inside[:, self._network.mask] = uv.T
-        self._exact = Exact(self._network, uv)
+        self._exact = StiffnessSolver(self._network, uv)
         self._inverse = self._exact.inverse
         if self._inverse is None:
             self._small = len(self.levels)
@@ -172,10 +169,10 @@ class Multigrid:
                 # One lucky step is no proof where progress is slow.
                 ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
-            # What is left of the energy and, as its square root, of the distance, summed over the steps to come.
-            left, far = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
-            far *= np.sqrt(self.rate) / (1 - np.sqrt(self.rate))
-            if left <= tolerance * energy or far <= _STILL:
+            # Excess of energy and, as its square root, distance from the minimum: the steps to come, summed.
+            excess, distance = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
+            distance *= np.sqrt(self.rate) / (1 - np.sqrt(self.rate))
+            if excess <= tolerance * energy or distance <= _STILL:
                 return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
             slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
             if slow and slow % 4 == 0 and not self.guarded and count_folds(level, self.team, self.side)[1]:
@@ -185,8 +182,8 @@ class Multigrid:
     def _reach(self, level: Level, gain: float, square: float) -> tuple[float, float]:
         """Go on in the direction of the move just made, or back, to where the forces no longer act along it."""
         self.balance(level)
-        left = _dot(level.force, level.move)
-        share = float(np.clip(gain / (gain - left), 0.1, 4.0)) if gain > left else 1.0
+        slope = _dot(level.force, level.move)
+        share = float(np.clip(gain / (gain - slope), 0.1, 4.0)) if gain > slope else 1.0
         level.move *= np.float32(share - 1)
         self.advance(level)
         return share * gain, share * share * square
@@ -271,15 +268,15 @@ class Multigrid:
         )  # fmt: skip
 
 
-def along_grid(level: Level, handedness: float) -> Array:
+def along_grid(level: Level, handedness: float) -> Floats:
     """Places (nodes, 2) of a mesh laid out by the mean rest lengths between its columns and between its rows."""
     rows, cols = level.rows, level.cols
     inside = level.rest[:, 1 : rows + 1, 1 : cols + 1]
     places = []
     for lengths, axis, count in ((inside[0], 0, cols), (inside[1], 1, rows)):
-        held = lengths > 0
-        mean = lengths.sum(axis=axis) / np.maximum(held.sum(axis=axis), 1)
-        typical = lengths[held].mean() if held.any() else 1.0
+        is_spring = lengths > 0
+        mean = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
+        typical = lengths[is_spring].mean() if is_spring.any() else 1.0
         mean = np.where(mean > 0, mean, typical)[: count - 1]
         places.append(np.concatenate([[0.0], np.cumsum(mean)]))
     u, v = np.meshgrid(handedness * places[0], places[1])

@@ -6,21 +6,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
 from planish.core.threads import count_threads
+from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
 from planish.flatten.geodesics import folded_cells
 from planish.flatten.levels import Level, Team, hierarchy
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
-from planish.flatten.springs import TRUSTED, loose_nodes, make_springs, make_up, mean_pitch, stiffen
+from planish.flatten.springs import TRUSTED, impute_nodes, loose_nodes, make_springs, mean_pitch, stiffen
 
-Array = NDArray[np.float64]
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
 
@@ -43,7 +42,7 @@ class Relaxed:
         All steps, those on the coarser meshes of ``multigrid`` included, in mean pitches.
     folded : (rows - 1, cols - 1) bool
         Cells with a triangle whose signed area is not above zero, and those that are held open at next to none.
-    made_up : (rows, cols) bool
+    imputed : (rows, cols) bool
         Nodes of little weight, which were laid where the others suggest: their places are no measurement.
     straight_share : float
         Share of the springs that kept their chord because the curvature of the surface is not certain there; NaN for
@@ -54,26 +53,26 @@ class Relaxed:
         Nodes of specks beside the sheet, which were left out.
     """
 
-    uv: Array
+    uv: Floats
     energy: float
     springs: int
     outcome: Outcome
     steps: int
     history: tuple[Step, ...]
-    folded: NDArray[np.bool_]
-    made_up: NDArray[np.bool_]
+    folded: Bools
+    imputed: Bools
     straight_share: float
     pitch: float
-    dropped: NDArray[np.bool_]
+    dropped: Bools
 
 
 def relax_grid(
-    points: Array,
+    points: Floats,
     *,
     method: Method | RelaxationParams = "multigrid",
     rest: Rest = "arc",
-    start: Array | None = None,
-    weights: Array | None = None,
+    start: Floats | None = None,
+    weights: Floats | None = None,
     tolerance: float = 1e-6,
     least_share: float = 0.02,
 ) -> Relaxed:
@@ -118,65 +117,56 @@ def relax_grid(
     points = np.ascontiguousarray(points, dtype=np.float64)
     _check(points, start, weights, tolerance, least_share, method=method, rest=rest)
     braces = None
-    made_up = dropped = np.zeros(points.shape[:2], dtype=bool)
+    imputed = dropped = np.zeros(points.shape[:2], dtype=bool)
     if weights is not None:
-        points, weights, made_up = _weigh(points, np.asarray(weights, dtype=np.float64))
+        points, weights, imputed = _impute_doubtful(points, np.asarray(weights, dtype=np.float64))
     pitch = mean_pitch(points)
     with Team(count_threads()) as team:
         level, springs, straight = make_springs(points, pitch, rest, team)
         gaps = springs < 4 * level.rows * level.cols - 3 * (level.rows + level.cols) + 2
         if gaps:
-            known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=-1))
-            dropped = _specks(known, least_share)
+            points, dropped = _drop_specks(points, least_share)
             if dropped.any():
-                known &= ~dropped
-                points = np.where(known[..., None], points, np.nan)
                 pitch = mean_pitch(points)
                 level, springs, straight = make_springs(points, pitch, rest, team)
-            if (loose := _check_whole(known)).any():
-                braces = ~known & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
-                points, weights = make_up(points, weights, known, braces)
+            points, weights, braces = _brace(points, weights)
+            if braces is not None:
                 level = make_springs(points, pitch, rest, team)[0]
         if weights is not None:
             stiffen(level, weights)
         target = points if start is None else np.ascontiguousarray(start, dtype=np.float64)
         side = _handedness(target)
-        energy, down = 0.0, 0
         if method == "multigrid":
-            steps, outcome, history, energy, down = _multigrid(level, side, team, tolerance, gaps=gaps)
+            steps, outcome, history = _multigrid(level, side, team, tolerance, gaps=gaps)
         else:
-            first = np.where(np.isfinite(points).all(axis=-1, keepdims=True), target[..., :2] / pitch, np.nan)
-            steps, outcome, history = _relaxation(
-                level, first, RelaxationParams() if method == "relaxation" else method
-            )
+            steps, outcome, history = _relaxation(level, points, target[..., :2] / pitch, method)
         if braces is not None:
             stiffen(level, np.where(braces, 0.0, np.ones(braces.shape) if weights is None else weights))
-        if braces is not None or method != "multigrid":
-            energy, down = count_folds(level, team, side)
+        energy, folds = count_folds(level, team, side)
         level.drop_springs()
-        uv = _laid_down(level, target, pitch, team)
+        uv = _lay_on_target(level, target, pitch, team)
     if braces is not None:
         uv[braces] = np.nan
-    # Cells that the step rule held open are as good as folded.
-    floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if down or floor:
-        folded = folded_cells(points, uv, side=side, floor=floor)
+    if folds or outcome is Outcome.HELD_OPEN:
+        # Cells that the step rule held open are as good as folded.
+        folded = folded_cells(points, uv, side=side, floor=1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
-                   history=history, folded=folded, made_up=made_up, straight_share=straight, pitch=pitch,
+                   history=history, folded=folded, imputed=imputed, straight_share=straight, pitch=pitch,
                    dropped=dropped)  # fmt: skip
 
 
 def _check(
-    points: Array, start: Array | None, weights: Array | None, tolerance: float, least_share: float, *, method: object,
-    rest: object,
+    points: Floats, start: Floats | None, weights: Floats | None, tolerance: float, least_share: float, *,
+    method: object, rest: object,
 ) -> None:  # fmt: skip
+    """Refuse arguments that do not fit, all faults in one message."""
     faults: list[str] = []
-    for name, value, known in (("method", method, ("multigrid", "relaxation")), ("rest", rest, ("arc", "chord"))):
-        if value not in known and not isinstance(value, RelaxationParams):
-            faults.append(f"{name} is {value!r}, needed is {' or '.join(map(repr, known))}")
+    for name, value, choices in (("method", method, ("multigrid", "relaxation")), ("rest", rest, ("arc", "chord"))):
+        if value not in choices and not isinstance(value, RelaxationParams):
+            faults.append(f"{name} is {value!r}, needed is {' or '.join(map(repr, choices))}")
     if points.ndim != 3 or points.shape[2] != 3:
         raise CannotFlatten(f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x, y, z.")
     if min(points.shape[:2]) < 2:
@@ -198,62 +188,77 @@ def _check(
         raise CannotFlatten("; ".join(faults).capitalize() + ".")
 
 
-def _specks(known: NDArray[np.bool_], least_share: float) -> NDArray[np.bool_]:
-    """Nodes of pieces with less than ``least_share`` of all nodes."""
-    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
+def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
+    """Leave out pieces with less than ``least_share`` of all nodes; give the points, and which nodes were dropped."""
+    is_node = np.isfinite(points).all(axis=-1)
+    labels, count = ndimage.label(is_node, structure=np.ones((3, 3)))
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    small = sizes < least_share * sizes.sum()
-    return np.concatenate([[False], small])[labels] if small.any() else np.zeros(known.shape, dtype=bool)
+    is_small = sizes < least_share * sizes.sum()
+    if not is_small.any():
+        return points, np.zeros(is_node.shape, dtype=bool)
+    dropped = np.concatenate([[False], is_small])[labels]
+    return np.where((is_node & ~dropped)[..., None], points, np.nan), dropped
 
 
-def _check_whole(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
+    """Add nodes around those that hang loosely on the sheet; give points, weights and the added nodes, if any."""
+    is_node = np.asarray(np.isfinite(points).all(axis=-1))
+    loose = _check_whole(is_node)
+    if not loose.any():
+        return points, weights, None
+    braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    return (*impute_nodes(points, weights, is_node, braces), braces)
+
+
+def _check_whole(is_node: Bools) -> Bools:
     """Raise unless the nodes are one piece that is stiff as a whole; give those that hang on it loosely."""
-    if np.count_nonzero(known) < 4:
+    if (nodes := np.count_nonzero(is_node)) < 4:
         raise CannotFlatten(
-            f"The mesh has {np.count_nonzero(known)} nodes in {known.shape[0]} rows and {known.shape[1]} columns; at "
+            f"The mesh has {nodes} nodes in {is_node.shape[0]} rows and {is_node.shape[1]} columns; at "
             f"least 2 rows and 2 columns are needed. Use a finer mesh."
         )
-    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
-    loose, stiff = loose_nodes(known)
+    labels, count = ndimage.label(is_node, structure=np.ones((3, 3)))
+    loose, stiff = loose_nodes(is_node)
     stiff = stiff[stiff > 0.02 * stiff.sum()]
     if count > 1:
-        found = zip(ndimage.find_objects(labels), np.bincount(labels.ravel())[1:], strict=True)
-        largest = sorted(found, key=lambda piece: -piece[1])[:6]
+        pieces = zip(ndimage.find_objects(labels), np.bincount(labels.ravel())[1:], strict=True)
+        largest = sorted(pieces, key=lambda piece: -piece[1])[:6]
         places = ", ".join(
-            f"{n} nodes in rows {at[0].start}-{at[0].stop - 1} and columns {at[1].start}-{at[1].stop - 1}"
-            for at, n in largest
+            f"{size} nodes in rows {box[0].start}-{box[0].stop - 1} and columns {box[1].start}-{box[1].stop - 1}"
+            for box, size in largest
         ) + (" ..." if count > 6 else "")  # fmt: skip
         raise CannotFlatten(
             f"The sheet falls into {count} unconnected pieces: {places}. Their distance in the plane is not known: "
             "flatten each of them by itself, or drop the smaller ones with least_share."
         )
     if stiff.size != 1:
-        listed = ", ".join(map(str, np.sort(stiff)[:-7:-1])) + (" ..." if stiff.size > 6 else "")
+        largest_parts = ", ".join(map(str, np.sort(stiff)[:-7:-1])) + (" ..." if stiff.size > 6 else "")
         raise CannotFlatten(
-            f"The sheet falls into {stiff.size} pieces of {listed} cells that hang together by single nodes at most. "
-            "How they are turned against each other is not known: cut them apart there, and flatten each by itself."
+            f"The sheet falls into {stiff.size} pieces of {largest_parts} cells that hang together by single nodes at "
+            "most. How they are turned against each other is not known: cut them apart there, and flatten each by "
+            "itself."
         )
     return loose
 
 
-def _weigh(points: Array, weights: Array) -> tuple[Array, Array | None, NDArray[np.bool_]]:
-    """Make up the nodes of little weight; give points, the weights if they differ, and which nodes are made up."""
-    known = np.isfinite(points).all(axis=-1)
-    if not (np.isfinite(weights[known]).all() and (weights[known] >= 0).all() and (weights[known] > 0).any()):
+def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
+    """Impute the nodes of little weight; give points, the weights if they differ, and the nodes that are imputed."""
+    is_node = np.isfinite(points).all(axis=-1)
+    if not (np.isfinite(weights[is_node]).all() and (weights[is_node] >= 0).all() and (weights[is_node] > 0).any()):
         raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
-    doubted = known & (weights < TRUSTED * np.median(weights[known & (weights > 0)]))
-    if np.count_nonzero(known & ~doubted) < 4:
+    is_doubtful = is_node & (weights < TRUSTED * np.median(weights[is_node & (weights > 0)]))
+    if (trusted := np.count_nonzero(is_node & ~is_doubtful)) < 4:
         raise CannotFlatten(
-            f"{np.count_nonzero(known & ~doubted)} nodes have more than a tenth of the median weight; at least 4 are "
+            f"{trusted} nodes have more than a tenth of the median weight; at least 4 are "
             f"needed. Give the nodes that were measured a higher weight."
         )
-    if doubted.any():
-        return (*make_up(points, weights, known & ~doubted, doubted), doubted)
-    even = np.ptp(weights[known]) == 0 and weights[known][0] == 1
-    return points, None if even else np.where(known, weights, 0.0), doubted
+    if is_doubtful.any():
+        return (*impute_nodes(points, weights, is_node & ~is_doubtful, is_doubtful), is_doubtful)
+    even = np.ptp(weights[is_node]) == 0 and weights[is_node][0] == 1
+    return points, None if even else np.where(is_node, weights, 0.0), is_doubtful
 
 
-def _handedness(target: Array) -> float:
+def _handedness(target: Floats) -> float:
     """1 where columns and rows of the grid run like u and v, -1 where they run in the opposite sense, as a whole."""
     rows, cols = (max(1, (n - 1) // 20) for n in target.shape[:2])
     flat = target[::rows, ::cols, :2]
@@ -264,25 +269,30 @@ def _handedness(target: Array) -> float:
 
 def _multigrid(
     level: Level, side: float, team: Team, tolerance: float, *, gaps: bool
-) -> tuple[int, Outcome, tuple[Step, ...], float, int]:
+) -> tuple[int, Outcome, tuple[Step, ...]]:
+    """Relax by multigrid, and once more with steps that may close no cell where cells folded."""
     finest = level.rows * level.cols
     history: tuple[Step, ...] = ()
-    outcome, energy, down = Outcome.NOT_FINITE, np.nan, 0
+    outcome = Outcome.NOT_FINITE
     for guarded in (False, True):
         solver = Multigrid(hierarchy(level, team), team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
         history += tuple(solver.history)
-        energy, down = count_folds(level, team, side)
-        if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and down == 0:
+        if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and count_folds(level, team, side)[1] == 0:
             break
-    return sum(step.nodes == finest for step in history), outcome, history, energy, down
+    return sum(step.nodes == finest for step in history), outcome, history
 
 
-def _relaxation(level: Level, first: Array, params: RelaxationParams) -> tuple[int, Outcome, tuple[Step, ...]]:
+def _relaxation(
+    level: Level, points: Floats, start: Floats, method: Method | RelaxationParams
+) -> tuple[int, Outcome, tuple[Step, ...]]:
+    """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
+    start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
+    params = method if isinstance(method, RelaxationParams) else RelaxationParams()
     rows, cols = level.rows, level.cols
     rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
     stiff = np.broadcast_to(level.stiff, level.rest.shape)[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
-    done = relax_dynamically(first, rest, stiffness=stiff, params=params)
+    done = relax_dynamically(start, rest, stiffness=stiff, params=params)
     level.open()
     level.xy[:, 1 : rows + 1, 1 : cols + 1] = np.where(np.isfinite(done.uv), done.uv, 10 * GONE).transpose(2, 0, 1)
     count, log = int(np.isfinite(done.uv[..., 0]).sum()), done.history
@@ -290,7 +300,7 @@ def _relaxation(level: Level, first: Array, params: RelaxationParams) -> tuple[i
     return done.steps, done.outcome, tuple(Step(count, energy, np.nan, move) for energy, move in moves)
 
 
-def _laid_down(level: Level, target: Array, pitch: float, team: Team) -> Array:
+def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Floats:
     """Turn and shift the places to lie on the target: least squares without scale and without reflection."""
     sums = np.zeros((level.rows + 2, 7))
     team.run(moments, level.parts, target, 1 / pitch, level.xy, sums)

@@ -6,15 +6,13 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotFlatten
 from planish.core.outcome import Outcome
+from planish.core.typing import Bools, Floats
 from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.geodesics import folded_cells, triangle_areas
 from planish.flatten.levels import of_springs
-
-Array = NDArray[np.float64]
 
 # How the time step follows in the feedback reading of Eq. (4). The paper has no numbers for it; any come to a halt.
 _CUT, _GROW = 0.5, 1.1
@@ -81,19 +79,19 @@ class RelaxationParams:
     fixed_c: float = 0.02
 
 
-class History(NamedTuple):
+class MotionHistory(NamedTuple):
     """One value for every step, each (steps,): what was used in the step and how the mesh was after it.
 
     ``step`` counts from 1; ``dt``, ``c``: time step and damping; ``gradient``: largest Frobenius norm of the velocity's
     gradient; ``mean_speed``: mean of the nodes' speeds; ``energy``: sum over springs of k (l - L)^2.
     """
 
-    step: Array
-    dt: Array
-    c: Array
-    gradient: Array
-    mean_speed: Array
-    energy: Array
+    step: Floats
+    dt: Floats
+    c: Floats
+    gradient: Floats
+    mean_speed: Floats
+    energy: Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,16 +103,16 @@ class Relaxation:
     is empty or does not turn as the start does as a whole.
     """
 
-    uv: Array
+    uv: Floats
     energy: float
     outcome: Outcome
     steps: int
-    history: History
+    history: MotionHistory
     inverted: int
 
 
 def relax_dynamically(
-    start: Array, rest: Array, *, stiffness: Array | None = None, params: RelaxationParams | None = None
+    start: Floats, rest: Floats, *, stiffness: Floats | None = None, params: RelaxationParams | None = None
 ) -> Relaxation:
     """Let a spring mesh swing to rest in the plane.
 
@@ -150,44 +148,38 @@ def relax_dynamically(
             f"Nodes {start.shape}, rest lengths {rest.shape} and stiffness {stiff.shape} do not fit together; needed "
             f"are (rows, cols, 2) and twice (4, rows, cols). Make all of them from one mesh."
         )
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(start).all(axis=-1))
-    tied = of_springs(known, np.logical_and, np.zeros(rest.shape, dtype=bool)) & np.isfinite(rest) & np.isfinite(stiff)
+    is_node: Bools = np.asarray(np.isfinite(start).all(axis=-1))
+    tied = of_springs(is_node, np.logical_and, np.zeros(rest.shape, bool)) & np.isfinite(rest) & np.isfinite(stiff)
     unit = float(np.max(stiff, where=tied, initial=0.0)) or 1.0
-    x = _framed(np.where(known[..., None], start, 0.0).transpose(2, 0, 1))
+    x = _framed(np.where(is_node[..., None], start, 0.0).transpose(2, 0, 1))
     springs = _framed(np.where(tied, rest, 0.0)), _framed(np.where(tied, stiff / unit, 0.0))
     with np.errstate(invalid="ignore", over="ignore"):  # a mesh that leaves the finite numbers is an outcome
-        outcome, energy, log = _motion(x, springs, _framed(known.astype(np.float64)), params or RelaxationParams())
-        uv = np.where(known[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
+        outcome, energy, log = _motion(x, springs, _framed(is_node.astype(np.float64)), params or RelaxationParams())
+        uv = np.where(is_node[..., None], x[:, 1:-1, 1:-1].transpose(1, 2, 0), np.nan)
         side = np.sign(np.nansum(triangle_areas(start)))
         inverted = int(np.count_nonzero(folded_cells(start, uv, side=side)))
     if inverted and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     log[:, 4] *= unit
-    history = History(np.arange(1.0, len(log) + 1), *log.T)
+    history = MotionHistory(np.arange(1.0, len(log) + 1), *log.T)
     return Relaxation(uv=uv, energy=energy * unit, outcome=outcome, steps=len(log), history=history, inverted=inverted)
 
 
 def _motion(
-    x: Array, springs: tuple[Array, Array], known: Array, p: RelaxationParams
-) -> tuple[Outcome, float, Array]:  # fmt: skip
+    x: Floats, springs: tuple[Floats, Floats], mask: Floats, p: RelaxationParams
+) -> tuple[Outcome, float, Floats]:  # fmt: skip
     """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
-    side, nodes, period = _sides(known), np.count_nonzero(known), 2.0 * (max(known.shape) - 2)
-    v, new, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
+    side, nodes, period = _sides(mask), np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
+    v, next_v, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
     energy, largest = set_force(x, *springs, f)
-    dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, side, new)[0] / p.b))
+    dt, c = p.fixed_dt, max(p.c_min, np.sqrt(mix(v, 0.0, f, 1.0, side, next_v)[0] / p.b))
     if p.control == "fixed":
         c = p.fixed_c
-    gradient = time = low = 0.0
-    armed = False
+    gradient = time = calm_time = 0.0
+    has_moved = False
     # Without any force there is no motion to wait for.
     outcome = Outcome.RESTED if largest == 0.0 else Outcome.OUT_OF_STEPS
     log: list[tuple[float, ...]] = []
-
-    def accelerate() -> tuple[float, float, float]:
-        euler = p.integrator == "euler"
-        keep, push = (1.0 - c * dt, dt) if euler else (1.0 / (1.0 + c * dt), dt / (1.0 + c * dt))
-        return mix(v, keep, f, push, side, new)
-
     while outcome is Outcome.OUT_OF_STEPS and len(log) < p.most_steps:
         if p.control != "fixed":
             c = max(p.c_min, gradient / p.b, p.c_fall * c)
@@ -195,28 +187,28 @@ def _motion(
             dt = min(p.dt_max, p.a / gradient if gradient > 0.0 else np.inf)
         elif p.control == "feedback":
             dt = dt * _CUT if gradient >= p.a else min(p.dt_max, dt * _GROW)
-        gradient, fastest, total = accelerate()
+        gradient, fastest, total = _accelerate(p, v, f, dt, c, side, next_v)
         if p.control == "scale" and dt * gradient > p.a:
             dt = p.a / gradient
-            gradient, fastest, total = accelerate()
+            gradient, fastest, total = _accelerate(p, v, f, dt, c, side, next_v)
         if p.control != "fixed" and fastest * dt > p.most_move:
             dt *= p.most_move / (fastest * dt)
-            gradient, fastest, total = accelerate()
+            gradient, fastest, total = _accelerate(p, v, f, dt, c, side, next_v)
         if p.integrator == "rk4":
-            x[:], new[:] = _runge_kutta(x, v, f, springs, dt, c)
-            gradient, _, total = mix(new, 1.0, f, 0.0, side, new)
+            x[:], next_v[:] = _runge_kutta(x, v, f, springs, dt, c)
+            gradient, _, total = mix(next_v, 1.0, f, 0.0, side, next_v)
         else:
-            x += dt * (v if p.integrator == "euler" else new)
+            x += dt * (v if p.integrator == "euler" else next_v)
         energy, largest = set_force(x, *springs, f)
-        v, new = new, v
+        v, next_v = next_v, v
         speed = total / nodes
         log.append((dt, c, gradient, speed, energy))
         time += dt
-        armed, low = (True, 0.0) if speed > p.mean_speed else (armed, low + dt)
+        has_moved, calm_time = (True, 0.0) if speed > p.mean_speed else (has_moved, calm_time + dt)
         rested = {
             # A mesh that has not been fast within a period of its slowest mode will never be.
-            "first": (armed or time >= period) and low > 0.0,
-            "sustained": low >= period,
+            "first": (has_moved or time >= period) and calm_time > 0.0,
+            "sustained": calm_time >= period,
             "residual": largest < p.residual,
         }[p.stop]
         if not np.isfinite(speed + energy):
@@ -226,9 +218,18 @@ def _motion(
     return outcome, energy, np.array(log).reshape(-1, 5)
 
 
+def _accelerate(
+    p: RelaxationParams, v: Floats, f: Floats, dt: float, c: float, side: Floats, out: Floats
+) -> tuple[float, float, float]:
+    """Set ``out`` to the velocities after ``dt``; give their largest gradient, the fastest, and their sum."""
+    if p.integrator == "euler":
+        return mix(v, 1.0 - c * dt, f, dt, side, out)
+    return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), side, out)
+
+
 def _runge_kutta(
-    x: Array, v: Array, f: Array, springs: tuple[Array, Array], dt: float, c: float
-) -> tuple[Array, Array]:  # fmt: skip
+    x: Floats, v: Floats, f: Floats, springs: tuple[Floats, Floats], dt: float, c: float
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
     place, speed, new_x, new_v = x, v, x, v
     for stage, (weight, reach) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):
@@ -240,13 +241,13 @@ def _runge_kutta(
     return new_x, new_v
 
 
-def _framed(values: Array) -> Array:
+def _framed(values: Floats) -> Floats:
     """Put a frame of zeros around the last two axes."""
     return np.pad(values, [(0, 0)] * (values.ndim - 2) + [(1, 1), (1, 1)])
 
 
-def _sides(known: Array) -> Array:
+def _sides(mask: Floats) -> Floats:
     """Weights of the differences to the neighbours right, left, below and above (4, rows + 2, cols + 2)."""
-    right, left, below, above = (np.roll(known, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
-    opposite = ((right, left), (left, right), (below, above), (above, below))
-    return np.stack([known * one * (1.0 - 0.5 * other) for one, other in opposite])
+    right, left, below, above = (np.roll(mask, shift, axis) for shift, axis in ((-1, 1), (1, 1), (-1, 0), (1, 0)))
+    pairs = ((right, left), (left, right), (below, above), (above, below))
+    return np.stack([mask * side * (1.0 - 0.5 * opposite) for side, opposite in pairs])

@@ -10,20 +10,19 @@ from scipy.interpolate import LinearNDInterpolator
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.typing import Bools, Floats
 from planish.flatten.relax import relax_grid
-
-Array = NDArray[np.float64]
+from planish.flatten.sheet import node_weights
 
 SCALES = (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5)
 # Of the mesh: the moves are differences of two flattenings, smooth over the 400 um of the centre surface.
 _PITCH_UM, _NODES, _MOST_NODES = 50.0, 5_000, 100_000
-_DOUBT = 0.2  # weight of the centre surface where it was bridged
 
 
 def places_when_scaled(
-    surfaces: xr.Dataset, flat: xr.Dataset, points: Array, *, scales: tuple[float, ...] = SCALES,
+    surfaces: xr.Dataset, flat: xr.Dataset, points: Floats, *, scales: tuple[float, ...] = SCALES,
     mesh_um: float | None = None,
-) -> tuple[Array, Array]:  # fmt: skip
+) -> tuple[Floats, Floats]:  # fmt: skip
     """Flatten the centre surface again with its heights scaled, and carry points of the sheet along.
 
     Parameters
@@ -52,38 +51,36 @@ def places_when_scaled(
     """
     frame = Frame.of(surfaces)
     y, x = surfaces["y"].values, surfaces["x"].values
-    known = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)
-    rows, cols = _nodes(known, pitch(surfaces), mesh_um)
-    there = known[np.ix_(rows, cols)]
-    height = np.where(there, surfaces["centre"].values[np.ix_(rows, cols)], np.nan)
+    is_sheet = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)
+    rows, cols = _nodes(is_sheet, pitch(surfaces), mesh_um)
+    is_node = is_sheet[np.ix_(rows, cols)]
+    height = np.where(is_node, surfaces["centre"].values[np.ix_(rows, cols)], np.nan)
     across, down = np.meshgrid(x[cols], y[rows])
-    weights = np.ones(there.shape)
-    if "status" in surfaces:
-        weights = np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _DOUBT)
-    found: dict[float, Array] = {}
+    weights = node_weights(surfaces, rows, cols)
+    uv_by_scale: dict[float, Floats] = {}
     for scale in scales:
         try:
             relaxed = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights)
         except CannotFlatten:
             continue
-        if np.isfinite(relaxed.uv[there]).all():
-            found[scale] = relaxed.uv[there]
-    if 1.0 not in found:
+        if np.isfinite(relaxed.uv[is_node]).all():
+            uv_by_scale[scale] = relaxed.uv[is_node]
+    if 1.0 not in uv_by_scale:
         return np.ones(1), points[None].copy()
-    moves = np.stack([uv - found[1.0] for uv in found.values()], axis=1)
+    moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
     moves[..., 0] *= -1.0 if frame.mirrored else 1.0
-    at = np.stack([flat[k].values[np.ix_(rows, cols)][there] for k in "uv"], axis=1)
-    moved = LinearNDInterpolator(at, moves.reshape(len(at), -1))(points).reshape(len(points), len(found), 2)
-    return np.array(list(found)), points + np.moveaxis(moved, 1, 0)
+    nodes = np.stack([flat[k].values[np.ix_(rows, cols)][is_node] for k in "uv"], axis=1)
+    moved = LinearNDInterpolator(nodes, moves.reshape(len(nodes), -1))(points).reshape(len(points), -1, 2)
+    return np.array(list(uv_by_scale)), points + np.moveaxis(moved, 1, 0)
 
 
 def _nodes(
-    known: NDArray[np.bool_], steps: tuple[float, float], mesh_um: float | None
+    is_sheet: Bools, steps: tuple[float, float], mesh_um: float | None
 ) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    area = np.count_nonzero(known) * steps[0] * steps[1]
+    area = np.count_nonzero(is_sheet) * steps[0] * steps[1]
     wanted = mesh_um or max(min(_PITCH_UM, np.sqrt(area / _NODES)), np.sqrt(area / _MOST_NODES))
     rows, cols = (
         np.unique(np.linspace(0, n - 1, max(3, round((n - 1) * step / wanted) + 1)).round().astype(np.intp))
-        for n, step in zip(known.shape, steps, strict=True)
+        for n, step in zip(is_sheet.shape, steps, strict=True)
     )
     return rows, cols

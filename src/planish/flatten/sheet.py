@@ -16,18 +16,18 @@ from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
 from planish.core.outcome import Outcome
+from planish.core.typing import Bools, Floats
 from planish.flatten.curvature import CurvatureCheck, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
 from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
 
-Array = NDArray[np.float64]
 Neutral = Literal["base", "faces"]
 
 _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
 # Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it holds
 # the sheet together there and leaves its shape to what was measured.
-_DOUBT = 0.2
+_BRIDGED_WEIGHT = 0.2
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,23 +109,23 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     neutral = neutral_of(surfaces, params)
     y, x = surfaces["y"].values, surfaces["x"].values
     mesh = sheet_mesh(surfaces, params.mesh_um)
-    rows, cols, known = mesh.rows, mesh.cols, mesh.known
+    rows, cols, is_sheet = mesh.rows, mesh.cols, mesh.is_sheet
     points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
     fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
     moved = [_carried(relaxed.uv[..., i] - mesh.points[..., i], rows, cols, (y.size, x.size)) for i in range(2)]
-    bad = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
-    inside = known & ~bad
-    values = {
+    is_folded = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
+    inside = is_sheet & ~is_folded
+    layout = {
         "u": (offset + flip * (fine_x + moved[0]), "Flat coordinate u"),
         "v": (fine_y + moved[1], "Flat coordinate v"),
         "projected_u": (offset + flip * fine_x, "Projected coordinate u"),
         "projected_v": (fine_y, "Projected coordinate v"),
     }
     flat = xr.Dataset(
-        {k: (("y", "x"), np.where(inside, v, np.nan), {"units": "um", "long_name": t}) for k, (v, t) in values.items()},
+        {k: (("y", "x"), np.where(inside, v, np.nan), {"units": "um", "long_name": t}) for k, (v, t) in layout.items()},
         coords=surfaces.coords,
         attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored), "neutral": neutral, "rest": params.rest},
     )
@@ -163,21 +163,21 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
 class SheetMesh:
     """Nodes of the spring mesh on the centre surface.
 
-    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``step``: how many between two; ``known``
+    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``step``: how many between two; ``is_sheet``
     (y, x): columns of the sheet's largest piece; ``points`` (rows, cols, 3): x, y and height, NaN where there is no
     sheet; ``weights``: of the nodes, less where the surface was bridged.
     """
 
     rows: NDArray[np.intp]
     cols: NDArray[np.intp]
-    y_um: Array
-    x_um: Array
+    y_um: Floats
+    x_um: Floats
     step: tuple[int, int]
-    known: NDArray[np.bool_]
-    points: Array
-    weights: Array | None
+    is_sheet: Bools
+    points: Floats
+    weights: Floats | None
 
-    def raised(self, offset: NDArray[np.floating]) -> Array:
+    def raised(self, offset: NDArray[np.floating]) -> Floats:
         """Nodes moved along the normals onto the surface that lies ``offset`` (y, x) above, vertically, in um."""
         over = np.where(np.isfinite(self.points[..., 2]), offset[np.ix_(self.rows, self.cols)], np.nan)
         order = 2 if min(over.shape) > 2 else 1
@@ -201,26 +201,31 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised."""
     y, x = surfaces["y"].values, surfaces["x"].values
     centre = surfaces["centre"].values
-    known = _largest_piece(np.isfinite(centre))
-    step = _strides(surfaces, int(np.count_nonzero(known)), mesh_um)
+    is_sheet = _largest_piece(np.isfinite(centre))
+    step = _strides(surfaces, int(np.count_nonzero(is_sheet)), mesh_um)
     rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
-    height = np.where(known, centre, np.nan)[np.ix_(rows, cols)]
+    height = np.where(is_sheet, centre, np.nan)[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
-    weights = None
-    if "status" in surfaces:
-        weights = np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _DOUBT)
     return SheetMesh(
-        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=step, known=known, points=points, weights=weights,
+        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=step, is_sheet=is_sheet, points=points,
+        weights=node_weights(surfaces, rows, cols),
     )  # fmt: skip
 
 
-def _at_cells(nodes: Array) -> Array:
+def node_weights(surfaces: xr.Dataset, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Floats | None:
+    """Weights of the mesh's nodes, less where the centre surface was bridged; None where the surfaces do not tell."""
+    if "status" not in surfaces:
+        return None
+    return np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _BRIDGED_WEIGHT)
+
+
+def _at_cells(nodes: Floats) -> Floats:
     return 0.25 * (nodes[:-1, :-1] + nodes[:-1, 1:] + nodes[1:, :-1] + nodes[1:, 1:])
 
 
-def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Array, dict[str, str]]]:
+def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
     """History of the solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
     unit = relaxed.pitch
     nodes, energy, move = (
@@ -233,12 +238,12 @@ def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Array, dict[str, str]]]:
     }
 
 
-def _largest_piece(known: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _largest_piece(mask: Bools) -> Bools:
     """Keep the largest connected piece; fragments beside it have no place in the plane."""
-    labels, count = ndimage.label(known, structure=np.ones((3, 3)))
+    labels, count = ndimage.label(mask, structure=np.ones((3, 3)))
     if count == 0:
         raise CannotFlatten("The centre surface is empty; there is nothing to flatten.")
-    return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else known
+    return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else mask
 
 
 def _strides(surfaces: xr.Dataset, nodes: int, mesh_um: float | None) -> tuple[int, int]:
@@ -263,19 +268,14 @@ def _every(count: int, step: int) -> NDArray[np.intp]:
     return indices
 
 
-def _carried(move: Array, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Array:
+def _carried(move: Floats, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Floats:
     """Displacement of every column, bilinear between the nodes of the mesh (filled by the nearest node outside)."""
-    known = np.isfinite(move)
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
-    filled = move[tuple(nearest)]
     r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))
     c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))
-    return bilinear(filled, r[:, None], c[None, :])
+    return bilinear(filled(move), r[:, None], c[None, :])
 
 
-def _fold_mask(
-    folded: NDArray[np.bool_], rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]
-) -> NDArray[np.bool_]:
+def _fold_mask(folded: Bools, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Bools:
     mask = np.zeros(shape, dtype=bool)
     for i, j in zip(*np.nonzero(folded), strict=True):
         mask[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = True

@@ -10,19 +10,18 @@ from scipy import ndimage, sparse
 from scipy.sparse.linalg import splu
 
 from planish.core.errors import CannotFlatten
+from planish.core.typing import Bools, Floats
 from planish.flatten._mesh_kernels import rest_lengths
 from planish.flatten.levels import Level, Team, of_springs, padded
-
-Array = NDArray[np.float64]
 
 TRUSTED = 0.1  # share of the median weight below which a node does not count in the flattening
 _BRACE = 0.01  # stiffness of springs to made-up nodes: enough to hold a loose corner, too little to steer the sheet
 
 
-def mean_pitch(points: Array) -> float:
+def mean_pitch(points: Floats) -> float:
     """Mean distance of neighbours along rows and columns, from some ten of either, in the unit of ``points``."""
-    for some in (10, max(points.shape)):
-        rows, cols = (max(1, n // some) for n in points.shape[:2])
+    for lines in (10, max(points.shape)):
+        rows, cols = (max(1, n // lines) for n in points.shape[:2])
         with np.errstate(invalid="ignore", over="ignore"):
             steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
             long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
@@ -38,7 +37,7 @@ def mean_pitch(points: Array) -> float:
     return pitch
 
 
-def make_springs(points: Array, pitch: float, rest: Literal["arc", "chord"], team: Team) -> tuple[Level, int, float]:
+def make_springs(points: Floats, pitch: float, rest: Literal["arc", "chord"], team: Team) -> tuple[Level, int, float]:
     """Tie the nodes of ``points`` (rows, cols, 3) to their neighbours; each spring is stored once.
 
     Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share of them that kept
@@ -55,7 +54,7 @@ def make_springs(points: Array, pitch: float, rest: Literal["arc", "chord"], tea
     return Level(rows, cols, parts, lengths, even), int(springs), straight / springs if rest == "arc" else np.nan
 
 
-def stiffen(level: Level, weights: Array) -> None:
+def stiffen(level: Level, weights: Floats) -> None:
     """Give every spring the weight of its less certain end."""
     stiff = padded(4, level.rows, level.cols, np.float32)
     of_springs(weights.astype(np.float32), np.minimum, stiff[:, 1 : level.rows + 1, 1 : level.cols + 1])
@@ -63,45 +62,44 @@ def stiffen(level: Level, weights: Array) -> None:
     level.stiff = stiff
 
 
-def loose_nodes(known: NDArray[np.bool_]) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
     """Find the nodes whose place the springs do not settle: what hangs on the sheet by a single node or spring.
 
     A cell with three corners is stiff, and so are cells that share an edge; everything else can turn freely. The
     largest stiff part is the sheet. Gives the known nodes outside of it, and the number of cells of every stiff part.
     """
-    corners = sum(known[i : i + known.shape[0] - 1, j : j + known.shape[1] - 1].astype(np.int8)
+    corners = sum(is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
                   for i in (0, 1) for j in (0, 1))  # fmt: skip
     # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are known.
-    paths = np.zeros((2 * known.shape[0] - 1, 2 * known.shape[1] - 1), dtype=bool)
+    paths = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
     paths[1::2, 1::2] = corners >= 3
-    paths[1::2, ::2] = known[:-1] & known[1:]
-    paths[::2, 1::2] = known[:, :-1] & known[:, 1:]
+    paths[1::2, ::2] = is_node[:-1] & is_node[1:]
+    paths[::2, 1::2] = is_node[:, :-1] & is_node[:, 1:]
     labels = ndimage.label(paths)[0][1::2, 1::2]
     sizes = np.bincount(labels[corners >= 3])
     if sizes.size == 0:
-        return known.copy(), np.zeros(0, dtype=np.intp)
+        return is_node.copy(), np.zeros(0, dtype=np.intp)
     cells = (labels == np.argmax(sizes)) & (corners >= 3)
-    held = np.zeros_like(known)
+    is_held = np.zeros_like(is_node)
     for i in (0, 1):
         for j in (0, 1):
-            held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
-    return known & ~held, sizes[sizes > 0]
+            is_held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
+    return is_node & ~is_held, sizes[sizes > 0]
 
 
-def make_up(
-    points: Array, weights: Array | None, known: NDArray[np.bool_], missing: NDArray[np.bool_]
-) -> tuple[Array, Array]:
-    """Lay the ``missing`` nodes of ``points`` so that rows and columns bend least, and give them next to no weight.
+def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_missing: Bools) -> tuple[Floats, Floats]:
+    """Lay the missing nodes of ``points`` so that rows and columns bend least, and give them next to no weight.
 
-    Least sum of squared second differences along rows and columns, to which known neighbours up to two nodes away
-    contribute; nodes that are neither known nor missing become NaN. What is linear in row and column is met exactly.
+    Least sum of squared second differences along rows and columns, to which trusted neighbours up to two nodes away
+    contribute; nodes that are neither trusted nor missing become NaN. What is linear in row and column is met exactly.
     """
-    weights = np.where(known, 1.0 if weights is None else weights, 0.0)
-    points = np.where(known[..., None], points, np.nan)
-    if not missing.any():
+    weights = np.where(is_trusted, 1.0 if weights is None else weights, 0.0)
+    points = np.where(is_trusted[..., None], points, np.nan)
+    if not is_missing.any():
         return points, weights
-    part = missing | (known & ndimage.binary_dilation(missing, structure=np.ones((3, 3), dtype=bool), iterations=2))
-    number = np.full(missing.shape, -1)
+    around = ndimage.binary_dilation(is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    part = is_missing | (is_trusted & around)
+    number = np.full(is_missing.shape, -1)
     number[part] = np.arange(np.count_nonzero(part))
     size = int(np.count_nonzero(part))
 
@@ -117,14 +115,14 @@ def make_up(
     bend = differences((1.0, -2.0, 1.0))
     # A faint pull towards the neighbours settles what no second difference reaches.
     slope = differences((1.0, -1.0))
-    free = missing[part]
+    is_free = is_missing[part]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
     rows, cols = np.nonzero(part)
-    fixed = points[part][~free]
+    fixed = points[part][~is_free]
     basis = np.stack([np.ones(size), rows, cols], axis=1)
-    plane = basis @ np.linalg.lstsq(basis[~free], fixed, rcond=None)[0]
+    plane = basis @ np.linalg.lstsq(basis[~is_free], fixed, rcond=None)[0]
     matrix = (bend.T @ bend + 1e-8 * (slope.T @ slope)).tocsc()
-    solve = splu((matrix[free][:, free] + 1e-14 * sparse.eye_array(int(free.sum()))).tocsc()).solve
-    values = solve(-(matrix[free][:, ~free] @ (fixed - plane[~free])))
-    points[missing] = plane[free] + values
-    return points, np.where(missing, _BRACE * weights.max(), weights)
+    solve = splu((matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()).solve
+    values = solve(-(matrix[is_free][:, ~is_free] @ (fixed - plane[~is_free])))
+    points[is_missing] = plane[is_free] + values
+    return points, np.where(is_missing, _BRACE * weights.max(), weights)

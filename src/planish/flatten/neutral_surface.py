@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import filled
+from planish.core.typing import Floats
 from planish.flatten.relax import Rest, relax_grid
 from planish.flatten.sheet import sheet_mesh
 
@@ -43,20 +44,20 @@ def flat_moves(
         On the nodes of the mesh, ``NAME_u`` and ``NAME_v`` of each; beside the sheet those of the nearest node.
         A shift and a turn of the whole sheet have no meaning.
     """
-    known = np.isfinite(surfaces["centre"].values)
+    is_sheet = np.isfinite(surfaces["centre"].values)
     y, x = surfaces["y"].values, surfaces["x"].values
-    area = float(np.count_nonzero(known)) * abs((y[1] - y[0]) * (x[1] - x[0]))
+    area = float(np.count_nonzero(is_sheet)) * abs((y[1] - y[0]) * (x[1] - x[0]))
     mesh = sheet_mesh(surfaces, max(float(np.sqrt(area / _MOST_NODES)), 4 * abs(y[1] - y[0])))
-    base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), known.shape)
+    base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), is_sheet.shape)
 
-    def flattened(offset: NDArray[np.floating]) -> NDArray[np.float64]:
+    def flattened(offset: NDArray[np.floating]) -> Floats:
         return relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
 
     start = flattened(base)
     flip = -1.0 if Frame.of(surfaces).mirrored else 1.0
-    found: dict[str, tuple[tuple[str, str], NDArray[np.float64], dict[str, str]]] = {}
+    moves: dict[str, tuple[tuple[str, str], Floats, dict[str, str]]] = {}
     for name, other in others.items():
         move = flattened(other) - start
         for k, (axis, sign) in enumerate((("u", flip), ("v", 1.0))):
-            found[f"{name}_{axis}"] = (("y", "x"), filled(sign * move[..., k]), {"units": "um"})
-    return xr.Dataset(found, {"y": mesh.y_um, "x": mesh.x_um})
+            moves[f"{name}_{axis}"] = (("y", "x"), filled(sign * move[..., k]), {"units": "um"})
+    return xr.Dataset(moves, {"y": mesh.y_um, "x": mesh.x_um})
