@@ -8,15 +8,13 @@ from functools import partial
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.transform import Pair
+from planish.core.typing import Floats
 from planish.register.bent import Bent, Kernel
 from planish.register.field import Field, covariance, covariance_slope
 from planish.register.model import Model
 from planish.register.pairs import Pairs
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

@@ -7,12 +7,12 @@ from collections.abc import Callable, Iterator
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.threads import map_threads
 from planish.core.transform import NearSimilarity
+from planish.core.typing import Floats
 
-Floats = NDArray[np.float64]
 Kernel = Callable[[Floats], Floats]
 
 # Points at once, times nodes: what keeps the distances in the cache.
@@ -50,55 +50,55 @@ class Bent(NearSimilarity):
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
-        given = np.asarray(points, dtype=np.float64)
-        at = (given.reshape(-1, 2) - self.source) / self.size
-        out = self.affine[0] + at @ self.affine[1:]
+        places = np.asarray(points, dtype=np.float64)
+        scaled = (places.reshape(-1, 2) - self.source) / self.size
+        out = self.affine[0] + scaled @ self.affine[1:]
         step = max(1, _AT_ONCE // len(self.nodes))
-        parts = [slice(k, k + step) for k in range(0, len(at), step)]
+        parts = [slice(k, k + step) for k in range(0, len(scaled), step)]
 
         def add(part: slice) -> None:
-            self.add_bends(at[part], out[part])
+            self.add_bends(scaled[part], out[part])
 
         if len(parts) < _FEW:
             for part in parts:
                 add(part)
         else:
             map_threads(add, parts)
-        return out.reshape(given.shape)
+        return out.reshape(places.shape)
 
-    def add_bends(self, at: Floats, out: Floats) -> None:
+    def add_bends(self, scaled: Floats, out: Floats) -> None:
         """Add the local changes at scaled points (n, 2) to ``out`` (n, 2), in um."""
         bends = [(value, bend) for value, _, bend in self.bends() if np.any(bend)]
         if bends:
-            x, y = (at[:, None, i] - self.nodes[:, i] for i in range(2))
+            x, y = (scaled[:, None, i] - self.nodes[:, i] for i in range(2))
             squares = x**2 + y**2
             for value, bend in bends:
                 out += value(squares) @ bend
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
-        given = np.asarray(points, dtype=np.float64)
-        at = (given.reshape(-1, 2) - self.source) / self.size
-        out = np.broadcast_to(self.affine[1:].T, (len(at), 2, 2)).copy()
+        places = np.asarray(points, dtype=np.float64)
+        scaled = (places.reshape(-1, 2) - self.source) / self.size
+        out = np.broadcast_to(self.affine[1:].T, (len(scaled), 2, 2)).copy()
         step = max(1, _AT_ONCE // len(self.nodes))
         bends = [(slope, bend) for _, slope, bend in self.bends() if np.any(bend)]
-        for k in range(0, len(at) if bends else 0, step):
-            x, y = (at[k : k + step, None, i] - self.nodes[:, i] for i in range(2))
+        for k in range(0, len(scaled) if bends else 0, step):
+            x, y = (scaled[k : k + step, None, i] - self.nodes[:, i] for i in range(2))
             squares = x**2 + y**2
             for slope, bend in bends:
                 by = slope(squares)
                 out[k : k + step, :, 0] += (by * x) @ bend
                 out[k : k + step, :, 1] += (by * y) @ bend
-        return (out / self.size).reshape(*given.shape[:-1], 2, 2)
+        return (out / self.size).reshape(*places.shape[:-1], 2, 2)
 
     @property
     def inverse(self) -> Callable[[ArrayLike], Floats]:
         """The transformation back, by Newton's method from the nearest image of a grid; NaN where it finds no point."""
-        return _Back(self)
+        return _Inverse(self)
 
 
-class _Back:
-    """The way back through a bent map: where to begin is worked out once."""
+class _Inverse:
+    """The inverse of a bent map; where Newton's method begins is worked out once."""
 
     def __init__(self, bent: Bent) -> None:
         from scipy.spatial import KDTree
@@ -114,53 +114,54 @@ class _Back:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` back, in um; NaN where there is none."""
-        given = np.asarray(points, dtype=np.float64)
-        wanted = given.reshape(-1, 2)
-        found = np.full(wanted.shape, np.nan)
-        here = np.isfinite(wanted).all(axis=1)
-        if here.any():
-            found[here] = self._newton(wanted[here])
-        return found.reshape(given.shape)
+        places = np.asarray(points, dtype=np.float64)
+        targets = places.reshape(-1, 2)
+        sources = np.full(targets.shape, np.nan)
+        is_finite = np.isfinite(targets).all(axis=1)
+        if is_finite.any():
+            sources[is_finite] = self._newton(targets[is_finite])
+        return sources.reshape(places.shape)
 
-    def _newton(self, wanted: Floats) -> Floats:
+    def _newton(self, targets: Floats) -> Floats:
         bent = self.bent
-        nearest = np.asarray(self.tree.query(wanted)[1])
-        step = _solve(self.slopes[nearest], self.images[nearest] - wanted)
-        at = self.grid[nearest] - np.clip(step, -0.125 * self.around, 0.125 * self.around)
+        nearest = np.asarray(self.tree.query(targets)[1])
+        step = _solve(self.slopes[nearest], self.images[nearest] - targets)
+        sources = self.grid[nearest] - np.clip(step, -0.125 * self.around, 0.125 * self.around)
         if bent.everywhere:
             edge = np.any((self.grid[nearest] == self.low) | (self.grid[nearest] == self.high), axis=1)
-            at[edge] = (wanted[edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:]) * bent.size + bent.source
-        error = bent(at) - wanted
+            sources[edge] = (targets[edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:]) * bent.size + bent.source
+        error = bent(sources) - targets
         # What rounding leaves of the sum of kernels.
-        enough = 4e-15 * (self.largest + np.abs(wanted).max())
-        active = np.arange(len(wanted))
+        tolerance = 4e-15 * (self.largest + np.abs(targets).max())
+        active = np.arange(len(targets))
         for _ in range(_STEPS):
-            now = at[active]
+            current = sources[active]
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                step = _solve(bent.jacobian(now), error[active])
+                step = _solve(bent.jacobian(current), error[active])
             # Far from the answer a whole step may overshoot a bend.
             length = np.linalg.norm(step, axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.125 * self.around / np.maximum(length, 1e-300))
-            trial = now - step
-            missed = bent(trial) - wanted[active]
-            before, after = (np.linalg.norm(e, axis=1) for e in (error[active], missed))
-            good = after < before
-            at[active[good]], error[active[good]] = trial[good], missed[good]
+            trial = current - step
+            trial_error = bent(trial) - targets[active]
+            before, after = (np.linalg.norm(e, axis=1) for e in (error[active], trial_error))
+            is_better = after < before
+            sources[active[is_better]], error[active[is_better]] = trial[is_better], trial_error[is_better]
             # Where the whole step does not help, a quarter of it may.
-            worse = np.flatnonzero(~good & (before > enough))
+            worse = np.flatnonzero(~is_better & (before > tolerance))
             if worse.size:
-                trial = now[worse] - 0.25 * step[worse]
-                missed = bent(trial) - wanted[active[worse]]
-                better = np.linalg.norm(missed, axis=1) < before[worse]
-                at[active[worse[better]]], error[active[worse[better]]] = trial[better], missed[better]
-                good[worse[better]] = True
-            left = np.linalg.norm(error[active], axis=1)
-            active = active[good & (left > enough)]
+                trial = current[worse] - 0.25 * step[worse]
+                trial_error = bent(trial) - targets[active[worse]]
+                helps = np.linalg.norm(trial_error, axis=1) < before[worse]
+                row = active[worse[helps]]
+                sources[row], error[row] = trial[helps], trial_error[helps]
+                is_better[worse[helps]] = True
+            distance = np.linalg.norm(error[active], axis=1)
+            active = active[is_better & (distance > tolerance)]
             if not active.size:
                 break
-        outside = not bent.everywhere and np.any((at < self.low) | (at > self.high), axis=1)
-        at[outside | (np.linalg.norm(error, axis=1) > 100 * enough)] = np.nan
-        return at
+        outside = not bent.everywhere and np.any((sources < self.low) | (sources > self.high), axis=1)
+        sources[outside | (np.linalg.norm(error, axis=1) > 100 * tolerance)] = np.nan
+        return sources
 
 
 def _solve(jacobian: Floats, error: Floats) -> Floats:

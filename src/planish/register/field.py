@@ -1,4 +1,4 @@
-"""What the marks say of the map between them: a similarity, an affine deviation and a smooth random field, averaged.
+"""The map that the marks make likely: a similarity, an affine deviation and a smooth random field, averaged.
 
 The map is ``alpha z + beta + gamma conj(z) + h(z)`` with the places ``z`` as complex numbers. Nothing is known
 beforehand of the similarity; ``gamma`` and the Gaussian process ``h`` are random: their variances are one of a few
@@ -21,9 +21,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of
-
-Floats = NDArray[np.float64]
 
 # Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from their middle.
 KERNELS = (
@@ -57,18 +56,17 @@ def covariance_slope(kernel: tuple[str, float], squares: Floats) -> Floats:
     return np.exp(-np.sqrt(squares * (3.0 / length**2))) * (-3.0 / length**2)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class _Likely:
+@dataclass(frozen=True, slots=True, eq=False)
+class _KernelFit:
     """The marks under one covariance, in its eigenvectors, for all ratios: axes (affine, field, ...)."""
 
     turn: Floats  # (2n, 2n): whitened marks to eigenvectors, as columns
-    values: Floats  # (2n,): eigenvalues
     y: Floats  # (2n,)
     columns: Floats  # (2n, 6): similarity and affine deviation
     shrink: Floats  # (g, 2n): one over the variance of each eigenvector
     inner: Floats  # (a, g, 6, 6): covariance of the six coefficients
-    at: Floats  # (a, g, 6): the six coefficients
-    rest: Floats  # (a, g): sum of squares that remains
+    coefficients: Floats  # (a, g, 6): the six coefficients
+    misfit: Floats  # (a, g): sum of squares that remains
     log: Floats  # (a, g): logarithm of the restricted likelihood times prior
 
 
@@ -86,9 +84,9 @@ class Field:
     """
 
     def __init__(self, pairs: Pairs, mirrored: bool, mixture: Floats | None = None) -> None:
-        self._given, self.mirrored = pairs, mirrored
+        self._all_pairs, self.mirrored = pairs, mirrored
         self.group = _groups(pairs.fixed, MOST)
-        self._pairs = pairs = pairs if len(pairs) <= MOST else _gathered(pairs, self.group)
+        self._pairs = pairs = pairs if len(pairs) <= MOST else _grouped_pairs(pairs, self.group)
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size
         self._unit = float(np.median(pairs.weights))
@@ -104,53 +102,52 @@ class Field:
         self.freedom = 2 * len(pairs) - 4
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
         which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
-        fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
-        self.mixture = _shares(np.array([v.log for v in fits.values()])) if mixture is None else mixture
-        self._likely = {k: v for k, v in fits.items() if self.mixture[k].any()}
-        self._variance = {k: v.rest / max(self.freedom, 1) for k, v in self._likely.items()}
+        kernel_fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
+        self.mixture = _shares(np.array([v.log for v in kernel_fits.values()])) if mixture is None else mixture
+        self._likely = {k: v for k, v in kernel_fits.items() if self.mixture[k].any()}
+        self._variance = {k: v.misfit / max(self.freedom, 1) for k, v in self._likely.items()}
         total = sum(float(np.sum(self.mixture[k] * v)) for k, v in self._variance.items())
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
 
-    def _columns(self, at: Floats) -> Floats:
+    def _columns(self, scaled: Floats) -> Floats:
         """Derivatives of the image of scaled points (k, 2) by shift, scale and turn, and the affine deviation."""
-        x, y = (-at[:, 0] if self.mirrored else at[:, 0]), at[:, 1]
-        one, none = np.ones(len(at)), np.zeros(len(at))
-        rows = [[one, none, x, -y, x, y], [none, one, y, x, -y, x]]
+        x, y = (-scaled[:, 0] if self.mirrored else scaled[:, 0]), scaled[:, 1]
+        ones, zeros = np.ones(len(scaled)), np.zeros(len(scaled))
+        rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
     def _whitened(self, rows: Floats) -> Floats:
         """Multiply the 2 x 2 blocks of the whitening to rows (2n, k)."""
         return (self._whitening @ rows.reshape(len(self._pairs), 2, -1)).reshape(rows.shape)
 
-    def _fit(self, kernel: tuple[str, float], squares: Floats, columns: Floats, y: Floats, floor: float) -> _Likely:
+    def _fit(self, kernel: tuple[str, float], squares: Floats, columns: Floats, y: Floats, floor: float) -> _KernelFit:
         between = covariance(kernel, squares)
         if self._pairs.isotropic:
             root = self._whitening[:, 0, 0]
-            both: Any = np.linalg.eigh(root[:, None] * between * root)
-            values: Floats = np.repeat(both[0], 2)
-            turn = np.asarray(np.kron(both[1], np.eye(2)), dtype=np.float64)
+            spectrum: Any = np.linalg.eigh(root[:, None] * between * root)
+            eigenvalues: Floats = np.repeat(spectrum[0], 2)
+            turn = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
         else:
             rows = np.asarray(np.kron(between, np.eye(2)), dtype=np.float64)
-            values, turn = (np.asarray(v) for v in np.linalg.eigh(self._whitened(self._whitened(rows).T)))
-        values = np.maximum(values, 0.0)
+            eigenvalues, turn = (np.asarray(v) for v in np.linalg.eigh(self._whitened(self._whitened(rows).T)))
+        eigenvalues = np.maximum(eigenvalues, 0.0)
         columns, y = turn.T @ columns, turn.T @ y
-        shrink = 1.0 / (1.0 + _FIELD[:, None] * values)
+        shrink = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)
         weighted = shrink[:, None] * columns.T  # (g, 6, 2n)
-        gram, right = weighted @ columns, weighted @ y
+        gram, projected = weighted @ columns, weighted @ y
         inner = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
         inner[0, :, :4, :4] = np.linalg.inv(gram[:, :4, :4])
-        held = gram + np.diag([0.0, 0, 0, 0, 1, 1]) / _AFFINE[1:, None, None, None]
-        inner[1:] = np.linalg.inv(held)
-        at = (inner @ right[..., None])[..., 0]
-        rest = np.maximum(shrink @ (y * y) - np.sum(at * right, axis=-1), 0.0) + max(self.freedom, 1) * floor
-        log = np.broadcast_to(0.5 * np.sum(np.log(shrink), axis=1), rest.shape).copy()
+        penalised = gram + np.diag([0.0, 0, 0, 0, 1, 1]) / _AFFINE[1:, None, None, None]
+        inner[1:] = np.linalg.inv(penalised)
+        coefficients = (inner @ projected[..., None])[..., 0]
+        remainder = shrink @ (y * y) - np.sum(coefficients * projected, axis=-1)
+        misfit = np.maximum(remainder, 0.0) + max(self.freedom, 1) * floor
+        log = np.broadcast_to(0.5 * np.sum(np.log(shrink), axis=1), misfit.shape).copy()
         log[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
-        log[1:] -= 0.5 * np.linalg.slogdet(held)[1] + np.log(_AFFINE[1:, None])
-        log -= 0.5 * self.freedom * np.log(rest)
+        log[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
+        log -= 0.5 * self.freedom * np.log(misfit)
         log += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
-        return _Likely(
-            turn=turn, values=values, y=y, columns=columns, shrink=shrink, inner=inner, at=at, rest=rest, log=log
-        )
+        return _KernelFit(turn, y, columns, shrink, inner, coefficients, misfit, log)
 
     # --- the map and its errors ----------------------------------------------------------------------------------
 
@@ -159,8 +156,8 @@ class Field:
         planes, bends = np.zeros(6), dict[int, Floats]()
         for k, likely in self._likely.items():
             share = self.mixture[k]
-            planes += np.einsum("ag,agp->p", share, likely.at)
-            bends[k] = self._dual(likely, np.einsum("ag,g,agk->k", share, _FIELD, self._left(likely)))
+            planes += np.einsum("ag,agp->p", share, likely.coefficients)
+            bends[k] = self._dual(likely, np.einsum("ag,g,agk->k", share, _FIELD, self._scaled_residuals(likely)))
         plane = self._plane(planes + self._first)
         return plane, tuple(KERNELS[k] for k in bends), np.array(list(bends.values()))
 
@@ -171,23 +168,23 @@ class Field:
         images[..., 1:, :] -= images[..., :1, :]
         return images
 
-    def _left(self, likely: _Likely) -> Floats:
-        """What the six coefficients leave, over its variance: (a, g, 2n)."""
-        return likely.shrink * (likely.y - likely.at @ likely.columns.T)
+    def _scaled_residuals(self, likely: _KernelFit) -> Floats:
+        """Residuals of the six coefficients over their variance: (a, g, 2n)."""
+        return likely.shrink * (likely.y - likely.coefficients @ likely.columns.T)
 
-    def _dual(self, likely: _Likely, values: Floats) -> Floats:
+    def _dual(self, likely: _KernelFit, values: Floats) -> Floats:
         """From eigenvectors (2n,) back to coefficients of the marks (n, 2)."""
         rows = (likely.turn @ values).reshape(-1, 2, 1)
         return (self._whitening.swapaxes(1, 2) @ rows)[..., 0]
 
     @cached_property
-    def _squares(self) -> dict[int, tuple[Floats, Floats, float]]:
+    def _square_forms(self) -> dict[int, tuple[Floats, Floats, float]]:
         """For each kernel: mean square of the deviation from the first similarity as a quadratic form.
 
         It is ``f' S f + c`` with ``f = (1, x, y, covariances with the nodes)``; ``S`` (3 + n, 3 + n), and ``b``
         (3 + n, 2), the mean deviation, for cross terms.
         """
-        found: dict[int, tuple[Floats, Floats, float]] = {}
+        forms: dict[int, tuple[Floats, Floats, float]] = {}
         n = len(self._pairs)
         corner = np.linalg.lstsq(np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
                                  self._columns(self.nodes).reshape(-1, 6), rcond=None)[0]  # fmt: skip
@@ -200,7 +197,7 @@ class Field:
             root = np.linalg.cholesky(likely.inner + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])).swapaxes(-1, -2)
             cross = -_FIELD[:, None, None] * (likely.columns.T * likely.shrink[:, None])  # (g, 6, 2n)
             rows = np.concatenate([root, root @ cross], axis=-1) * np.sqrt(share * variance)[..., None, None]
-            means = np.concatenate([likely.at, _FIELD[:, None] * self._left(likely)], axis=-1)
+            means = np.concatenate([likely.coefficients, _FIELD[:, None] * self._scaled_residuals(likely)], axis=-1)
             scaled = np.sqrt(share)[..., None] * means
             stack = np.concatenate([rows.reshape(-1, rows.shape[-1]), scaled.reshape(-1, rows.shape[-1])])
             form = stack.T @ stack
@@ -212,8 +209,8 @@ class Field:
             form = change @ form @ change.T
             form = form[0::2, 0::2] + form[1::2, 1::2]
             mean = change @ np.einsum("ag,agk->k", share, means)
-            found[k] = (form, mean.reshape(-1, 2), 2.0 * float(np.sum(share * variance * _FIELD)))
-        return found
+            forms[k] = (form, mean.reshape(-1, 2), 2.0 * float(np.sum(share * variance * _FIELD)))
+        return forms
 
     def expected_square(self, points: Floats, images: Floats) -> Floats:
         """Mean square distance of the true images of points (k, 2) from given ones (k, 2): shape (k,), in um**2.
@@ -226,14 +223,14 @@ class Field:
         step = max(1, _AT_ONCE // len(self._pairs))
         for start in range(0, len(points), step):
             part = slice(start, start + step)
-            at = (points[part] - self.middle) / self.size
-            squares = np.sum((at[:, None] - self.nodes) ** 2, axis=-1)
-            plane = np.column_stack([np.ones(len(at)), at])
-            off = images[part] - self._columns(at) @ self._first
+            scaled = (points[part] - self.middle) / self.size
+            squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
+            plane = np.column_stack([np.ones(len(scaled)), scaled])
+            off = images[part] - self._columns(scaled) @ self._first
             total = np.sum(off**2, axis=1)
-            for k, (form, mean, more) in self._squares.items():
+            for k, (form, mean, constant) in self._square_forms.items():
                 row = np.concatenate([plane, covariance(KERNELS[k], squares)], axis=1)
-                total += np.sum(row * (row @ form), axis=1) + more - 2.0 * np.sum(off * (row @ mean), axis=1)
+                total += np.sum(row * (row @ form), axis=1) + constant - 2.0 * np.sum(off * (row @ mean), axis=1)
             out[part] = np.maximum(total, 0.0)
         return out
 
@@ -245,55 +242,55 @@ class Field:
         distribution in the plane, where ``q = (P y)_i' (P_ii)**-1 (P y)_i``. A mark of a group is missed by its
         residual.
         """
-        if len(self._given) > len(self._pairs):
+        if len(self._all_pairs) > len(self._pairs):
             return self._residuals()
         n, tail = len(self._pairs), 0.5 * self.freedom - 1.0
-        missed, likely, chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
-        for k, one in self._likely.items():
-            error, det, share = self._missed(one)
+        missed, log_shares, chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
+        for k, fit in self._likely.items():
+            error, det, share = self._missed(fit)
             missed += np.einsum("ag,agni->ni", self.mixture[k], error)
-            kept = np.log(np.clip(1.0 - share / one.rest[..., None], 1e-14, 1.0))
+            log_tail = np.log(np.clip(1.0 - share / fit.misfit[..., None], 1e-14, 1.0))
             with np.errstate(divide="ignore"):
-                prior = np.log(self.mixture[k] * one.rest)[..., None]
-            likely.append((prior - 0.5 * np.log(det) - tail * kept).reshape(-1, n))
-            chances.append((tail * kept).reshape(-1, n))
+                prior = np.log(self.mixture[k] * fit.misfit)[..., None]
+            log_shares.append((prior - 0.5 * np.log(det) - tail * log_tail).reshape(-1, n))
+            chances.append((tail * log_tail).reshape(-1, n))
         chance = np.zeros(n)
         if tail > 0:
-            known = np.concatenate(likely)
-            known = np.where(np.isfinite(missed).all(axis=1), known, 0.0)
-            chance = np.nan_to_num(_log_sum(known + np.concatenate(chances)) - _log_sum(known))
+            log_weights = np.concatenate(log_shares)
+            log_weights = np.where(np.isfinite(missed).all(axis=1), log_weights, 0.0)
+            chance = np.nan_to_num(_log_sum(log_weights + np.concatenate(chances)) - _log_sum(log_weights))
         return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
 
     def _residuals(self) -> tuple[Floats, Floats]:
         """Residuals of all marks, and the logarithm of the chance of larger ones."""
-        at = (self._given.moving - self.middle) / self.size
+        scaled = (self._all_pairs.moving - self.middle) / self.size
         plane, kernels, bends = self.mean()
-        images = np.column_stack([np.ones(len(at)), at]) @ plane
-        squares = np.sum((at[:, None] - self.nodes) ** 2, axis=-1)
+        images = np.column_stack([np.ones(len(scaled)), scaled]) @ plane
+        squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
         for kernel, bend in zip(kernels, bends, strict=True):
             images += covariance(kernel, squares) @ bend
-        missed = self._given.fixed - images
-        share = np.einsum("ni,nij,nj->n", missed, self._given.information, missed) / self.mark_variance
+        missed = self._all_pairs.fixed - images
+        share = np.einsum("ni,nij,nj->n", missed, self._all_pairs.information, missed) / self.mark_variance
         return missed, -0.5 * share
 
-    def _missed(self, one: _Likely) -> tuple[Floats, Floats, Floats]:
+    def _missed(self, fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
         """Errors (a, g, n, 2) of the marks left out, determinants (a, g, n) of ``P_ii``, and ``q`` (a, g, n)."""
         n = len(self._pairs)
-        rows = one.turn.reshape(n, 2, -1)
-        left = (self._left(one) @ one.turn.T).reshape(*one.rest.shape, n, 2)
+        rows = fit.turn.reshape(n, 2, -1)
+        residuals = (self._scaled_residuals(fit) @ fit.turn.T).reshape(*fit.misfit.shape, n, 2)
         blocks: list[Floats] = []
-        step = max(1, 16 * _AT_ONCE // (n * one.shrink.shape[0]))
+        step = max(1, 16 * _AT_ONCE // (n * fit.shrink.shape[0]))
         for part in (rows[k : k + step] for k in range(0, n, step)):
-            weighted = part * one.shrink[:, None, None]  # (g, marks, 2, 2n)
-            onto = weighted @ one.columns
-            blocks.append(weighted @ part.swapaxes(1, 2) - onto @ one.inner[:, :, None] @ onto.swapaxes(2, 3))
+            weighted = part * fit.shrink[:, None, None]  # (g, marks, 2, 2n)
+            projected = weighted @ fit.columns
+            blocks.append(weighted @ part.swapaxes(1, 2) - projected @ fit.inner[:, :, None] @ projected.swapaxes(2, 3))
         block = np.concatenate(blocks, axis=2)
         det = block[..., 0, 0] * block[..., 1, 1] - block[..., 0, 1] ** 2
         # Without this mark the others leave the similarity free.
         lonely = det < COINCIDENT**2 * (block[..., 0, 0] + block[..., 1, 1]) ** 2
         block[lonely], det[lonely] = np.nan, np.nan
-        error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ left[..., None])[..., 0]
-        return error, det, np.sum(left * error, axis=-1)
+        error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ residuals[..., None])[..., 0]
+        return error, det, np.sum(residuals * error, axis=-1)
 
 
 def _groups(places: Floats, most: int) -> NDArray[np.intp]:
@@ -314,7 +311,7 @@ def _groups(places: Floats, most: int) -> NDArray[np.intp]:
     return group
 
 
-def _gathered(pairs: Pairs, group: NDArray[np.intp]) -> Pairs:
+def _grouped_pairs(pairs: Pairs, group: NDArray[np.intp]) -> Pairs:
     """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
     count, weights = int(group.max()) + 1, pairs.weights
     share = weights / np.bincount(group, weights)[group]

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError
 from planish.core.transform import Transform
+from planish.core.typing import Floats
 from planish.register.averaged import AveragedModel
 from planish.register.field import Field
-from planish.register.model import Floats
 from planish.register.models import MODELS, model_named
-from planish.register.pairs import COINCIDENT, checked, listed, refuse_other_hand, rms_of_both_hands, weighted_rms
+from planish.register.pairs import COINCIDENT, check_pairs, listed, refuse_other_hand, rms_of_both_hands, weighted_rms
 from planish.register.result import FittedTransform
 from planish.register.robust import agreeing
 from planish.register.strain import NOTABLE, inside
@@ -100,110 +100,111 @@ def fit_transform(
     (1.0, 90.0)
     """
     least = 0 if model == "auto" else model_named(model).least
-    pairs, again = checked(moving, fixed, weights)
+    pairs, repeats = check_pairs(moving, fixed, weights)
     used = pairs.weights > 0
-    some = pairs.take(used)
-    count = len(some)
+    used_pairs = pairs.take(used)
+    count = len(used_pairs)
     if count < least:
         raise MarkError(
             f"{count} pairs of marks given, a model of type {model} needs {least}. Add {least - count} or more, "
             "away from the others, or choose a model with fewer parameters."
         )
     if mirrored is None:
-        missed, _ = rms_of_both_hands(some)
+        missed = rms_of_both_hands(used_pairs)[0]
         mirrored = missed[True] < missed[False]
     else:
-        refuse_other_hand(some, mirrored)
+        refuse_other_hand(used_pairs, mirrored)
     share, field = np.ones(len(pairs)), None
     if robust:
-        share[used], field = agreeing(some, mirrored)
+        share[used], field = agreeing(used_pairs, mirrored)
     elif inspect or model in ("auto", AVERAGED.name):
-        field = Field(some, mirrored)
-    final = pairs.times(share)
-    held = final.take(final.weights > 0)
+        field = Field(used_pairs, mirrored)
+    weighted = pairs.times(share)
+    fitted_pairs = weighted.take(weighted.weights > 0)
     if model == "auto":
-        model = AVERAGED.name if len(held) >= _AVERAGED else "similarity" if len(held) >= 3 else lowest
-    transform: Transform = MODELS[model].fit(held, mirrored) if field is None or model != AVERAGED.name else (
+        model = AVERAGED.name if len(fitted_pairs) >= _AVERAGED else "similarity" if len(fitted_pairs) >= 3 else lowest
+    transform: Transform = MODELS[model].fit(fitted_pairs, mirrored) if field is None or model != AVERAGED.name else (
         AVERAGED.of(field)
     )  # fmt: skip
     residuals = pairs.fixed - transform(pairs.moving)
     lengths = np.linalg.norm(residuals, axis=1)
+    rms = weighted_rms(lengths, weighted.weights)
     fit = FittedTransform(
         transform=transform,
         model=model,
         moving=pairs.moving,
         fixed=pairs.fixed,
-        information=final.information,
+        information=weighted.information,
         robust_weights=share,
         residuals_um=residuals,
-        sentence=f"{model} from {len(held)} marks: residuals {weighted_rms(lengths, final.weights):.3g} um rms.",
+        sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.",
         known=field,
     )
-    seen = (*_of_model(fit), *_of_size(fit)) if inspect else ()
-    return replace(fit, warnings=(*_of_marks(fit, lengths, again), *seen))
+    model_warnings = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
+    return replace(fit, warnings=(*_warn_of_marks(fit, lengths, repeats), *model_warnings))
 
 
-def _of_marks(fit: FittedTransform, lengths: Floats, again: NDArray[np.intp]) -> list[str]:
+def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: NDArray[np.intp]) -> list[str]:
     """Marks that are left out, given twice, or few."""
-    found: list[str] = []
+    warnings: list[str] = []
     out = np.flatnonzero(fit.robust_weights < 1.0)
     if out.size:
-        off, some = ", ".join(f"{lengths[k]:.3g}" for k in out[:8]), out.size > 1
-        found.append(
-            f"Mark{'s' * some} {listed(out)} (counted from 0) do{'es' * (not some)} not agree with the others (off by "
-            f"{off} um) and {'were' if some else 'was'} left out. Check {'them' if some else 'it'}."
+        distances, plural = ", ".join(f"{lengths[k]:.3g}" for k in out[:8]), out.size > 1
+        warnings.append(
+            f"Mark{'s' * plural} {listed(out)} (counted from 0) do{'es' * (not plural)} not agree with the others "
+            f"(off by {distances} um) and {'were' if plural else 'was'} left out. Check {'them' if plural else 'it'}."
         )
-    if again.size:
-        some = again.size > 1
-        found.append(
-            f"Pair{'s' * some} {listed(again)} (counted from 0) {'repeat' if some else 'repeats'} "
-            f"{'others' if some else 'another one'} exactly and count{'s' * (not some)} once."
+    if repeats.size:
+        plural = repeats.size > 1
+        warnings.append(
+            f"Pair{'s' * plural} {listed(repeats)} (counted from 0) {'repeat' if plural else 'repeats'} "
+            f"{'others' if plural else 'another one'} exactly and count{'s' * (not plural)} once."
         )
     used = int(np.count_nonzero(fit.weights > 0))
     if used < _FEW:
-        found.append(
+        warnings.append(
             f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
         )
-    return found
+    return warnings
 
 
-def _of_model(fit: FittedTransform) -> list[str]:
+def _warn_of_structure(fit: FittedTransform) -> list[str]:
     """A model that does not follow what the marks show."""
     if fit.model == AVERAGED.name or not fit.field.freedom > 0:
         return []
-    at = inside(fit.moving[fit.weights > 0], _STEPS)
-    likely = AVERAGED.of(fit.field)(at)
-    off = np.linalg.norm(fit(at) - likely, axis=1)
-    known, left = np.sqrt(np.mean(fit.field.expected_square(at, likely))), np.sqrt(np.mean(off**2))
-    if not left > _STRUCTURE * known + COINCIDENT * fit.transform.scale * fit.field.size:
+    points = inside(fit.moving[fit.weights > 0], _STEPS)
+    likely = AVERAGED.of(fit.field)(points)
+    off = np.linalg.norm(fit(points) - likely, axis=1)
+    error_um, difference_um = np.sqrt(np.mean(fit.field.expected_square(points, likely))), np.sqrt(np.mean(off**2))
+    if not difference_um > _STRUCTURE * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
         return []
     return [
-        f"The {fit.model} model leaves structure: the marks show a map that differs from it by {left:.3g} um rms "
-        f"between them, up to {off.max():.3g} um, and is itself known to {known:.2g} um. Use --model auto."
+        f"The {fit.model} model leaves structure: the marks show a map that differs from it by {difference_um:.3g} um "
+        f"rms between them, up to {off.max():.3g} um, and is itself known to {error_um:.2g} um. Use --model auto."
     ]
 
 
-def _of_size(fit: FittedTransform) -> list[str]:
+def _warn_of_size(fit: FittedTransform) -> list[str]:
     """Pairs, scales and strains that no sheet has."""
-    found: list[str] = []
+    warnings: list[str] = []
     rms, spread = fit.rms_um, fit.transform.scale * fit.field.size
     if rms > _DISAGREE * spread:
-        found.append(
+        warnings.append(
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
             "are wrong. Check that every row pairs the same hole on both sides."
         )
     low, high = _SCALES
     if not low <= fit.transform.scale <= high:
-        found.append(
+        warnings.append(
             f"Scale {fit.transform.scale:.4g}: one side is probably in pixels, or its pixel size is wrong. "
             "Give both sides in um."
         )
     strain = fit.strain
     if strain.largest > NOTABLE:
         x, y = strain.at_um
-        found.append(
+        warnings.append(
             f"Local strain from {100 * strain.stretch[0]:+.2g} to {100 * strain.stretch[1]:+.2g} % between the marks, "
             f"largest near ({x:.4g}, {y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks "
             "there."
         )
-    return found
+    return warnings

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -28,25 +28,25 @@ class FreeForm:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""
-        given = np.asarray(points, dtype=np.float64)
-        moved = given + self._values(self._held(given)[0], (0, 0))
-        return np.where(np.isfinite(given).all(axis=-1, keepdims=True), moved, np.nan)
+        places = np.asarray(points, dtype=np.float64)
+        moved = places + self._values(self._held(places)[0], (0, 0))
+        return np.where(np.isfinite(places).all(axis=-1, keepdims=True), moved, np.nan)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
-        given = np.asarray(points, dtype=np.float64)
-        held, inside = self._held(given)
-        slopes = np.stack([self._values(held, nu) for nu in ((0, 1), (1, 0))], axis=-1)
-        out = slopes * inside[..., None, :] + np.eye(2)
-        return np.where(np.expand_dims(np.all(np.isfinite(given), axis=-1), (-2, -1)), out, np.nan)
+        places = np.asarray(points, dtype=np.float64)
+        clamped, is_inside = self._held(places)
+        slopes = np.stack([self._values(clamped, nu) for nu in ((0, 1), (1, 0))], axis=-1)
+        out = slopes * is_inside[..., None, :] + np.eye(2)
+        return np.where(np.expand_dims(np.all(np.isfinite(places), axis=-1), (-2, -1)), out, np.nan)
 
-    def _held(self, points: Floats) -> tuple[Floats, NDArray[np.bool_]]:
+    def _held(self, points: Floats) -> tuple[Floats, Bools]:
         """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
         cells = np.array(self.coefficients_um.shape[:0:-1]) - 3
         low = np.array(self.origin_um) + self.mesh_um
-        known = np.nan_to_num(points)
-        held = np.clip(known, low, low + cells * np.array(self.mesh_um))
-        return held, np.equal(held, known)
+        finite = np.nan_to_num(points)
+        clamped = np.clip(finite, low, low + cells * np.array(self.mesh_um))
+        return clamped, np.equal(clamped, finite)
 
     def _values(self, points: Floats, nu: tuple[int, int]) -> Floats:
         """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""

@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
+from planish.core.typing import Floats
 from planish.register.fit import fit_transform
-from planish.register.match import match_by_design, match_marks
-from planish.register.model import Floats
+from planish.register.match import Matched, match_by_design, match_marks
 from planish.register.params import RegistrationParams
 from planish.register.result import FittedTransform
 
@@ -99,47 +99,29 @@ def register_marks(
     """
     a, b = (np.stack([h["x"].values, h["y"].values], axis=1).astype(np.float64) for h in (moving, fixed))
     names = tuple(str(h.attrs.get("layer", which)) for h, which in ((moving, "moving layer"), (fixed, "fixed layer")))
-    seen = [str(h.attrs.get("seen_from", "top")) for h in (moving, fixed)]
-    for name, side in zip(names, seen, strict=True):
+    seen_from = [str(h.attrs.get("seen_from", "top")) for h in (moving, fixed)]
+    for name, side in zip(names, seen_from, strict=True):
         if side not in get_args(Side):
             raise MarkError(f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'.")
-    facing = seen[0] != seen[1]
-    facts: dict[str, Any] = {}
+    facing = seen_from[0] != seen_from[1]
+    identity: dict[str, Any] = {}
     if pairs is None:
         for holes, name in zip((moving, fixed), names, strict=True):
             need_holes(holes, hole_um, name=name)
-        turned = a * (-1.0, 1.0) if facing else a
-        how: dict[str, Any] = {
-            "scale_tolerance": params.scale_tolerance, "tolerance_um": params.tolerance_um, "mirror": params.mirror,
-            "names": names,
-        }  # fmt: skip
-        if pattern is None:
-            found = match_marks(turned, b, **how)
-            facts = {"labels": tuple(f"hole {k + 1}" for k in range(len(found.pairs)))}
-        else:
-            found = match_by_design(turned, b, pattern.places_um, labels=pattern.labels, **how)
-            back = ", viewed from behind or drawn with its y axis upwards" if found.behind else ""
-            design = f"Holes identified by the pattern {pattern.name} of {len(pattern.labels)} holes{back}."
-            facts = {"labels": found.labels, "design": design}
-        pairs, mirrored = found.pairs, found.mirrored != facing
-        if len(pairs) < 3:
-            raise CannotRegister(
-                f"Only {len(pairs)} designed holes are found in both the {names[0]} and the {names[1]}; 3 are "
-                "needed. Image a larger common field."
-            )
-        facts |= {"sentence": found.sentence, "second_best": found.second_best}
+        matched, identity = _match(a * (-1.0, 1.0) if facing else a, b, names, params, pattern)
+        pairs, mirrored = matched.pairs, matched.mirrored != facing
     else:
         mirrored = None if params.mirror else facing
         if len(pairs) < 3:
             raise MarkError(
                 f"{len(pairs)} control points given, a similarity needs 3 to state its error. Add more, far apart."
             )
-    at, to = a[pairs[:, 0]], b[pairs[:, 1]]
+    marks = a[pairs[:, 0]], b[pairs[:, 1]]
     weights, spread = None, [_covariance_um2(h, pairs[:, k]) for k, h in enumerate((moving, fixed))]
     if spread[0] is not None and spread[1] is not None:
-        turn = fit_transform(at, to, mirrored=mirrored, robust=False).transform.matrix()
+        turn = fit_transform(*marks, mirrored=mirrored, robust=False).transform.matrix()
         weights = turn @ spread[0] @ turn.T + spread[1]
-    fit = fit_transform(at, to, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
+    fit = fit_transform(*marks, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
     off = abs(fit.transform.scale - 1)
     if off > params.scale_tolerance:
         raise CannotRegister(
@@ -147,14 +129,38 @@ def register_marks(
             f"{100 * params.scale_tolerance:.2g} % are allowed. Check --voxel-um and --pixel-um, and the marks; if a "
             "calibration is that uncertain, allow more with --scale-tolerance."
         )
-    return Registration(fit=fit, pairs=pairs, **facts)
+    return Registration(fit=fit, pairs=pairs, **identity)
 
 
-def _covariance_um2(holes: xr.Dataset, which: Ints) -> Floats | None:
+def _match(
+    moving: Floats, fixed: Floats, names: tuple[str, ...], params: RegistrationParams, pattern: DesignedHoles | None
+) -> tuple[Matched, dict[str, Any]]:
+    """Match holes by the pattern that was burnt, or by their arrangement alone; give the fields of a registration."""
+    options: dict[str, Any] = {
+        "scale_tolerance": params.scale_tolerance, "tolerance_um": params.tolerance_um, "mirror": params.mirror,
+        "names": names,
+    }  # fmt: skip
+    if pattern is None:
+        matched = match_marks(moving, fixed, **options)
+        identity = {"labels": tuple(f"hole {k + 1}" for k in range(len(matched.pairs)))}
+    else:
+        matched = match_by_design(moving, fixed, pattern.places_um, labels=pattern.labels, **options)
+        from_behind = ", viewed from behind or drawn with its y axis upwards" if matched.behind else ""
+        design = f"Holes identified by the pattern {pattern.name} of {len(pattern.labels)} holes{from_behind}."
+        identity = {"labels": matched.labels, "design": design}
+    if len(matched.pairs) < 3:
+        raise CannotRegister(
+            f"Only {len(matched.pairs)} designed holes are found in both the {names[0]} and the {names[1]}; 3 are "
+            "needed. Image a larger common field."
+        )
+    return matched, identity | {"sentence": matched.sentence, "second_best": matched.second_best}
+
+
+def _covariance_um2(holes: xr.Dataset, rows: Ints) -> Floats | None:
     """Covariances (k, 2, 2) of some holes; None where they are not known."""
     if "cov_xx" not in holes:
         return None
-    return np.stack([holes[f"cov_{k}"].values[which] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
+    return np.stack([holes[f"cov_{k}"].values[rows] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
 
 
 def need_holes(holes: xr.Dataset, hole_um: tuple[float, float], *, name: str | None = None) -> None:
@@ -169,10 +175,10 @@ def need_holes(holes: xr.Dataset, hole_um: tuple[float, float], *, name: str | N
     if count >= 3:
         return
     name = name or str(holes.attrs["layer"])
-    what = "No hole" if count == 0 else f"Only {count} hole{'s' * (count > 1)}"
-    at = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
+    finding = "No hole" if count == 0 else f"Only {count} hole{'s' * (count > 1)}"
+    places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
     raise CannotRegister(
-        f"{what} found in the {name}{' at' + at if at else ''}; at least 3 are needed, and 4 to notice a wrong "
-        f"match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
+        f"{finding} found in the {name}{' at' + places if places else ''}; at least 3 are needed, and 4 to notice a "
+        f"wrong match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
         "voxel and pixel sizes; if the image is a print, give --printed; or give pairs of points with --marks."
     )

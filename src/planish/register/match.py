@@ -17,13 +17,13 @@ from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
+from planish.core.typing import Floats
 from planish.register.match_choose import Choice, choose
 from planish.register.match_search import marks_needed
 from planish.register.match_symmetry import self_likeness
 from planish.register.pairs import Pairs, listed, points_of
 from planish.register.similarity import SimilarityModel
 
-Floats = NDArray[np.float64]
 Ints = NDArray[np.intp]
 
 # A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
@@ -119,45 +119,37 @@ def match_marks(
     Hirn et al. (2009), section 2.4. Moisan and Stival (2004), Int. J. Comput. Vis. 57, 201,
     doi:10.1023/B:VISI.0000013094.38752.54 (agreement judged against chance).
     """
-    source, target = _checked(moving, names[0]), _checked(fixed, names[1])
+    source, target = _finite_points(moving, names[0]), _finite_points(fixed, names[1])
     sides = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
-    for name, points in zip(names, (source, target), strict=True):
-        if len(points) < 3:
-            at = f" (at {', '.join(f'({x:.0f}, {y:.0f})' for x, y in points)} um)" if len(points) else ""
-            raise CannotRegister(
-                f"{sides}: {len(points)} on the side of the {name}{at} cannot be matched without a hint; at least 3 on "
-                "each side are needed, 4 or more are better. Check that the holes are in the field and that the pixel "
-                "and voxel sizes are right, widen the range of hole diameters, give the pattern that was burnt "
-                "(--design) or pairs (--marks)."
-            )
-    off = (scale_tolerance, tolerance_um)
-    found = choose(source, target, *off, hands=(False, True) if mirror else (False,))
-    other = None if mirror else choose(source, target, *off, hands=(True,))
-    best = np.inf if found is None else found.log_chance
+    _refuse_few(sides, names, (source, target))
+    tolerances = (scale_tolerance, tolerance_um)
+    choice = choose(source, target, *tolerances, hands=(False, True) if mirror else (False,))
+    other = None if mirror else choose(source, target, *tolerances, hands=(True,))
+    best = np.inf if choice is None else choice.log_chance
     if other is not None and other.log_chance < min(best - 1.0, _ACCEPTED_LOG_CHANCE):
         raise CannotRegister(
-            f"{sides}: {0 if found is None else len(found.pairs)} match, but {len(other.pairs)} match if one side is "
+            f"{sides}: {0 if choice is None else len(choice.pairs)} match, but {len(other.pairs)} match if one side is "
             "mirrored: one is probably viewed from the wrong side. Check --image-side, --top "
             "and --through; if the slices are numbered against the usual sense, pass --mirror."
         )
     smaller = min(len(source), len(target))
-    count, need = _agreement(found, tolerance_um)
-    if found is None or count < need:
-        raise CannotRegister(f"{sides}: {_no_match(count, need, smaller, mirror)}")
-    at, to = source[found.pairs[:, 0]], target[found.pairs[:, 1]]
+    count, needed = _agreement(choice, tolerance_um)
+    if choice is None or count < needed:
+        raise CannotRegister(f"{sides}: {_no_match(count, needed, smaller, mirror)}")
+    matched = source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]
     if smaller == 3:
-        _refuse_confusable(sides, (at, to), 3.0 * tolerance_um)
-    rival_chance = min(found.second_log_chance, np.inf if other is None else other.log_chance)
-    if rival_chance < found.log_chance + _MARGIN:
+        _refuse_confusable(sides, matched, 3.0 * tolerance_um)
+    rival_chance = min(choice.second_log_chance, np.inf if other is None else other.log_chance)
+    if rival_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(
-            f"{sides}: {count} match in the best arrangement, {found.second_best} in the second-best, too close to "
+            f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, too close to "
             "decide: the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove "
             "false ones, give the pattern that was burnt (--design) or pairs (--marks)."
             + (" Without --mirror, only one handedness competes." if mirror else "")
         )
-    transform, rms = _fitted(at, to, found.mirrored)
-    _refuse_scale(sides, found, transform.scale, scale_tolerance)
-    repeats = self_likeness(*found.together(), tolerance_um=tolerance_um, mirror=mirror)
+    transform, rms = _fit_similarity(*matched, choice.mirrored)
+    _refuse_scale(sides, choice, transform.scale, scale_tolerance)
+    repeats = self_likeness(*choice.together(), tolerance_um=tolerance_um, mirror=mirror)
     if repeats is not None:
         raise CannotRegister(
             f"{sides}: {count} match, but the pattern may be symmetric or regular: {repeats}, and the others may be "
@@ -166,18 +158,41 @@ def match_marks(
         )
     sentence = (
         f"{sides}: {count} match (rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}"
-        f"{', mirrored' if found.mirrored else ''}, residual {rms:.1f} um rms); the second-best match has "
-        f"{found.second_best}."
+        f"{', mirrored' if choice.mirrored else ''}, residual {rms:.1f} um rms); the second-best match has "
+        f"{choice.second_best}."
     )
-    stretch = 2.0 * abs(found.found.gamma[found.best]) / abs(found.found.alpha[found.best])
-    if stretch >= _NOTABLE_STRETCH and count >= 6:
+    return _matched(choice, transform, sentence + _reservations(choice, smaller))
+
+
+def _refuse_few(sides: str, names: tuple[str, str], marks: tuple[Floats, Floats]) -> None:
+    """Refuse fewer than three marks on a side."""
+    for name, points in zip(names, marks, strict=True):
+        if len(points) < 3:
+            places = f" (at {', '.join(f'({x:.0f}, {y:.0f})' for x, y in points)} um)" if len(points) else ""
+            raise CannotRegister(
+                f"{sides}: {len(points)} on the side of the {name}{places} cannot be matched without a hint; at least "
+                "3 on each side are needed, 4 or more are better. Check that the holes are in the field and that the "
+                "pixel and voxel sizes are right, widen the range of hole diameters, give the pattern that was burnt "
+                "(--design) or pairs (--marks)."
+            )
+
+
+def _reservations(choice: Choice, smaller: int) -> str:
+    """Sentences on a match that is stretched, or of three marks only."""
+    sentence = ""
+    stretch = 2.0 * abs(choice.arrangements.gamma[choice.best]) / abs(choice.arrangements.alpha[choice.best])
+    if stretch >= _NOTABLE_STRETCH and len(choice.pairs) >= 6:
         sentence += (
             f" One direction is stretched by {100 * stretch:.1f} % against the other: an affine fit may be better."
         )
     if smaller == 3:
         sentence += " Three marks only: all match and their distances differ, but one false mark would not be noticed."
+    return sentence
+
+
+def _matched(choice: Choice, transform: Similarity, sentence: str) -> Matched:
     return Matched(
-        pairs=found.pairs, transform=transform, mirrored=found.mirrored, second_best=found.second_best,
+        pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best,
         sentence=sentence,
     )  # fmt: skip
 
@@ -240,26 +255,64 @@ def match_by_design(
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
-    holes = _checked(design, "design")
-    called = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
-    if len(called) != len(holes):
-        raise MarkError(f"{len(called)} labels are given for {len(holes)} designed holes. Give one for each.")
-    sides = tuple(_checked(marks, name) for marks, name in zip((moving, fixed), names, strict=True))
-    for what, some in (
+    holes = _finite_points(design, "design")
+    labels = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
+    if len(labels) != len(holes):
+        raise MarkError(f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each.")
+    sides = tuple(_finite_points(marks, name) for marks, name in zip((moving, fixed), names, strict=True))
+    tolerances = (scale_tolerance, tolerance_um)
+    choices, is_ambiguous = _choose_hands(holes, sides, tolerances, names, mirror)
+    first, second = (_on_design(choices[k], sides[k], holes, tolerances, names[k]) for k in range(2))
+    if is_ambiguous:
+        raise CannotRegister(
+            f"{first.sentence} {second.sentence} Turned over, the design fits nearly as well, so the holes cannot be "
+            "identified. Give the pairs with --marks, or leave the design out."
+        )
+    shared, *rows = np.intersect1d(first.pairs[:, 0], second.pairs[:, 0], assume_unique=True, return_indices=True)
+    pairs = np.stack([side.pairs[row, 1] for side, row in zip((first, second), rows, strict=True)], axis=1)
+    order = np.argsort(pairs[:, 0])
+    pairs = np.ascontiguousarray(pairs[order])
+    mirrored = first.mirrored != second.mirrored
+    if len(pairs) >= _ENOUGH_SHARED:
+        transform, rms = _fit_similarity(sides[0][pairs[:, 0]], sides[1][pairs[:, 1]], mirrored)
+        basis = f"residual {rms:.1f} um rms"
+    else:
+        # The design's holes as both sides have them, laid on one another.
+        transform = _fit_similarity(first.transform(holes), second.transform(holes), mirrored)[0]
+        basis = "through the design, since fewer than 4 are on both sides"
+    sentence = (
+        f"{first.sentence} {second.sentence} {len(pairs)} holes are on both sides (rotation "
+        f"{np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{', mirrored' if mirrored else ''}, "
+        f"{basis})."
+    )
+    return Matched(
+        pairs=pairs, labels=tuple(labels[k] for k in shared[order]), transform=transform, mirrored=mirrored,
+        second_best=max(first.second_best, second.second_best), sentence=sentence, behind=second.mirrored,
+    )  # fmt: skip
+
+
+def _choose_hands(
+    holes: Floats, sides: tuple[Floats, ...], tolerances: tuple[float, float], names: tuple[str, str], mirror: bool
+) -> tuple[list[Choice | None], bool]:
+    """Choose the arrangement of a design on either side; say whether the other hand of the design fits nearly as well.
+
+    The hand that the design has against the sheet is not known; both sides have the same, unless mirrored.
+    """
+    for name, marks in (
         *((f"marks of the {n}", s) for n, s in zip(names, sides, strict=True)),
         ("designed holes", holes),
     ):
-        if len(some) < 3:
+        if len(marks) < 3:
             raise CannotRegister(
-                f"{len(some)} {what}: at least 3 are needed to match them to the design, 4 or more are better. Check "
+                f"{len(marks)} {name}: at least 3 are needed to match them to the design, 4 or more are better. Check "
                 "that the holes are in the field and that the pixel and voxel sizes are right, widen the range of hole "
                 "diameters, or give the pairs with --marks."
             )
-    off = (scale_tolerance, tolerance_um)
     hands = (False, True)
-    found = {(k, hand): choose(holes, side, *off, hands=(hand,)) for k, side in enumerate(sides) for hand in hands}
-    chance = {key: 10.0 if one is None else one.log_chance for key, one in found.items()}
-    # Which hand the design has against the sheet is not known; both sides have the same, unless mirrored.
+    choices = {
+        (k, hand): choose(holes, side, *tolerances, hands=(hand,)) for k, side in enumerate(sides) for hand in hands
+    }
+    chance = {key: 10.0 if choice is None else choice.log_chance for key, choice in choices.items()}
     sums = {pair: chance[0, pair[0]] + chance[1, pair[1]] for pair in product(hands, repeat=2)}
     allowed = {pair: value for pair, value in sums.items() if mirror or pair[0] == pair[1]}
     best = min(allowed, key=lambda pair: (allowed[pair], pair))
@@ -269,84 +322,56 @@ def match_by_design(
             "is probably viewed from the wrong side. Check --top and --through; if the slices are numbered against the "
             "usual sense, pass --mirror."
         )
-    one, two = (_on_design(found[k, best[k]], sides[k], holes, off, names[k]) for k in range(2))
-    if any(pair != best and value < allowed[best] + _MARGIN for pair, value in allowed.items()):
-        raise CannotRegister(
-            f"{one.sentence} {two.sentence} Turned over, the design fits nearly as well, so the holes cannot be "
-            "identified. Give the pairs with --marks, or leave the design out."
-        )
-    shared, *rows = np.intersect1d(one.pairs[:, 0], two.pairs[:, 0], assume_unique=True, return_indices=True)
-    pairs = np.stack([side.pairs[row, 1] for side, row in zip((one, two), rows, strict=True)], axis=1)
-    order = np.argsort(pairs[:, 0])
-    pairs = np.ascontiguousarray(pairs[order])
-    mirrored = one.mirrored != two.mirrored
-    if len(pairs) >= _ENOUGH_SHARED:
-        transform, rms = _fitted(sides[0][pairs[:, 0]], sides[1][pairs[:, 1]], mirrored)
-        how = f"residual {rms:.1f} um rms"
-    else:
-        # The design's holes as both sides have them, laid on one another.
-        transform, _ = _fitted(one.transform(holes), two.transform(holes), mirrored)
-        how = "through the design, since fewer than 4 are on both sides"
-    sentence = (
-        f"{one.sentence} {two.sentence} {len(pairs)} holes are on both sides (rotation "
-        f"{np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{', mirrored' if mirrored else ''}, "
-        f"{how})."
-    )
-    return Matched(
-        pairs=pairs, labels=tuple(called[k] for k in shared[order]), transform=transform, mirrored=mirrored,
-        second_best=max(one.second_best, two.second_best), sentence=sentence, behind=two.mirrored,
-    )  # fmt: skip
+    is_ambiguous = any(pair != best and value < allowed[best] + _MARGIN for pair, value in allowed.items())
+    return [choices[k, best[k]] for k in range(2)], is_ambiguous
 
 
 def _on_design(
-    found: Choice | None, points: Floats, holes: Floats, off: tuple[float, float], name: str
+    choice: Choice | None, points: Floats, holes: Floats, tolerances: tuple[float, float], name: str
 ) -> Matched:  # fmt: skip
     """Accept the best arrangement of a design on one side, or refuse it; its pairs begin with the row in the design."""
     sides = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
-    count, need = _agreement(found, off[1])
-    if found is None or count < need:
+    count, needed = _agreement(choice, tolerances[1])
+    if choice is None or count < needed:
         raise CannotRegister(
-            f"{sides}: the design does not match the marks: {count} agree at best, and about {need} have to, closer "
+            f"{sides}: the design does not match the marks: {count} agree at best, and about {needed} have to, closer "
             "than chance would bring them. Check that it is the design of this sheet, its unit (um), the pixel and "
             "voxel sizes; find more of the marks, or give the pairs with --marks."
         )
-    if found.second_log_chance < found.log_chance + _MARGIN:
+    if choice.second_log_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(
-            f"{sides}: {count} match in the best arrangement, {found.second_best} in the second-best, which is too "
+            f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, which is too "
             "close to decide: the design is symmetric or regular, or the marks that would decide are missing. Find "
             "more of the marks (range of hole diameters), or give the pairs with --marks."
         )
-    transform, rms = _fitted(holes[found.pairs[:, 0]], points[found.pairs[:, 1]], found.mirrored)
-    _refuse_scale(sides, found, transform.scale, off[0])
-    sentence = f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {found.second_best}."
-    return Matched(
-        pairs=found.pairs, transform=transform, mirrored=found.mirrored, second_best=found.second_best,
-        sentence=sentence,
-    )  # fmt: skip
+    transform, rms = _fit_similarity(holes[choice.pairs[:, 0]], points[choice.pairs[:, 1]], choice.mirrored)
+    _refuse_scale(sides, choice, transform.scale, tolerances[0])
+    sentence = f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best}."
+    return _matched(choice, transform, sentence)
 
 
-def _agreement(found: Choice | None, tolerance_um: float) -> tuple[int, int]:
-    """How many marks agree, and how many have to at least: more than do where the agreement may be chance."""
-    if found is None:
+def _agreement(choice: Choice | None, tolerance_um: float) -> tuple[int, int]:
+    """Count the marks that agree, and those that have to: more than do where the agreement may be chance."""
+    if choice is None:
         return 2, 4
-    count = len(found.pairs)
-    if count >= found.needed and found.log_chance <= _ACCEPTED_LOG_CHANCE:
+    count = len(choice.pairs)
+    if count >= choice.needed and choice.log_chance <= _ACCEPTED_LOG_CHANCE:
         return count, count
-    least = marks_needed(len(found.small), found.large, found.found.tests, tolerance_um, _ACCEPTED_LOG_CHANCE)
-    return count, max(found.needed, least, count + 1)
+    least = marks_needed(len(choice.small), choice.large, choice.arrangements.tests, tolerance_um, _ACCEPTED_LOG_CHANCE)
+    return count, max(choice.needed, least, count + 1)
 
 
-def _fitted(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
+def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
     """Least-squares similarity through pairs ``(k, 2)`` in um, and the rms residual."""
     information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
     transform = SimilarityModel().fit(Pairs(moving=source, fixed=target, information=information), mirrored)
     return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
 
 
-def _refuse_scale(sides: str, found: Choice, scale: float, tolerance: float) -> None:
+def _refuse_scale(sides: str, choice: Choice, scale: float, tolerance: float) -> None:
     if abs(scale - 1.0) > tolerance:
         raise CannotRegister(
-            f"{sides}: {len(found.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} "
+            f"{sides}: {len(choice.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} "
             f"% off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they "
             "are that uncertain, allow more with --scale-tolerance."
         )
@@ -364,7 +389,7 @@ def _refuse_confusable(sides: str, triangles: tuple[Floats, Floats], least_um: f
             )
 
 
-def _checked(marks: ArrayLike, name: str) -> Floats:
+def _finite_points(marks: ArrayLike, name: str) -> Floats:
     """Return marks as ``(n, 2)`` float64, or name their faults."""
     points = points_of(marks, name)
     bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))

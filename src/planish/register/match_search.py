@@ -9,14 +9,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 from math import lgamma, log, log10
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-Floats = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
+
 Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
-Bools = NDArray[np.bool_]
 
 # Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced rival is noticed.
 REACH = 1.6
@@ -81,73 +82,83 @@ def search(
     """
     from planish.register import _kernels
 
-    base, target, first, start = _like_lengths(a, b, scale_tolerance, tolerance_um, most_tried)
-    if start[-1] == 0:
+    pairs = _like_lengths(a, b, scale_tolerance, tolerance_um, most_tried)
+    if pairs.start[-1] == 0:
         return None
-    low = np.array([b.real.min(), b.imag.min()])
-    diagonal = float(np.hypot(*(np.array([b.real.max(), b.imag.max()]) - low)))
-    hold = REACH * tolerance_um
-    wide = hold + 0.5 * STRETCH * diagonal
-    raster = _raster(b, wide)
-    cells = _cells(b, wide)
-    reaches = np.array([wide, 0.5 * (wide + hold), hold, hold, hold])
+    reach = REACH * tolerance_um
+    wide = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
+    raster, cells = _raster(b, wide), _cells(b, wide)
+    reaches = np.array([wide, 0.5 * (wide + reach), reach, reach, reach])
     ridge = (_ERROR_SHARE * tolerance_um / (0.5 * STRETCH)) ** 2
     parts: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
         share = _SHARE if least_share is None else 0.0
-        counts = _kernels.count_near(points, b, base, first, start, target, raster, share)
+        counts = _kernels.count_near(points, b, pairs.base, pairs.first, pairs.start, pairs.target, raster, share)
         enough = max(3, int(share * counts.max()), int((least_share or 0.0) * len(a)))
         if a is b and not hand:
-            counts[_still(base, target, first, start)] = 0
+            counts[_still(pairs)] = 0
         chosen = np.flatnonzero(counts >= enough)
         if len(chosen) > _MOST_REFINED:
             chosen = np.sort(chosen[np.argsort(-counts[chosen].astype(np.intp), kind="stable")[:_MOST_REFINED]])
-        if len(chosen) == 0:
-            continue
-        row = np.searchsorted(start, chosen, side="right") - 1
-        half, turned = np.divmod(chosen - start[row], 2)
-        goal = target[first[row] + half]
-        goal = np.where(turned[:, None] == 1, goal[:, ::-1], goal)
-        seeds = np.concatenate([base[row], goal], axis=1)
-        partner, squares, alpha, gamma, beta, power = _kernels.refine(
-            seeds, points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
-        )
-        scale = np.abs(alpha)
-        found = np.count_nonzero(partner >= 0, axis=1)
-        fine = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (found >= 3)
-        fine &= np.abs(gamma) <= 0.5 * _MOST_STRETCH * scale
-        _, once = np.unique(partner[fine], axis=0, return_index=True)
-        keep = np.flatnonzero(fine)[once]
-        if len(keep) == 0:
-            continue
-        freedom = np.where(found > 3, 2.0 + power / (power + ridge), 2.0)[keep]
-        log_chance = _log_chance(squares[keep], b, int(start[-1]) * len(hands), tolerance_um, freedom, power[keep])
-        parts.append(
-            Arrangements(
-                partner=partner[keep],
-                squares=squares[keep],
-                inliers=np.count_nonzero(squares[keep] <= tolerance_um**2, axis=1).astype(np.intp),
-                log_chance=log_chance,
-                alpha=alpha[keep],
-                gamma=gamma[keep],
-                beta=beta[keep],
-                freedom=freedom,
-                landed=alpha[keep, None] * points + gamma[keep, None] * np.conj(points) + beta[keep, None],
-                mirrored=np.full(len(keep), hand),
-                tests=int(start[-1]) * len(hands),
+        if len(chosen):
+            refined = _kernels.refine(
+                _seeds(pairs, chosen), points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
             )
-        )
+            tests = int(pairs.start[-1]) * len(hands)
+            parts += _arrangements(refined, points, b, scale_tolerance, tolerance_um, ridge, hand=hand, tests=tests)
     if len(parts) < 2:
         return parts[0] if parts else None
     joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
     return Arrangements(tests=parts[0].tests, **joined)
 
 
-def chance_without(found: Arrangements, b: Complexes, shared: Bools, tolerance_um: float) -> Floats:
+def _seeds(pairs: _LikePairs, chosen: Ints) -> Ints:
+    """Marks ``i, j`` of ``a`` and ``k, q`` of ``b`` that each of the chosen hypotheses lays on one another: (h, 4)."""
+    row = np.searchsorted(pairs.start, chosen, side="right") - 1
+    half, turned = np.divmod(chosen - pairs.start[row], 2)
+    goal = pairs.target[pairs.first[row] + half]
+    goal = np.where(turned[:, None] == 1, goal[:, ::-1], goal)
+    return np.concatenate([pairs.base[row], goal], axis=1)
+
+
+def _arrangements(
+    refined: tuple[Any, ...], points: Complexes, b: Complexes, scale_tolerance: float, tolerance_um: float,
+    ridge: float, *, hand: bool, tests: int,
+) -> list[Arrangements]:  # fmt: skip
+    """Arrangements of the refined hypotheses whose scale and stretch are possible, each once; none or one table."""
+    partner, squares, alpha, gamma, beta, power = refined
+    scale = np.abs(alpha)
+    count = np.count_nonzero(partner >= 0, axis=1)
+    is_possible = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (count >= 3)
+    is_possible &= np.abs(gamma) <= 0.5 * _MOST_STRETCH * scale
+    _, once = np.unique(partner[is_possible], axis=0, return_index=True)
+    rows = np.flatnonzero(is_possible)[once]
+    if len(rows) == 0:
+        return []
+    freedom = np.where(count > 3, 2.0 + power / (power + ridge), 2.0)[rows]
+    partner, squares, alpha, gamma, beta, power = (column[rows] for column in refined)
+    return [
+        Arrangements(
+            partner=partner,
+            squares=squares,
+            inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
+            log_chance=_log_chance(squares, b, tests, tolerance_um, freedom, power),
+            alpha=alpha,
+            gamma=gamma,
+            beta=beta,
+            freedom=freedom,
+            landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
+            mirrored=np.full(len(rows), hand),
+            tests=tests,
+        )
+    ]
+
+
+def chance_without(arrangements: Arrangements, b: Complexes, shared: Bools, tolerance_um: float) -> Floats:
     """Judge arrangements again without the marks that they share with another; ``shared (h, n)``."""
-    squares = np.where(shared, np.inf, found.squares)
-    return _log_chance(squares, b, found.tests, tolerance_um, found.freedom, np.zeros(len(squares)))
+    squares = np.where(shared, np.inf, arrangements.squares)
+    return _log_chance(squares, b, arrangements.tests, tolerance_um, arrangements.freedom, np.zeros(len(squares)))
 
 
 def extents(b: Complexes) -> tuple[float, float]:
@@ -176,10 +187,20 @@ def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float, log_chan
     return n + 1
 
 
-def _like_lengths(
-    a: Complexes, b: Complexes, scale_tolerance: float, tolerance: float, most: int
-) -> tuple[Ints, Ints, Ints, Ints]:
-    """Pairs of ``a``, pairs of ``b`` by length, and from where to where in the latter the lengths agree."""
+class _LikePairs(NamedTuple):
+    """Pairs of marks of like length: row p of ``base`` is laid on rows ``first[p]`` on of ``target``.
+
+    Either end may come first, which gives the hypotheses ``start[p]`` up to ``start[p + 1]``.
+    """
+
+    base: Ints  # (p, 2): marks of ``a``
+    target: Ints  # (t, 2): marks of ``b``, by length
+    first: Ints
+    start: Ints
+
+
+def _like_lengths(a: Complexes, b: Complexes, scale_tolerance: float, tolerance: float, most: int) -> _LikePairs:
+    """Find the pairs of ``b`` that are as long as each pair of ``a``."""
     i, j = np.triu_indices(len(a), 1)
     k, q = np.triu_indices(len(b), 1)
     length = np.abs(a[j] - a[i])
@@ -195,10 +216,10 @@ def _like_lengths(
     last = np.searchsorted(other, (1.0 + give) * length + slack, side="right")
     tried = 2 * int(np.sum(last - first))
     if tried > most:
-        some = np.unique(np.linspace(0, len(base) - 1, max(1, len(base) * most // tried)).astype(np.intp))
-        base, first, last = base[some], first[some], last[some]
+        thinned = np.unique(np.linspace(0, len(base) - 1, max(1, len(base) * most // tried)).astype(np.intp))
+        base, first, last = base[thinned], first[thinned], last[thinned]
     start = np.concatenate([[0], np.cumsum(2 * (last - first))]).astype(np.intp)
-    return base, target, first.astype(np.intp), start
+    return _LikePairs(base, target, first.astype(np.intp), start)
 
 
 def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np.uint8]]:
@@ -232,12 +253,13 @@ def _cells(b: Complexes, reach: float) -> tuple[tuple[float, float, float, int, 
     return (x0, y0, size, rows, columns), start, index
 
 
-def _still(base: Ints, target: Ints, first: Ints, start: Ints) -> Ints:
+def _still(pairs: _LikePairs) -> Ints:
     """Hypotheses that leave every mark where it is, where a set is laid on itself."""
+    base, target = pairs.base, pairs.target
     code = target[:, 0] * (target.max() + 1) + target[:, 1]
     order = np.argsort(code)
-    at = order[np.searchsorted(code[order], base[:, 0] * (target.max() + 1) + base[:, 1])]
-    return (start[:-1] + 2 * (at - first)).astype(np.intp)
+    rows = order[np.searchsorted(code[order], base[:, 0] * (target.max() + 1) + base[:, 1])]
+    return (pairs.start[:-1] + 2 * (rows - pairs.first)).astype(np.intp)
 
 
 def _log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, freedom: Floats, power: Floats) -> Floats:

@@ -1,4 +1,4 @@
-"""Whether the pattern behind two sets of marks may be symmetric or regular, with marks lost and marks that are none.
+"""Symmetry and regularity of the pattern behind two sets of marks, with marks lost and marks that are none.
 
 All marks found on either side are combined and laid on themselves in every other orientation. A symmetric pattern of
 which each side lost some marks looks, on each side, like a pattern without symmetry; together they give it away.
@@ -9,11 +9,9 @@ from __future__ import annotations
 from math import comb, log10
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.register.match_search import REACH, Arrangements, Complexes, extents, search, share_within
-
-Floats = NDArray[np.float64]
 
 # Scales under which a pattern may repeat itself.
 _SCALE = 0.01
@@ -43,18 +41,18 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     sure = count - singles
     if count < 4:
         return None
-    found = search(
+    arrangements = search(
         points, points, _SCALE, tolerance_um, hands=(False, True) if mirror else (False,), least_share=0.3,
         most_tried=_MOST_TRIED,
     )  # fmt: skip
-    if found is None:
+    if arrangements is None:
         return None
-    step = np.abs(found.landed - points)
-    other = found.take(found.mirrored | (step.max(axis=1) > 2.0 * tolerance_um))
-    if len(other.inliers) == 0:
+    is_moved = np.abs(arrangements.landed - points).max(axis=1) > 2.0 * tolerance_um
+    symmetries = arrangements.take(arrangements.mirrored | is_moved)
+    if len(symmetries.inliers) == 0:
         return None
-    doubt = _log_evidence(other, points, singles, tolerance_um)
-    meets = other.squares <= (REACH * tolerance_um) ** 2
+    doubt = _log_evidence(symmetries, points, singles, tolerance_um)
+    meets = symmetries.squares <= (REACH * tolerance_um) ** 2
     met, met_of_sure = np.count_nonzero(meets, axis=1), np.count_nonzero(meets[:, :sure], axis=1)
     gone = min(0.9, 0.1 + _LOST_OF_ALONE * (singles + 1.0) / (count + 2.0))
     lost = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (sure + c + 2.0) for c in alone]))
@@ -67,27 +65,30 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
         ]
     )
     limit = _LOG_DOUBT if extents(points)[1] > 4.0 * tolerance_um else _LOG_DOUBT_ON_A_LINE
-    same = np.array([_lost_alike(count - k, count, alone) for k in range(count + 1)])
-    suspect = plausible[met] & of_sure[met_of_sure] & (doubt + same[met] > limit)
+    alike = np.array([_lost_alike(count - k, count, alone) for k in range(count + 1)])
+    suspect = plausible[met] & of_sure[met_of_sure] & (doubt + alike[met] > limit)
     if not np.any(suspect):
         return None
     # The most complete one is the clearest to name.
     worst = int(np.lexsort((-doubt, -met, ~suspect))[0])
-    turn_deg = abs(float(np.degrees(np.angle(other.alpha[worst]))))
-    how = "turned over" if other.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
-    if not other.mirrored[worst] and turn_deg < 5.0:
-        middle = points.mean()
-        to = other.alpha[worst] * middle + other.gamma[worst] * np.conj(middle) + other.beta[worst]
-        how = f"shifted by {abs(to - middle):.0f} um"
-    return f"of the {count} marks in all, {met[worst]} coincide with a mark again when the pattern is {how}"
+    turn_deg = abs(float(np.degrees(np.angle(symmetries.alpha[worst]))))
+    motion = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
+    if not symmetries.mirrored[worst] and turn_deg < 5.0:
+        motion = f"shifted by {abs(_landing(symmetries, worst, points.mean()) - points.mean()):.0f} um"
+    return f"of the {count} marks in all, {met[worst]} coincide with a mark again when the pattern is {motion}"
 
 
-def _log_evidence(found: Arrangements, points: Complexes, singles: int, tolerance: float) -> Floats:
+def _landing(arrangements: Arrangements, row: int, point: complex) -> complex:
+    """Place to which an arrangement takes a point."""
+    return arrangements.alpha[row] * point + arrangements.gamma[row] * np.conj(point) + arrangements.beta[row]
+
+
+def _log_evidence(symmetries: Arrangements, points: Complexes, singles: int, tolerance: float) -> Floats:
     """log10 of how much better a symmetry explains the marks that meet, and those that do not, than chance does."""
     count = len(points)
-    paired = found.partner >= 0
-    moved = paired & (np.abs(found.landed - points) > 2.0 * tolerance)
-    back = np.take_along_axis(found.partner, np.maximum(found.partner, 0).astype(np.intp), axis=1)
+    paired = symmetries.partner >= 0
+    moved = paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
+    back = np.take_along_axis(symmetries.partner, np.maximum(symmetries.partner, 0).astype(np.intp), axis=1)
     mutual = moved & (back == np.arange(count))
     arcs = moved.sum(axis=1)
     swaps = mutual.sum(axis=1)
@@ -95,8 +96,8 @@ def _log_evidence(found: Arrangements, points: Complexes, singles: int, toleranc
     exchange = swaps > 0.6 * arcs
     couples = arcs - swaps / 2
     free = np.where(exchange, couples - 1, arcs - 2)
-    tests = np.where(exchange, count * (count - 1) / 2, found.tests)
-    rms = np.sqrt(np.sum(np.where(paired, found.squares, 0.0), axis=1) / np.maximum(paired.sum(axis=1), 1))
+    tests = np.where(exchange, count * (count - 1) / 2, symmetries.tests)
+    rms = np.sqrt(np.sum(np.where(paired, symmetries.squares, 0.0), axis=1) / np.maximum(paired.sum(axis=1), 1))
     share = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
     gone = min(0.9, max(0.1, (singles + 1.0) / (count + 2.0)))
     missing = count - paired.sum(axis=1)
@@ -112,8 +113,8 @@ def _lost_alike(gap: int, count: int, alone: tuple[int, int]) -> float:
     Either by chance, among the marks that each side lost, or because these holes were never burnt through.
     """
     whole = count + gap
-    one, two = gap + alone[1], gap + alone[0]
-    chance = comb(one, gap) * comb(whole - one, two - gap) / comb(whole, two)
+    lost_first, lost_second = gap + alone[1], gap + alone[0]
+    chance = comb(lost_first, gap) * comb(whole - lost_first, lost_second - gap) / comb(whole, lost_second)
     never = comb(whole, gap) * _NOT_BURNT**gap * (1.0 - _NOT_BURNT) ** count
     return log10(max(chance, never, 1e-300))
 

@@ -9,14 +9,13 @@ from abc import ABC, abstractmethod
 from typing import Any, ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Transform
+from planish.core.typing import Floats
 from planish.register.field import Field
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 
-Floats = NDArray[np.float64]
 Frame = tuple[Floats, float]
 
 # Marks whose spread across a line is below this share of that along it fix nothing across it.
@@ -85,14 +84,14 @@ class ParametricModel(Model):
 
     def _by_leverage(self, pairs: Pairs, transform: Transform) -> Floats:
         whitening = pairs.whitening()
-        q, _ = factored(whitening, self.design(transform, pairs.frame(), pairs.moving), self.name)
+        q, _ = whitened_qr(whitening, self.design(transform, pairs.frame(), pairs.moving), self.name)
         blocks = q.reshape(len(pairs), 2, -1)
-        left = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
+        residual_blocks = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
         # Leverage 1: without this mark the others leave a parameter free.
-        lonely = np.linalg.eigvalsh(left)[:, 0] < COINCIDENT
-        left[lonely] = np.nan
+        lonely = np.linalg.eigvalsh(residual_blocks)[:, 0] < COINCIDENT
+        residual_blocks[lonely] = np.nan
         error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
-        return np.asarray(np.linalg.solve(whitening, inverse_of(left) @ error)[..., 0], dtype=np.float64)
+        return np.asarray(np.linalg.solve(whitening, inverse_of(residual_blocks) @ error)[..., 0], dtype=np.float64)
 
     def _by_refit(self, pairs: Pairs, transform: Transform) -> Floats:
         missed = np.full((len(pairs), 2), np.nan)
@@ -106,7 +105,7 @@ class ParametricModel(Model):
         return missed
 
 
-def solved(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
+def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
     """Weighted least squares by QR: parameters (p,) from design (n, 2, p) and target (n, 2).
 
     Raises
@@ -114,12 +113,12 @@ def solved(whitening: Floats, design: Floats, target: Floats, name: str) -> Floa
     CannotRegister
         If the marks leave a parameter free.
     """
-    q, r = factored(whitening, design, name)
-    found = np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1))
-    return np.asarray(found, dtype=np.float64)
+    q, r = whitened_qr(whitening, design, name)
+    parameters = np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1))
+    return np.asarray(parameters, dtype=np.float64)
 
 
-def factored(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
+def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
     """Return the QR factors of the whitened design, (2n, p) and (p, p); refuse equations that leave something free."""
     rows = (whitening @ design).reshape(-1, design.shape[-1])
     q, r = np.linalg.qr(rows)

@@ -9,10 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError
+from planish.core.typing import Bools, Floats
 
-Floats = NDArray[np.float64]
 Complexes = NDArray[np.complex128]
-Mask = NDArray[np.bool_]
 
 # Marks closer together than this share of their distance from the origin cannot be distinguished in float64.
 COINCIDENT = 1e-9
@@ -46,7 +45,7 @@ class Pairs:
         info = self.information
         return bool(np.all(info[:, 0, 0] == info[:, 1, 1]) and np.all(info[:, 0, 1] == 0))
 
-    def take(self, which: NDArray[np.intp] | Mask) -> Pairs:
+    def take(self, which: NDArray[np.intp] | Bools) -> Pairs:
         """Return some of the pairs."""
         return Pairs(moving=self.moving[which], fixed=self.fixed[which], information=self.information[which])
 
@@ -79,10 +78,10 @@ def inverse_of(blocks: Floats) -> Floats:
 
 def as_complex(points: Floats, mirrored: bool) -> Complexes:
     """Points as ``x + iy``, or ``-x + iy`` where mirrored."""
-    return (-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]
+    return (-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]
 
 
-def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, NDArray[np.intp]]:
+def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, NDArray[np.intp]]:
     """Bring marks and weights into one form, or name all their faults.
 
     A pair that is given again counts once: the others have no information, and their numbers are returned.
@@ -97,14 +96,14 @@ def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> t
     if len(source) != len(target):
         raise MarkError(f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its partner.")
     faults: list[str] = []
-    info = _information(weights, len(source), faults)
+    information = _information(weights, len(source), faults)
     for name, points in (("moving", source), ("fixed", target)):
         bad = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
         if bad.size:
             faults.append(f"{name} mark{'s' * (bad.size > 1)} {listed(bad)} not finite")
     if faults:
         raise MarkError(f"The marks cannot be used: {'; '.join(faults)}. Correct or remove them.")
-    pairs = Pairs(moving=source, fixed=target, information=info)
+    pairs = Pairs(moving=source, fixed=target, information=information)
     used = np.flatnonzero(pairs.weights > 0)
     if used.size < 2:
         raise MarkError(
@@ -117,10 +116,10 @@ def checked(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> t
                 f"All {used.size} {name} marks lie at ({points[0, 0]:g}, {points[0, 1]:g}) um; at least two places are "
                 "needed."
             )
-    again = _repeated(pairs, used)
-    if again.size:
-        pairs.information[again] = 0.0
-    return pairs, again
+    repeats = _repeated_pairs(pairs, used)
+    if repeats.size:
+        pairs.information[repeats] = 0.0
+    return pairs, repeats
 
 
 def listed(which: Sequence[int] | NDArray[np.intp]) -> str:
@@ -148,44 +147,45 @@ def points_of(marks: ArrayLike, name: str) -> Floats:
 
 
 def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats:
-    given = np.ones(n) if weights is None else np.array(weights, dtype=np.float64)
-    if given.shape == (n,):
-        if not (np.all(np.isfinite(given)) and np.all(given >= 0.0)):
+    """Information (n, 2, 2) of pairs with weights (n,) or covariances (n, 2, 2); what is wrong goes into ``faults``."""
+    weights = np.ones(n) if weights is None else np.array(weights, dtype=np.float64)
+    if weights.shape == (n,):
+        if not (np.all(np.isfinite(weights)) and np.all(weights >= 0.0)):
             faults.append("weights have to be finite and not negative")
-        return given[:, None, None] * np.eye(2)
-    if given.shape != (n, 2, 2):
-        faults.append(f"the weights have shape {given.shape}, {n} marks need ({n},), or ({n}, 2, 2) for covariances")
+        return weights[:, None, None] * np.eye(2)
+    if weights.shape != (n, 2, 2):
+        faults.append(f"the weights have shape {weights.shape}, {n} marks need ({n},), or ({n}, 2, 2) for covariances")
         return np.zeros((n, 2, 2))
-    det = given[:, 0, 0] * given[:, 1, 1] - given[:, 0, 1] ** 2
-    largest = np.maximum(given[:, 0, 0], given[:, 1, 1])
-    even = np.abs(given[:, 0, 1] - given[:, 1, 0]) <= 1e-9 * largest
+    det = weights[:, 0, 0] * weights[:, 1, 1] - weights[:, 0, 1] ** 2
+    largest = np.maximum(weights[:, 0, 0], weights[:, 1, 1])
+    even = np.abs(weights[:, 0, 1] - weights[:, 1, 0]) <= 1e-9 * largest
     with np.errstate(invalid="ignore"):
-        good = np.isfinite(given).all(axis=(1, 2)) & even & (given[:, 0, 0] > 0) & (det > 1e-12 * largest**2)
+        good = np.isfinite(weights).all(axis=(1, 2)) & even & (weights[:, 0, 0] > 0) & (det > 1e-12 * largest**2)
     if not good.all():
         which = np.flatnonzero(~good)
         faults.append(f"covariance of mark {listed(which)} not symmetric and positive")
         return np.zeros((n, 2, 2))
-    return inverse_of(0.5 * (given + given.swapaxes(1, 2)))
+    return inverse_of(0.5 * (weights + weights.swapaxes(1, 2)))
 
 
-def _repeated(pairs: Pairs, used: NDArray[np.intp]) -> NDArray[np.intp]:
+def _repeated_pairs(pairs: Pairs, used: NDArray[np.intp]) -> NDArray[np.intp]:
     """Numbers of pairs that were given before; two marks at one place on one side only are a wrong pair."""
     from scipy.spatial import KDTree
 
     sides = {"moving": pairs.moving[used], "fixed": pairs.fixed[used]}
-    near = {name: COINCIDENT * max(1.0, float(np.abs(here).max())) for name, here in sides.items()}
-    again: set[int] = set()
-    for (name, here), (other, there) in zip(sides.items(), reversed(sides.items()), strict=True):
-        for a, b in sorted(KDTree(here).query_pairs(near[name])):
-            apart = float(np.linalg.norm(there[a] - there[b]))
-            if apart > near[other]:
+    limits = {side: COINCIDENT * max(1.0, float(np.abs(places).max())) for side, places in sides.items()}
+    repeats: set[int] = set()
+    for (side, places), (other_side, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
+        for a, b in sorted(KDTree(places).query_pairs(limits[side])):
+            distance = float(np.linalg.norm(partners[a] - partners[b]))
+            if distance > limits[other_side]:
                 raise MarkError(
-                    f"Marks {used[a]} and {used[b]} lie at one place on the {name} side, ({here[a, 0]:g}, "
-                    f"{here[a, 1]:g}) um, and {apart:.4g} um apart on the other. One of them is wrong: correct or "
+                    f"Marks {used[a]} and {used[b]} lie at one place on the {side} side, ({places[a, 0]:g}, "
+                    f"{places[a, 1]:g}) um, and {distance:.4g} um apart on the other. One of them is wrong: correct or "
                     "remove it."
                 )
-            again.add(int(used[b]))
-    return np.array(sorted(again), dtype=np.intp)
+            repeats.add(int(used[b]))
+    return np.array(sorted(repeats), dtype=np.intp)
 
 
 def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, complex]]:

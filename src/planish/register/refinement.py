@@ -9,18 +9,17 @@ from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
 from planish.core.transform import Affine
+from planish.core.typing import Bools, Floats
 from planish.register.free_form import FreeForm
 from planish.register.result import FittedTransform
 from planish.register.strain import NOTABLE
 
-Floats = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Pair = tuple[float, float]
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
@@ -90,11 +89,12 @@ class Refined:
             Cubic interpolation; NaN outside.
         """
         rows, cols = (np.arange(n) * p for n, p in zip(image.shape, pixel_um, strict=True))
-        at = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
-        known = np.isfinite(image)
-        filled = np.where(known, image, float(image[known].mean()) if known.any() else 0.0)
-        values = ndimage.map_coordinates(filled, [at[..., 1], at[..., 0]], order=3, mode="nearest")
-        whole = ndimage.map_coordinates(known.astype(np.float64), [at[..., 1], at[..., 0]], order=1, cval=0.0)
+        places = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
+        is_known = np.isfinite(image)
+        filled = np.where(is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0)
+        row_col = [places[..., 1], places[..., 0]]
+        values = ndimage.map_coordinates(filled, row_col, order=3, mode="nearest")
+        whole = ndimage.map_coordinates(is_known.astype(np.float64), row_col, order=1, cval=0.0)
         return np.where(whole > 0.999, values, np.nan)
 
 
@@ -130,7 +130,7 @@ _DEFAULT = RefineOptions()
 def refine(
     linked: Floats,
     image: Floats,
-    valid: Mask | None,
+    valid: Bools | None,
     *,
     pixel_um: Pair,
     fit: FittedTransform,
@@ -182,13 +182,13 @@ def refine(
             "Refining on the maps needs the library SimpleITK, which is not installed. Run: "
             'pip install "planish[refine]". Or keep the marks only.'
         ) from error
-    maps, known, pixel_um, first_um = _prepared(linked, image, valid, pixel_um, options.grid_um)
-    transform = _searched(itk, maps, known, pixel_um, first_um, options)
-    both = known[0] & known[1]
-    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(np.int64)) for n in both.shape)
+    maps, masks, pixel_um, first_um = _prepared(linked, image, valid, pixel_um, options.grid_um)
+    transform = _searched(itk, maps, masks, pixel_um, first_um, options)
+    is_shared = masks[0] & masks[1]
+    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(np.int64)) for n in is_shared.shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
-    use = both[y, x]
-    points = np.stack([x[use], y[use]], axis=-1) * np.array(pixel_um)[::-1] + first_um
+    is_used = is_shared[y, x]
+    points = np.stack([x[is_used], y[is_used]], axis=-1) * np.array(pixel_um)[::-1] + first_um
     return _judged(transform, points, fit, options)
 
 
@@ -246,15 +246,15 @@ def _judged(
 
 
 def _searched(
-    itk: Any, maps: list[Floats], known: list[Mask], pixel_um: Pair, first_um: Pair, options: RefineOptions
+    itk: Any, maps: list[Floats], masks: list[Bools], pixel_um: Pair, first_um: Pair, options: RefineOptions
 ) -> Affine | FreeForm:
     """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
     unit = pixel_um[1]
     images: list[Any] = []
-    for values in (*maps, *known):
-        made = itk.GetImageFromArray(values.astype(np.uint8) if values.dtype == np.bool_ else values)
-        made.SetSpacing((1.0, pixel_um[0] / unit))
-        images.append(made)
+    for values in (*maps, *masks):
+        itk_image = itk.GetImageFromArray(values.astype(np.uint8) if values.dtype == np.bool_ else values)
+        itk_image.SetSpacing((1.0, pixel_um[0] / unit))
+        images.append(itk_image)
     search = itk.ImageRegistrationMethod()
     search.SetNumberOfThreads(1)
     if options.metric == "correlation":
@@ -266,7 +266,7 @@ def _searched(
     search.SetMetricSamplingStrategy(search.NONE)
     # A linear interpolation blurs between pixels, and less noise looks like agreement.
     search.SetInterpolator(itk.sitkBSpline3)
-    rows, cols = known[0].shape
+    rows, cols = masks[0].shape
     sides = cols * pixel_um[1], rows * pixel_um[0]
     if options.model == "affine":
         start = itk.AffineTransform(2)
@@ -290,14 +290,19 @@ def _searched(
             f"The maps could not be refined ({why}). Check that both show texture at the same places, or keep the "
             "marks only."
         ) from fault
-    if options.model == "affine":
-        matrix = np.array(start.GetMatrix()).reshape(2, 2)
-        middle = np.array(start.GetCenter())
-        target = middle + np.array(start.GetTranslation())
+    return _transform_um(itk, start, unit, first_um)
+
+
+def _transform_um(itk: Any, in_pixels: Any, unit: float, first_um: Pair) -> Affine | FreeForm:
+    """Read a transformation in pixels of ``unit`` um as one in um."""
+    if hasattr(in_pixels, "GetMatrix"):
+        matrix = np.array(in_pixels.GetMatrix()).reshape(2, 2)
+        middle = np.array(in_pixels.GetCenter())
+        target = middle + np.array(in_pixels.GetTranslation())
         (a, b), (c, d) = matrix.tolist()
         source, target = ((float(x), float(y)) for x, y in (middle * unit + first_um, target * unit + first_um))
         return Affine(linear=((a, b), (c, d)), source=source, target=target)
-    nodes = start.GetCoefficientImages()
+    nodes = in_pixels.GetCoefficientImages()
     first = np.array(nodes[0].GetOrigin()) * unit + first_um
     step = np.array(nodes[0].GetSpacing()) * unit
     return FreeForm(
@@ -308,8 +313,8 @@ def _searched(
 
 
 def _prepared(
-    linked: Floats, image: Floats, valid: Mask | None, pixel_um: Pair, grid_um: float
-) -> tuple[list[Floats], list[Mask], Pair, Pair]:
+    linked: Floats, image: Floats, valid: Bools | None, pixel_um: Pair, grid_um: float
+) -> tuple[list[Floats], list[Bools], Pair, Pair]:
     """Both maps, averaged and filled with their means, their masks, the pixel, and (x, y) of the first one's middle."""
     if linked.ndim != 2 or linked.shape != image.shape or (valid is not None and valid.shape != linked.shape):
         raise CannotRegister(
@@ -324,13 +329,13 @@ def _prepared(
     first = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
     if factor > 1:
         maps = [area_mean(m, (factor, factor)) for m in maps]
-    known = [np.isfinite(m) for m in maps]
-    count = int((known[0] & known[1]).sum())
+    masks = [np.isfinite(m) for m in maps]
+    count = int((masks[0] & masks[1]).sum())
     if count < _LEAST_PIXELS:
         raise CannotRegister(
             f"{count} pixels are known in both maps; a refinement needs {_LEAST_PIXELS}. Keep the marks only."
         )
-    if any(float(m[k].std()) == 0 for m, k in zip(maps, known, strict=True)):
+    if any(float(m[k].std()) == 0 for m, k in zip(maps, masks, strict=True)):
         raise CannotRegister("One of the maps is constant: nothing can be refined on it. Keep the marks only.")
-    filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, known, strict=True)]
-    return filled, known, (factor * pixel_um[0], factor * pixel_um[1]), first
+    filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, masks, strict=True)]
+    return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first

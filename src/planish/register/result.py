@@ -7,16 +7,15 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity, Transform, nearest_similarity
+from planish.core.typing import Floats
 from planish.register.field import Field
 from planish.register.models import MODELS
 from planish.register.pairs import Pairs, points_of, weighted_rms
 from planish.register.strain import Strain, strain_of
-
-Floats = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -115,15 +114,15 @@ class FittedTransform:
         """
         out, used = np.flatnonzero(self.robust_weights == 0), int(np.count_nonzero(self.weights > 0))
         rms = self.leave_one_out_rms_um
-        to = f" to {rms:.2g} um" if np.isfinite(rms) else ""
+        accuracy = f" to {rms:.2g} um" if np.isfinite(rms) else ""
         if not out.size:
-            return f"{used} marks agree{to}."
-        off = np.linalg.norm(self.residuals_um[out], axis=1)
-        names, ums = _and([str(labels[int(k)]) for k in out]), _and([f"{d:.2g}" for d in off])
-        some = out.size > 1
+            return f"{used} marks agree{accuracy}."
+        distances = np.linalg.norm(self.residuals_um[out], axis=1)
+        names, ums = _and([str(labels[int(k)]) for k in out]), _and([f"{d:.2g}" for d in distances])
+        plural = out.size > 1
         return (
-            f"{used} of {used + out.size} marks agree{to}; {names} {'are' if some else 'is'} {ums} um off and "
-            f"{'were' if some else 'was'} left out."
+            f"{used} of {used + out.size} marks agree{accuracy}; {names} {'are' if plural else 'is'} {ums} um off "
+            f"and {'were' if plural else 'was'} left out."
         )
 
     @property
@@ -168,9 +167,9 @@ class FittedTransform:
         ----------
         Fitzpatrick and West (2001), IEEE Trans. Med. Imaging 20, 917, doi:10.1109/42.952729.
         """
-        given = np.asarray(points, dtype=np.float64)
-        flat = given.reshape(-1, 2)
-        return np.sqrt(self.field.expected_square(flat, self.transform(flat))).reshape(given.shape[:-1])
+        places = np.asarray(points, dtype=np.float64)
+        flat = places.reshape(-1, 2)
+        return np.sqrt(self.field.expected_square(flat, self.transform(flat))).reshape(places.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
         """Fit the same pairs with other moving places, as another flattening of the sheet puts them.
@@ -236,26 +235,26 @@ class Chain:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the first map to the last one, in um; NaN stays NaN."""
-        at = np.asarray(points, dtype=np.float64)
+        places = np.asarray(points, dtype=np.float64)
         for fit in self.fits:
-            at = fit(at)
-        return at
+            places = fit(places)
+        return places
 
     def inverse(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the last map back to the first one, in um; NaN where a link finds no point."""
-        at = np.asarray(points, dtype=np.float64)
+        places = np.asarray(points, dtype=np.float64)
         for fit in reversed(self.fits):
-            at = fit.inverse(at)
-        return at
+            places = fit.inverse(places)
+        return places
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)`` of the first map: ``(..., 2, 2)``."""
-        at = np.asarray(points, dtype=np.float64)
-        found = np.broadcast_to(np.eye(2), (*at.shape[:-1], 2, 2))
+        places = np.asarray(points, dtype=np.float64)
+        derivatives = np.broadcast_to(np.eye(2), (*places.shape[:-1], 2, 2))
         for fit in self.fits:
-            found = fit.jacobian(at) @ found
-            at = fit(at)
-        return np.array(found)
+            derivatives = fit.jacobian(places) @ derivatives
+            places = fit(places)
+        return np.array(derivatives)
 
     @property
     def similarity(self) -> Similarity:
@@ -285,12 +284,12 @@ class Chain:
             Root mean square error: the errors of the links are independent, and each is carried on by the links after
             it, with the mean square of their stretch.
         """
-        at = np.asarray(points, dtype=np.float64)
-        square = np.zeros(at.shape[:-1])
+        places = np.asarray(points, dtype=np.float64)
+        square = np.zeros(places.shape[:-1])
         for fit in self.fits:
-            stretch = 0.5 * np.sum(fit.jacobian(at) ** 2, axis=(-2, -1))
-            square = square * stretch + fit.expected_error_um(at) ** 2
-            at = fit(at)
+            stretch = 0.5 * np.sum(fit.jacobian(places) ** 2, axis=(-2, -1))
+            square = square * stretch + fit.expected_error_um(places) ** 2
+            places = fit(places)
         return np.sqrt(square)
 
 

@@ -3,12 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planish.core.typing import Bools
 from planish.register.field import Field
 from planish.register.pairs import Pairs
-
-Floats = NDArray[np.float64]
 
 # A right mark is left out in this share of sets of marks.
 _CHANCE = 0.01
@@ -20,7 +18,7 @@ _MORE = 2
 _MANY = 150
 
 
-def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
+def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, Field]:
     """Marks that agree, shape (n,), and the field that they make likely.
 
     The mark that the others expect least is taken out, up to a quarter of all and a few, and judged by the chance that
@@ -38,15 +36,15 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[NDArray[np.bool_], Field]:
     order, wrong = [], 0
     more, hidden = (_MORE, _HIDDEN) if 2 * _LEAST <= n <= _MANY else (0, 1)
     while n >= _LEAST and len(order) < max(1, n // 4) + more and len(order) - wrong < hidden + more:
-        left, chance = np.flatnonzero(keep), field.left_out()[1]
+        remaining, chance = np.flatnonzero(keep), field.left_out()[1]
         # The more marks were taken out without need, the more choices there were.
-        limit = np.log(_CHANCE) - (1 + len(order) - wrong) * np.log(left.size)
+        limit = np.log(_CHANCE) - (1 + len(order) - wrong) * np.log(remaining.size)
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
         count = max(1, int(np.count_nonzero(chance < limit))) if n > _MANY else 1
         out = np.argsort(chance, kind="stable")[:count]
         # Of marks that were taken together, the one that stands out most: it moves the mean of the others.
         out = out[np.sort(np.unique(field.group[out], return_index=True)[1])]
-        order += left[out].tolist()
+        order += remaining[out].tolist()
         keep[order] = False
         field = Field(pairs.take(keep), mirrored)
         if chance.min() < limit:

@@ -6,9 +6,9 @@ from dataclasses import fields
 from typing import Any, get_origin, get_type_hints
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
+from planish.core.typing import Floats
 from planish.register.models import model_named
 from planish.register.result import Chain, FittedTransform
 
@@ -59,7 +59,7 @@ def registration_from_json(data: Any) -> FittedTransform:
             model=str(data["model"]),
             sentence=str(data["sentence"]),
             warnings=tuple(str(w) for w in data["warnings"]),
-            **{name: _read(data[name], NDArray[np.float64]) for name in _ARRAYS},
+            **{name: _read(data[name], Floats) for name in _ARRAYS},
         )
     except (ValueError, KeyError, TypeError, IndexError) as fault:
         raise MarkError(

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
 from planish.core.transform import Affine, Similarity, Transform
-from planish.register.model import Floats, Frame, ParametricModel, refuse_line, solved
+from planish.core.typing import Floats
+from planish.register.model import Frame, ParametricModel, least_squares, refuse_line
 from planish.register.pairs import COINCIDENT, Pairs, as_complex
 
 _STEPS = 100
@@ -34,20 +35,20 @@ class RigidModel(ParametricModel):
             for _ in range(_STEPS):
                 turned = turn * (z - z_mean)
                 error = w - middle - turned
-                design = _columns(turned / size, only_turn=True)
-                step = solved(whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid")
+                design = similarity_columns(turned / size, only_turn=True)
+                step = least_squares(whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid")
                 middle += complex(step[0], step[1])
                 turn *= np.exp(1j * step[2] / size)
                 length = float(np.abs(step).max())
                 if length < 1e-15 * size or length >= last:
                     break
                 last = length
-        at = middle - turn * z_mean
-        return Similarity(rotation_rad=float(np.angle(turn)), shift_um=(at.real, at.imag), mirrored=mirrored)
+        shift = middle - turn * z_mean
+        return Similarity(rotation_rad=float(np.angle(turn)), shift_um=(shift.real, shift.imag), mirrored=mirrored)
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
-        return _columns(_turned(transform, frame, points), only_turn=True)
+        return similarity_columns(_turned(transform, frame, points), only_turn=True)
 
 
 class SimilarityModel(ParametricModel):
@@ -65,14 +66,15 @@ class SimilarityModel(ParametricModel):
             z_mean, w_mean, product, square = _sums(pairs, mirrored)
             alpha = product / square
             _refuse_no_rotation(product, square)
-            at = w_mean - alpha * z_mean
+            beta = w_mean - alpha * z_mean
+            shift_um = (beta.real, beta.imag)
             return Similarity(
-                scale=abs(alpha), rotation_rad=float(np.angle(alpha)), shift_um=(at.real, at.imag), mirrored=mirrored
+                scale=abs(alpha), rotation_rad=float(np.angle(alpha)), shift_um=shift_um, mirrored=mirrored
             )
         share = pairs.weights / np.sum(pairs.weights)
         z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
         target = share @ pairs.fixed
-        beta_x, beta_y, a, b = solved(pairs.whitening(), _columns(z), pairs.fixed - target, self.name)
+        beta_x, beta_y, a, b = least_squares(pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name)
         _refuse_no_rotation(complex(a, b) / size, 1.0)
         turn = Similarity(scale=float(np.hypot(a, b)) / size, rotation_rad=float(np.arctan2(b, a)), mirrored=mirrored)
         shift = target + np.array([beta_x, beta_y]) - turn(middle)
@@ -85,7 +87,7 @@ class SimilarityModel(ParametricModel):
         """Shift in x, shift in y, stretch, turn."""
         middle, size = frame
         z = (as_complex(points.reshape(-1, 2) - middle, transform.mirrored) / size).reshape(points.shape[:-1])
-        return _columns(z)
+        return similarity_columns(z)
 
 
 class AffineModel(ParametricModel):
@@ -101,8 +103,8 @@ class AffineModel(ParametricModel):
         middle, size = pairs.frame()
         refuse_line(pairs, self.name)
         target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
-        design = _affine_columns((pairs.moving - middle) / size)
-        x, y, xx, xy, yx, yy = solved(pairs.whitening(), design, pairs.fixed - target, self.name)
+        design = affine_columns((pairs.moving - middle) / size)
+        x, y, xx, xy, yx, yy = least_squares(pairs.whitening(), design, pairs.fixed - target, self.name)
         return Affine(
             linear=((float(xx / size), float(xy / size)), (float(yx / size), float(yy / size))),
             source=(float(middle[0]), float(middle[1])),
@@ -111,7 +113,7 @@ class AffineModel(ParametricModel):
 
     def design(self, _transform: Affine, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x and y, then the linear part row by row."""
-        return _affine_columns((points - frame[0]) / frame[1])
+        return affine_columns((points - frame[0]) / frame[1])
 
 
 def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, float]:
@@ -138,17 +140,18 @@ def _turned(transform: Transform, frame: Frame, points: Floats) -> NDArray[np.co
     return away[..., 0] + 1j * away[..., 1]
 
 
-def _columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
+def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
     """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
-    one, none = np.ones(z.shape), np.zeros(z.shape)
+    ones, zeros = np.ones(z.shape), np.zeros(z.shape)
     turn, stretch = (-z.imag, z.real), (z.real, z.imag)
-    rows = [[one, none, *([] if only_turn else [stretch[0]]), turn[0]],
-            [none, one, *([] if only_turn else [stretch[1]]), turn[1]]]  # fmt: skip
+    rows = [[ones, zeros, *([] if only_turn else [stretch[0]]), turn[0]],
+            [zeros, ones, *([] if only_turn else [stretch[1]]), turn[1]]]  # fmt: skip
     return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
 
 
-def _affine_columns(at: Floats) -> Floats:
-    design = np.zeros((*at.shape[:-1], 2, 6))
+def affine_columns(scaled: Floats) -> Floats:
+    """Derivatives of an affine map of points (..., 2) by shift and linear part, row by row: (..., 2, 6)."""
+    design = np.zeros((*scaled.shape[:-1], 2, 6))
     design[..., 0, 0] = design[..., 1, 1] = 1.0
-    design[..., 0, 2:4] = design[..., 1, 4:6] = at
+    design[..., 0, 2:4] = design[..., 1, 4:6] = scaled
     return design

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from planish.core.errors import CannotRegister
+from planish.core.typing import Floats
 from planish.register.field import Field
-from planish.register.model import Floats, Model, refuse_line
+from planish.register.model import Model, refuse_line
 from planish.register.pairs import Pairs, inverse_of
 from planish.register.thin_plate import ThinPlate, bending
 
@@ -65,15 +66,15 @@ class Smoothing:
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
         self.kernel = self.covariance(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
-        affine = self._whitened(_both(np.column_stack([np.ones(n), self.nodes])))
+        affine = self._whitened(_on_both_axes(np.column_stack([np.ones(n), self.nodes])))
         full, triangle = qr(affine)
-        self.span, self.rest, self.triangle = full[:, :6], full[:, 6:], triangle[:6]
+        self.span, self.complement, self.triangle = full[:, :6], full[:, 6:], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         self.y = self._whitened((pairs.fixed - self.target).reshape(-1, 1))[:, 0]
-        inner = self.rest.T @ self.kernel @ self.rest
+        inner = self.complement.T @ self.kernel @ self.complement
         values, vectors = eigh(0.5 * (inner + inner.T))
-        self.values = np.maximum(values, 0.0)
-        self.vectors = self.rest @ vectors
+        self.eigenvalues = np.maximum(values, 0.0)
+        self.vectors = self.complement @ vectors
         self.z = self.vectors.T @ self.y
         self.freedom = 2 * n - 6
 
@@ -83,7 +84,7 @@ class Smoothing:
 
     def covariance(self, values: Floats) -> Floats:
         """Whitened covariance (2n, 2n) of both coordinates from that of one, (n, n)."""
-        return self._whitened(self._whitened(_both(values)).T)
+        return self._whitened(self._whitened(_on_both_axes(values)).T)
 
     def scaled(self, smoothing_um2: float) -> float:
         """Smoothing in the scaled coordinates of the equations."""
@@ -95,7 +96,7 @@ class Smoothing:
             return np.ones(self.freedom)
         scaled = self.scaled(smoothing_um2)
         # The factor keeps the numbers near 1 also for an interpolating spline, which leaves nothing.
-        return (float(np.median(self.values)) + scaled) / (self.values + scaled)
+        return (float(np.median(self.eigenvalues)) + scaled) / (self.eigenvalues + scaled)
 
     def missed(self, smoothing_um2: float) -> tuple[Floats, Floats]:
         """Errors (n, 2) of the marks left out at a fixed smoothing, whitened, and their expected covariance (n, 2, 2).
@@ -117,16 +118,16 @@ class Smoothing:
         def cost(smoothing_um2: float) -> float:
             return float(np.nansum(self.missed(smoothing_um2)[0] ** 2))
 
-        top = float(self.values.max()) * self.size**2
+        top = float(self.eigenvalues.max()) * self.size**2
         logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), _TRIALS)
         costs = np.array([cost(float(np.exp(v))) for v in logs])
         best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
         chosen, least = float(np.exp(logs[best])), float(costs[best])
         if 0 < best < _TRIALS - 1:
             around = (float(logs[best - 1]), float(logs[best + 1]))
-            found = minimize_scalar(lambda v: cost(float(np.exp(v))), bounds=around, method="bounded")
-            if float(found.fun) < least:
-                chosen, least = float(np.exp(found.x)), float(found.fun)
+            optimum = minimize_scalar(lambda v: cost(float(np.exp(v))), bounds=around, method="bounded")
+            if float(optimum.fun) < least:
+                chosen, least = float(np.exp(optimum.x)), float(optimum.fun)
         if cost(float("inf")) <= least * (1 + 1e-9):
             return float("inf")
         return 0.0 if cost(0.0) < least * (1 - 1e-6) else chosen
@@ -136,7 +137,7 @@ class Smoothing:
         from scipy.linalg import solve_triangular
 
         n = len(self.pairs)
-        dual = self.vectors @ (self.z / (self.values + self.scaled(smoothing_um2)))
+        dual = self.vectors @ (self.z / (self.eigenvalues + self.scaled(smoothing_um2)))
         bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0  # no negative zero
         affine = solve_triangular(self.triangle, self.span.T @ (self.y - self.kernel @ dual)).reshape(3, 2)
         affine[0] += self.target
@@ -146,6 +147,6 @@ class Smoothing:
         )  # fmt: skip
 
 
-def _both(rows: Floats) -> Floats:
+def _on_both_axes(rows: Floats) -> Floats:
     """Equations of one coordinate, repeated for both."""
     return np.asarray(np.kron(rows, np.eye(2)), dtype=np.float64)

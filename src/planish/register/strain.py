@@ -5,12 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister
 from planish.core.transform import Affine, Similarity, Transform
-
-Floats = NDArray[np.float64]
+from planish.core.typing import Floats
 
 # Local strain from which on a fit warns.
 NOTABLE = 0.01
@@ -41,9 +39,9 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
         Where the map folds, or changes its handedness against what was declared.
     """
     middle = marks.mean(axis=0)
-    at = (float(middle[0]), float(middle[1]))
+    middle_um = (float(middle[0]), float(middle[1]))
     if isinstance(transform, Similarity):
-        return Strain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=at)
+        return Strain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=middle_um)
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     derivatives = transform.jacobian(points)
     sign = -1.0 if mirrored else 1.0

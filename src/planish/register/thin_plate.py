@@ -7,13 +7,11 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.transform import Pair
+from planish.core.typing import Floats
 from planish.register._bent_kernels import add_thin_plate
 from planish.register.bent import Bent, Kernel
-
-Floats = NDArray[np.float64]
 
 
 def bending(squares: Floats) -> Floats:
@@ -56,6 +54,6 @@ class ThinPlate(Bent):
         """One kernel."""
         yield bending, _slope, self.bend
 
-    def add_bends(self, at: Floats, out: Floats) -> None:
+    def add_bends(self, scaled: Floats, out: Floats) -> None:
         """Add the local changes at scaled points, as :class:`Bent` does, in one compiled loop."""
-        add_thin_plate(at, self.nodes, self.bend, out)
+        add_thin_plate(scaled, self.nodes, self.bend, out)

@@ -1,4 +1,4 @@
-"""Which scale of the heights of a sheet the marks ask for: flattened anew at several scales, it has to fit them."""
+"""The scale of the heights of a sheet that the marks ask for: flattened anew at several scales, it has to fit them."""
 
 from __future__ import annotations
 
@@ -6,13 +6,12 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import special
 from scipy.interpolate import make_interp_spline
 
-from planish.register.pairs import Pairs, inverse_of
-
-Floats = NDArray[np.float64]
+from planish.core.typing import Floats
+from planish.register.pairs import Pairs, as_complex, inverse_of
+from planish.register.similarity import affine_columns, similarity_columns
 
 CHANCE = 0.0027  # that right marks exclude a scale of 1: three errors
 _LEAST = 4  # marks
@@ -90,68 +89,62 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     with the standard deviation that paper has, and smooth displacements, whose variance is found by restricted maximum
     likelihood (Rasmussen and Williams 2006, section 2.7); what is not certain about variances is averaged over.
     """
-    which = np.flatnonzero((pairs.weights > 0) & np.isfinite(places).all(axis=(0, 2)))
-    if which.size > _MOST:
-        which = which[np.linspace(0, which.size - 1, _MOST).round().astype(np.intp)]
-    if which.size < _LEAST or scales.size < 4:
+    rows = np.flatnonzero((pairs.weights > 0) & np.isfinite(places).all(axis=(0, 2)))
+    if rows.size > _MOST:
+        rows = rows[np.linspace(0, rows.size - 1, _MOST).round().astype(np.intp)]
+    if rows.size < _LEAST or scales.size < 4:
         return None
-    some = pairs.take(which)
-    target = some.fixed - some.fixed.mean(axis=0)
+    used_pairs = pairs.take(rows)
+    target = used_pairs.fixed - used_pairs.fixed.mean(axis=0)
     long, across = np.linalg.svd(target, compute_uv=False)
     if not across > _LINE * long:
         return None
     spread = float(np.sqrt(np.mean(np.sum(target**2, axis=1))))
     # Lengths go with the square of the slope.
-    moved = make_interp_spline(scales**2, places[:, which], k=3)
+    moved = make_interp_spline(scales**2, places[:, rows], k=3)
     fine = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
-    bare, strained = _precisions(_centred(moved(fine**2), mirrored) / spread, target, some, spread)
-    best = int(np.argmin(_solved(_centred(moved(fine**2), mirrored) / spread, target, strained)[1]))
-    near = np.linspace(fine[max(best - 2, 0)], fine[min(best + 2, fine.size - 1)], _STEPS)
-    fine = np.unique(np.concatenate([fine, near]))
-    away = _centred(moved(fine**2), mirrored) / spread
-    rest = _solved(away, target, strained)[1]
-    best, one = int(np.argmin(rest)), int(np.searchsorted(fine, 1.0))
-    limit = float(special.fdtri(1, 2 * which.size - 5, 1 - CHANCE))
+    designs = _centred(moved(fine**2), mirrored) / spread
+    bare, strained = _precisions(designs, target, used_pairs, spread)
+    best = int(np.argmin(_solved(designs, target, strained)[1]))
+    around = fine[max(best - 2, 0)], fine[min(best + 2, fine.size - 1)]
+    fine = np.unique(np.concatenate([fine, np.linspace(*around, _STEPS)]))
+    designs = _centred(moved(fine**2), mirrored) / spread
+    misfit = _solved(designs, target, strained)[1]
+    best, unscaled = int(np.argmin(misfit)), int(np.searchsorted(fine, 1.0))
+    limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
     wider = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
-    source = moved(1.0) - moved(1.0).mean(axis=0)
-    affine, missed = _solved(_affine_columns(source / spread)[None], target, bare)
-    _, (most, least), turned = np.linalg.svd(affine[0, 2:].reshape(2, 2))
+    stretch, stretch_deg, stretched_misfit = _stretch((moved(1.0) - moved(1.0).mean(axis=0)) / spread, target, bare)
     return ThroughScale(
-        scale=float(fine[best]), error=wider * _toward_one(fine, rest, best, one),
-        evidence=float(rest[one] - rest[best]), limit=limit, without_any=_without_any(away, target, strained, one),
-        stretch=float(most / least - 1), stretch_deg=float(np.degrees(np.arctan2(turned[0, 1], turned[0, 0]))) % 180,
-        over_stretch=float(missed[0] + np.log(2 * which.size) - rest[best]), marks=int(which.size),
+        scale=float(fine[best]), error=wider * _toward_one(fine, misfit, best, unscaled), limit=limit,
+        evidence=float(misfit[unscaled] - misfit[best]),
+        without_any=_without_any(designs, target, strained, unscaled), stretch=stretch, stretch_deg=stretch_deg,
+        over_stretch=float(stretched_misfit + np.log(2 * rows.size) - misfit[best]), marks=int(rows.size),
     )  # fmt: skip
 
 
-def _without_any(away: Floats, target: Floats, precision: Floats, one: int) -> float:
+def _stretch(source: Floats, target: Floats, precision: Floats) -> tuple[float, float, float]:
+    """Stretch of the linear map that fits best, its direction in degrees, and the misfit that it leaves."""
+    affine, misfit = _solved(affine_columns(source)[None], target, precision)
+    _, (most, least), turned = np.linalg.svd(affine[0, 2:].reshape(2, 2))
+    return float(most / least - 1), float(np.degrees(np.arctan2(turned[0, 1], turned[0, 0]))) % 180, misfit[0]
+
+
+def _without_any(designs: Floats, target: Floats, precision: Floats, unscaled: int) -> float:
     """Evidence against a scale of 1, the mark left out that speaks most for it; of four marks none can be spared."""
     covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
-    found: list[float] = []
+    evidences: list[float] = []
     for k in range(len(target)) if len(target) > _LEAST else ():
-        others = np.arange(len(target)) != k
-        both = np.repeat(others, 2)
-        without = np.asarray(np.linalg.inv(covariance[np.ix_(both, both)]), dtype=np.float64)
-        rest = _solved(away[:, others], target[others], without)[1]
-        found.append(float(rest[one] - rest.min()))
-    return min(found, default=0.0)
+        is_used = np.arange(len(target)) != k
+        is_used_axis = np.repeat(is_used, 2)
+        without = np.asarray(np.linalg.inv(covariance[np.ix_(is_used_axis, is_used_axis)]), dtype=np.float64)
+        misfit = _solved(designs[:, is_used], target[is_used], without)[1]
+        evidences.append(float(misfit[unscaled] - misfit.min()))
+    return min(evidences, default=0.0)
 
 
-def _centred(at: Floats, mirrored: bool) -> Floats:
+def _centred(places: Floats, mirrored: bool) -> Floats:
     """Derivatives of a similarity of points (m, n, 2), from their middle, by shift, stretch, turn: (m, n, 2, 4)."""
-    at = at - at.mean(axis=1, keepdims=True)
-    x, y = -at[..., 0] if mirrored else at[..., 0], at[..., 1]
-    one, none = np.ones(x.shape), np.zeros(x.shape)
-    rows = [np.stack(row, axis=-1) for row in ([one, none, x, -y], [none, one, y, x])]
-    return np.stack(rows, axis=-2)
-
-
-def _affine_columns(at: Floats) -> Floats:
-    """Derivatives of an affine map of points (n, 2) by shift and linear part, row by row: (n, 2, 6)."""
-    design = np.zeros((len(at), 2, 6))
-    design[:, 0, 0] = design[:, 1, 1] = 1.0
-    design[:, 0, 2:4] = design[:, 1, 4:6] = at
-    return design
+    return similarity_columns(as_complex(places - places.mean(axis=1, keepdims=True), mirrored))
 
 
 def _solved(design: Floats, target: Floats, precision: Floats) -> tuple[Floats, Floats]:
@@ -162,56 +155,68 @@ def _solved(design: Floats, target: Floats, precision: Floats) -> tuple[Floats, 
     columns, wanted = np.moveaxis(white[:, :-1].reshape(2 * n, m, p), 1, 0), white[:, -1]
     toward = wanted @ columns
     normal = columns.transpose(0, 2, 1) @ columns
-    found = np.asarray(np.linalg.solve(normal, toward[..., None])[..., 0], dtype=np.float64)
-    rest: Floats = np.maximum(wanted @ wanted - np.sum(toward * found, axis=1), 0.0)
-    return found, rest
+    parameters = np.asarray(np.linalg.solve(normal, toward[..., None])[..., 0], dtype=np.float64)
+    misfit: Floats = np.maximum(wanted @ wanted - np.sum(toward * parameters, axis=1), 0.0)
+    return parameters, misfit
 
 
-def _precisions(away: Floats, target: Floats, pairs: Pairs, spread: float) -> tuple[Floats, Floats]:
+def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) -> tuple[Floats, Floats]:
     """Mean inverse covariance (2n, 2n) of the marks by restricted likelihood, without and with the strain of the paper.
 
     A scale is one of the parameters that are free, so that what it explains is no variance.
     """
     n = len(pairs)
-    noise, known = (np.zeros((n, 2, n, 2)) for _ in range(2))
+    noise, precision = (np.zeros((n, 2, n, 2)) for _ in range(2))
     information = pairs.information / np.mean(pairs.weights)
     each = np.arange(n)
-    noise[each, :, each, :], known[each, :, each, :] = inverse_of(information), information
-    noise, known = (k.reshape(2 * n, 2 * n) for k in (noise, known))
-    parts, rest = _solved(away, target, known)
-    best = int(np.argmin(rest))
-    change = (away[min(best + 1, len(away) - 1)] - away[max(best - 1, 0)]) @ parts[best]
-    change = change - away[best] @ _solved(away[[best]], change, known)[0][0]
-    length = float(np.linalg.norm(change))
-    free = away[best]
-    if length > _NOTHING_UM:
-        free = np.concatenate([free, change[..., None] / length], axis=-1)
+    noise[each, :, each, :], precision[each, :, each, :] = inverse_of(information), information
+    noise, precision = (k.reshape(2 * n, 2 * n) for k in (noise, precision))
+    free, misfit = _free_columns(designs, target, precision)
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * _STRAIN
-    apart = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
-    fields = [(1.0, 0.0 * apart)]
+    squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
+    fields = [(1.0, 0.0 * squares)]
     for reach, share in product(_FIELD_REACH, _FIELD_SHARE):
-        fields.append((1 / (len(_FIELD_REACH) * len(_FIELD_SHARE)), share * np.exp(-apart / (2 * reach**2))))
-    size = max(float(rest[best]) / (2 * n - 5), 1e-6)
-    likely: list[float] = []
-    found: list[Floats] = []
+        fields.append((1 / (len(_FIELD_REACH) * len(_FIELD_SHARE)), share * np.exp(-squares / (2 * reach**2))))
+    size = max(misfit / (2 * n - 5), 1e-6)
+    logs: list[float] = []
+    candidates: list[Floats] = []
     for (weight, field), square in product(fields, size * np.geomspace(1e-3, 10, _VARIANCES)):
         bare = square * (noise + np.kron(field, np.eye(2)))
         precisions = np.linalg.inv(np.stack([bare, bare + shears @ shears.T]))
-        (missed,) = _solved(free[None], target, precisions[1])[1]
-        rows = free.reshape(2 * n, -1)
-        determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1] - np.linalg.slogdet(precisions[1])[1]
-        likely.append(np.log(weight) - 0.5 * float(missed + determinants))
-        found.append(precisions)
-    share = np.exp(np.array(likely) - max(likely))
-    return np.einsum("k,kaij->aij", share / share.sum(), np.array(found))
+        logs.append(np.log(weight) - 0.5 * _deviance(free, target, precisions[1]))
+        candidates.append(precisions)
+    shares = np.exp(np.array(logs) - max(logs))
+    return np.einsum("k,kaij->aij", shares / shares.sum(), np.array(candidates))
 
 
-def _toward_one(fine: Floats, rest: Floats, best: int, one: int) -> float:
-    """How far from the best scale towards 1 the marks fit worse by one variance; infinite where they nowhere do."""
+def _deviance(design: Floats, target: Floats, precision: Floats) -> float:
+    """Minus twice the logarithm of the restricted likelihood, but for a constant."""
+    (misfit,) = _solved(design[None], target, precision)[1]
+    rows = design.reshape(2 * len(target), -1)
+    determinants = np.linalg.slogdet(rows.T @ precision @ rows)[1] - np.linalg.slogdet(precision)[1]
+    return float(misfit + determinants)
+
+
+def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[Floats, float]:
+    """Columns (n, 2, p) of the best similarity and of a change of the scale, where it is one; and the misfit left."""
+    parameters, misfit = _solved(designs, target, precision)
+    best = int(np.argmin(misfit))
+    change = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[best]
+    change = change - designs[best] @ _solved(designs[[best]], change, precision)[0][0]
+    length = float(np.linalg.norm(change))
+    free = designs[best]
+    if length > _NOTHING_UM:
+        free = np.concatenate([free, change[..., None] / length], axis=-1)
+    return free, float(misfit[best])
+
+
+def _toward_one(fine: Floats, misfit: Floats, best: int, unscaled: int) -> float:
+    """Distance from the best scale towards 1 at which marks fit worse by one variance; infinite where nowhere."""
     ends = [np.inf, np.inf]
     for k, side in enumerate((slice(best, None), slice(best, None, -1))):
-        s, above = fine[side], rest[side] - rest[best] - 1.0
+        s, above = fine[side], misfit[side] - misfit[best] - 1.0
         if (above > 0).any():
-            at = int(np.argmax(above > 0))
-            ends[k] = float(abs(np.interp(0.0, above[at - 1 : at + 1], s[at - 1 : at + 1]) - fine[best]))
-    return ends[0] if best < one else ends[1] if best > one else max(ends)
+            crossing = int(np.argmax(above > 0))
+            around = slice(crossing - 1, crossing + 1)
+            ends[k] = float(abs(np.interp(0.0, above[around], s[around]) - fine[best]))
+    return ends[0] if best < unscaled else ends[1] if best > unscaled else max(ends)
