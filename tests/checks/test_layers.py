@@ -8,7 +8,7 @@ from scipy import ndimage
 from planish.checks import check_scan
 from planish.checks.blur import blur_check, noise_width
 from planish.checks.dust import find_particles
-from planish.checks.greys import Greys, clipping, clipping_check, steadiness_check, unsteady
+from planish.checks.greys import Greys, clipping, clipping_check, level_jump, steadiness_check
 from planish.checks.sheets import voxels_check
 from planish.checks.windows import window_of
 
@@ -225,7 +225,7 @@ def test_slices_scaled_one_by_one_are_seen():
     right = window_of(values, "y")
     gain = 1 + 0.1 * np.random.default_rng(1).normal(size=len(values))
     wrong = window_of(values * gain[:, None, None], "y")
-    print(f"levels jump by {unsteady(right):.2f} and {unsteady(wrong):.2f} greys of 160")
+    print(f"levels jump by {level_jump(right):.2f} and {level_jump(wrong):.2f} greys of 160")
     assert steadiness_check([right], GREYS).state == "pass"
     check = steadiness_check([right, wrong], GREYS)
     assert check.state == "look"

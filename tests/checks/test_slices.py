@@ -6,7 +6,7 @@ import xarray as xr
 from scipy import ndimage
 
 from planish.checks.slice_checks import slice_checks
-from planish.checks.windows import gather, window_of
+from planish.checks.windows import read_windows, window_of
 
 
 def body(shape=(80, 60, 65), *, seed=0, size=2.5, noise=0.3):
@@ -116,11 +116,11 @@ def test_windows_are_the_same_however_a_volume_is_read():
     """Against plain sums over the same voxels; in pieces, on threads, with chunks."""
     values = np.random.default_rng(0).integers(0, 255, (70, 41, 52)).astype(np.uint8)
     volume = xr.DataArray(values, dims=("z", "y", "x"))
-    whole = gather(volume, through="z", sheet=(4, 65), threads=1).windows
+    whole = read_windows(volume, through="z", sheet=(4, 65), threads=1).windows
     chunked = volume.copy()
     chunked.encoding["chunks"] = (16, 16, 16)
     for asked in (volume, chunked):
-        other = gather(asked, through="z", sheet=(4, 65), threads=3).windows
+        other = read_windows(asked, through="z", sheet=(4, 65), threads=3).windows
         for a, b in zip(whole, other, strict=True):
             np.testing.assert_allclose(a.square, b.square, rtol=1e-5)
             np.testing.assert_allclose(a.product, b.product, rtol=1e-4)

@@ -30,23 +30,22 @@ def exposure_check(values: NDArray[Any]) -> Check:
         the greys next to it: r then sees these pixels as equal, and is too weak. Images of fewer than eight levels
         pass: they show areas.
     """
-    seen = np.asarray(values, dtype=np.float64)
-    seen = seen[np.isfinite(seen)]
-    name = "clipped image"
+    grey = np.asarray(values, dtype=np.float64)
+    grey = grey[np.isfinite(grey)]
     ends = {"low": 0.0, "high": 0.0}
-    if seen.size and np.unique(seen).size >= _LEAST_LEVELS:
-        lowest, highest = float(seen.min()), float(seen.max())
+    if grey.size and np.unique(grey).size >= _LEAST_LEVELS:
+        lowest, highest = float(grey.min()), float(grey.max())
         near = _NEXT * (highest - lowest)
-        for end, at in (("low", lowest), ("high", highest)):
-            share = float(np.mean(seen == at))
-            beside = float(np.mean((seen != at) & (np.abs(seen - at) < near)))
-            ends[end] = share if share > _SPIKE * beside else 0.0
+        for end, end_grey in (("low", lowest), ("high", highest)):
+            share = float(np.mean(grey == end_grey))
+            near_share = float(np.mean((grey != end_grey) & (np.abs(grey - end_grey) < near)))
+            ends[end] = share if share > _SPIKE * near_share else 0.0
     worst = max(ends, key=lambda end: ends[end])
-    what = "bright" if worst == "high" else "dark"
+    tone = "bright" if worst == "high" else "dark"
     cut = ends[worst] > _SHARE
     return Check.at_most(
-        name, ends[worst], look=_SHARE, units="share", figures=(CORRELATION,),
-        sentence=f"{100 * ends[worst]:.2g} % of the image's pixels on the sheet are as {what} as its scale allows."
+        "clipped image", ends[worst], look=_SHARE, units="share", figures=(CORRELATION,),
+        sentence=f"{100 * ends[worst]:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
         if cut else "The image's grey scale does not end within the sheet's greys.",
         advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, "
         "or export it with a wider grey window.",

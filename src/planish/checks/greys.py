@@ -63,52 +63,52 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     """
     # Whole numbers are counted once: a large part of a volume is looked at.
     whole = sample.dtype.kind != "f"
-    values, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
-    if values.size == 0:
+    levels, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
+    if levels.size == 0:
         return 0.0, 0.0, float("nan")
     sign = greys.polarity
-    end = float(values.max() if sign > 0 else values.min())
+    end = float(levels.max() if sign > 0 else levels.min())
     reach = abs(end - greys.air)
     width = reach / _BINS
     if whole:  # a bin holds as many steps of the scale as any other
-        near = values[np.abs(values.astype(np.float64) - end) <= 0.25 * reach]
+        near = levels[np.abs(levels.astype(np.float64) - end) <= 0.25 * reach]
         step = float(np.diff(near.astype(np.float64)).min()) if near.size > 1 else 1.0
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
     # Away from the end; half a step keeps rounding out of the places of the bins.
-    bins = np.floor(sign * (end - values.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
-    some = bins <= _REST[-1]
-    weights = None if counts is None else counts[some]
-    h = np.bincount(bins[some].astype(np.int64), weights, _REST[-1] + 1).astype(np.float64)
+    bins = np.floor(sign * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
+    is_near_end = bins <= _REST[-1]
+    weights = None if counts is None else counts[is_near_end]
+    h = np.bincount(bins[is_near_end].astype(np.int64), weights, _REST[-1] + 1).astype(np.float64)
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as the others.
-    first = float(h[0] if whole else np.count_nonzero(values == end))
+    first = float(h[0] if whole else np.count_nonzero(levels == end))
     k = np.array(_REST, dtype=np.float64)
     x = float(np.exp(np.polyfit(k, np.log(h[1:] + 0.5), 1, w=np.sqrt(h[1:] + 0.5))[1]))
-    return first / (x + 3 * np.sqrt(x) + 1), first / (values.size if counts is None else int(counts.sum())), end
+    return first / (x + 3 * np.sqrt(x) + 1), first / (levels.size if counts is None else int(counts.sum())), end
 
 
 def clipping_check(sample: NDArray[Any], greys: Greys) -> Check:
     """Judge whether the grey scale ends where the sheet's densest layer lies."""
     spike, share, end = clipping(sample, greys)
     name, figures = "clipped grey", _COATINGS if np.isfinite(greys.coating) else (PROPERTIES,)
-    seen = spike > SPIKE and share > SHARE
+    has_spike = spike > SPIKE and share > SHARE
     layer = "coating" if np.isfinite(greys.coating) else "base"
     inside = greys.polarity * (end - greys.densest) < _NEAR * greys.noise + 0.02 * abs(greys.densest - greys.air)
-    what = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
-    if not seen:
+    crowd = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
+    if not has_spike:
         sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
-        return Check(name=name, state="pass", sentence=sentence, value=spike, limit=SPIKE, figures=())
-    if not inside and share < 0.02:
-        sentence = f"{what}, where the scale was cut off; the {layer} lies well inside ({greys.densest:.4g})."
-        return Check(name=name, state="pass", sentence=sentence, value=spike, limit=SPIKE, figures=())
-    return Check(
-        name=name, state="look", value=spike, limit=SPIKE, figures=figures,
-        sentence=f"{what}, where the scale was cut off, and the {layer} lies at {greys.densest:.4g}: its contrast "
-        "is too low, and its face is displaced.",
-        advice="Export the volume with a wider grey window, or as 16 bit.",
-    )  # fmt: skip
+    elif not inside and share < 0.02:
+        sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({greys.densest:.4g})."
+    else:
+        return Check(
+            name=name, state="look", value=spike, limit=SPIKE, figures=figures,
+            sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {greys.densest:.4g}: its "
+            "contrast is too low, and its face is displaced.",
+            advice="Export the volume with a wider grey window, or as 16 bit.",
+        )  # fmt: skip
+    return Check(name=name, state="pass", sentence=sentence, value=spike, limit=SPIKE, figures=())
 
 
-def unsteady(window: Window) -> float:
+def level_jump(window: Window) -> float:
     """Standard deviation of what the levels of single slices jump by, in greys."""
     levels = np.percentile(window.blocks, _LEVELS, axis=1)
     if levels.shape[1] < 8:
@@ -120,9 +120,9 @@ def unsteady(window: Window) -> float:
 def steadiness_check(windows: Iterable[Window], greys: Greys) -> Check:
     """Judge whether all slices have one grey scale."""
     contrast = abs(greys.densest - greys.air)
-    found = {w.axis: unsteady(w) / contrast for w in windows}
-    axis = max(found, key=lambda a: found[a], default="z")
-    jumps = found.get(axis, 0.0)
+    jump_by_axis = {w.axis: level_jump(w) / contrast for w in windows}
+    axis = max(jump_by_axis, key=lambda a: jump_by_axis[a], default="z")
+    jumps = jump_by_axis.get(axis, 0.0)
     return Check.at_most(
         "grey of the slices", jumps, look=UNSTEADY, figures=(PROPERTIES,),
         sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jumps:.1f} % of the contrast between "

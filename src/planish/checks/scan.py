@@ -11,7 +11,7 @@ from planish.checks.greys import Greys, clipping_check, steadiness_check
 from planish.checks.shading import shading_check
 from planish.checks.sheets import core_places, layers_check, voxels_check
 from planish.checks.slice_checks import slice_checks
-from planish.checks.windows import gather
+from planish.checks.windows import read_windows
 from planish.core.checks import Check
 from planish.core.frame import Axis, Frame
 
@@ -37,28 +37,26 @@ def check_scan(
     """
     frame = Frame.of(measured)
     every: tuple[Axis, ...] = ("z", "y", "x")
-    made = every if labels else every[:1] if sections else ()
+    assembled = every if labels else every[:1] if sections else ()
     air = 0.0 if labels else float(measured.attrs["grey_air"])
     core = None if labels else core_places(volume, measured)
-    found = gather(
+    reading = read_windows(
         volume, through=frame.through, sheet=_reach(volume, measured, frame),
         points=None if core is None else core.points, missing=air, threads=threads,
     )  # fmt: skip
     voxels = voxels_check(volume, measured)
-    checks = [*slice_checks(found.windows, through=frame.through, made=made)]
+    checks: list[Check | None] = [*slice_checks(reading.windows, through=frame.through, assembled=assembled)]
     if core is not None:
         greys = Greys.of(measured)
         checks += [
-            clipping_check(found.sample, greys),
-            steadiness_check([w for w in found.windows if w.axis not in (*made, frame.through)], greys),
-            shading_check(core, found.grey, greys, through=frame.through),
-            layers_check(core, found.grey, greys, resolved=voxels.state == "pass"),
+            clipping_check(reading.sample, greys),
+            steadiness_check([w for w in reading.windows if w.axis not in (*assembled, frame.through)], greys),
+            shading_check(core, reading.grey, greys, through=frame.through),
+            layers_check(core, reading.grey, greys, resolved=voxels.state == "pass"),
+            blur_check(volume, measured),
         ]
-        blur = blur_check(volume, measured)
-        checks += [] if blur is None else [blur]
-    checks.append(voxels)
-    checks += [check for side in ("top", "bottom") if (check := dust_check(measured, side)) is not None]
-    return tuple(checks)
+    checks += [voxels, *(dust_check(measured, side) for side in ("top", "bottom"))]
+    return tuple(check for check in checks if check is not None)
 
 
 def _reach(volume: xr.DataArray, measured: xr.Dataset, frame: Frame) -> tuple[int, int]:
@@ -67,4 +65,4 @@ def _reach(volume: xr.DataArray, measured: xr.Dataset, frame: Frame) -> tuple[in
     faces = np.stack([measured["top"].values, measured["bottom"].values])
     low, high = np.nanmin(faces), np.nanmax(faces)
     last = heights.size - 1
-    return tuple(int(np.clip(np.searchsorted(heights, v), 0, last)) for v in (low, high))  # pyright: ignore[reportReturnType]
+    return tuple(int(np.clip(np.searchsorted(heights, height), 0, last)) for height in (low, high))  # pyright: ignore[reportReturnType]

@@ -22,18 +22,18 @@ def shading_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, throug
     tiles' grey.
     """
     name, contrast = "grey across the sheet", abs(greys.base - greys.air)
-    values = np.where(core.known[..., None], grey.reshape(core.shape), np.nan)
+    grey_in_tiles = np.where(core.is_base[..., None], grey.reshape(core.shape), np.nan)
     points = core.points.reshape(*core.shape, 3)
-    tiles = np.any(np.isfinite(values).all(axis=2), axis=1)
+    tiles = np.any(np.isfinite(grey_in_tiles).all(axis=2), axis=1)
     if np.count_nonzero(tiles) < _LEAST_TILES or not contrast > 0:
         sentence = f"The base is seen in {np.count_nonzero(tiles)} tiles only, too few to follow its grey."
         return Check(name=name, state="unknown", sentence=sentence, figures=(PROPERTIES,))
-    level = np.nanmedian(values[tiles], axis=(1, 2))
+    level = np.nanmedian(grey_in_tiles[tiles], axis=(1, 2))
     share, limit, along = 0.0, SHADED, ""
     for k, axis in enumerate("zyx"):
         if axis == through:
             continue
-        place = np.nanmean(np.where(core.known[tiles], points[tiles, :, 0, k], np.nan), axis=1)
+        place = np.nanmean(np.where(core.is_base[tiles], points[tiles, :, 0, k], np.nan), axis=1)
         if np.unique(place).size < _LEAST_PLACES:
             continue
         fit = np.polynomial.Polynomial.fit(place, level, 2)

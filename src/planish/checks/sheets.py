@@ -13,8 +13,7 @@ from planish.checks.greys import Greys
 from planish.core.checks import POSITION, PROPERTIES, Check
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-
-Array = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
 
 BRIGHT, DARK = 0.5, 0.6  # of coating - base, of base - air
 BRIGHT_SHARE, DARK_SHARE = 0.10, 0.02  # of the tiles
@@ -39,26 +38,16 @@ class Core:
     # (tiles * columns * depths, 3): voxels z, y, x; (0, 0, 0) in columns without a base
     points: NDArray[np.signedinteger[Any]]
     shape: tuple[int, int, int]  # tiles, columns, depths
-    known: NDArray[np.bool_]  # (tiles, columns)
+    is_base: Bools  # (tiles, columns)
 
 
 def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
-    """Voxels between the interfaces, or between the faces where a side has no coating."""
+    """Choose voxels between the interfaces, or between the faces where a side has no coating."""
     frame = Frame.of(measured)
-    faces = [measured[k].values.astype(np.float64) for k in ("interface_top", "interface_bottom", "top", "bottom")]
-    good = measured["status"].values == 0
-    high, low = (np.where(np.isfinite(a), a, b) if np.isfinite(a[good]).any() else b
-                 for a, b in ((faces[0], faces[2]), (faces[1], faces[3])))  # fmt: skip
-    good &= np.isfinite(high) & np.isfinite(low)
-    edges = [max(round(_TILE_UM / p), 1) for p in pitch(measured)]
-    counts = [max(n // e, 1) for n, e in zip(good.shape, edges, strict=True)]
-    rows, cols = (_of_tiles(n, e, c) for n, e, c in zip(good.shape, edges, counts, strict=True))
-    tiles = np.stack(np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij"), axis=-1).reshape(-1, 2)
-    tiles = tiles[:: max(-(-len(tiles) // _TILES), 1)]
-    r = np.repeat(rows[tiles[:, 0]], cols.shape[1], axis=1)
-    c = np.tile(cols[tiles[:, 1]], rows.shape[1])
-    voxel = [float(v) for v in volume.attrs["voxel_um"]]
-    along = voxel["zyx".index(frame.through)]
+    high, low = (_base_end(measured, side) for side in ("top", "bottom"))
+    good = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
+    r, c = _tile_columns(good.shape, pitch(measured))
+    along = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
     thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
     margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
     depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
@@ -70,11 +59,28 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     points[..., axis[frame.cols]] = _voxel(measured, volume, "x", frame.cols)[c][..., None]
     above, below = high[r, c], low[r, c]
     for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
-        at = np.rint((np.nan_to_num(above * (1 - share) + below * share) - heights[0]) / along).astype(np.int32)
-        points[..., k, axis[frame.through]] = np.clip(at, 0, heights.size - 1)
-    known = good[r, c]
-    points[~known] = 0
-    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), known=known)
+        index = np.rint((np.nan_to_num(above * (1 - share) + below * share) - heights[0]) / along).astype(np.int32)
+        points[..., k, axis[frame.through]] = np.clip(index, 0, heights.size - 1)
+    is_base = good[r, c]
+    points[~is_base] = 0
+    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)
+
+
+def _base_end(measured: xr.Dataset, side: str) -> Floats:
+    """Give the height of the interface of a side; of its face where the interface is missing."""
+    interface, face = (measured[name].values.astype(np.float64) for name in (f"interface_{side}", side))
+    is_coated = np.isfinite(interface[measured["status"].values == 0]).any()
+    return np.where(np.isfinite(interface), interface, face) if is_coated else face
+
+
+def _tile_columns(shape: tuple[int, ...], pitch_um: tuple[float, float]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
+    edges = [max(round(_TILE_UM / p), 1) for p in pitch_um]
+    counts = [max(n // e, 1) for n, e in zip(shape, edges, strict=True)]
+    rows, cols = (_of_tiles(n, e, c) for n, e, c in zip(shape, edges, counts, strict=True))
+    tiles = np.stack(np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij"), axis=-1).reshape(-1, 2)
+    tiles = tiles[:: max(-(-len(tiles) // _TILES), 1)]
+    return np.repeat(rows[tiles[:, 0]], cols.shape[1], axis=1), np.tile(cols[tiles[:, 1]], rows.shape[1])
 
 
 def _of_tiles(n: int, edge: int, count: int) -> NDArray[np.intp]:
@@ -101,12 +107,11 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolve
             name="one sheet", state="unknown", figures=_SHEET,
             sentence="There are too few voxels across the sheet to tell one sheet from two.",
         )  # fmt: skip
-    profiles = np.where(core.known[..., None], grey.reshape(core.shape), np.float32(np.nan))
+    profiles = np.where(core.is_base[..., None], grey.reshape(core.shape), np.float32(np.nan))
     enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, _LEAST_SHARE * core.shape[1])
-    name = "one sheet"
     if np.count_nonzero(enough) < _LEAST_TILES:
         return Check(
-            name=name, state="unknown", figures=_SHEET,
+            name="one sheet", state="unknown", figures=_SHEET,
             sentence=f"The base is seen in {np.count_nonzero(enough)} tiles of {_TILE_UM:g} um only, too few to tell "
             "one sheet from two.",
         )  # fmt: skip
@@ -124,13 +129,13 @@ def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolve
     bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > BRIGHT))
     if bright > BRIGHT_SHARE:
         return Check(
-            name=name, state="fail", value=bright, limit=BRIGHT_SHARE, units="share", figures=_SHEET,
+            name="one sheet", state="fail", value=bright, limit=BRIGHT_SHARE, units="share", figures=_SHEET,
             sentence=f"In {100 * bright:.0f} % of the sheet something as dense as a coating lies in the middle of the "
             "base: a second sheet lies on the first.",
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
     return Check.at_most(
-        name, dark, fail=DARK_SHARE, units="share", figures=_SHEET,
+        "one sheet", dark, fail=DARK_SHARE, units="share", figures=_SHEET,
         sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base"
         + (": it is split, or two sheets lie on each other." if dark > DARK_SHARE else ", and nowhere a second sheet."),
         advice="Look at the slices. Crop the volume to one sheet that is whole.",

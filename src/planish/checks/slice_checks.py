@@ -20,8 +20,8 @@ _ADVICE = {
 }
 
 
-def slice_checks(windows: Iterable[Window], *, through: Axis, made: Collection[Axis] = ()) -> tuple[Check, ...]:
-    """Judge the slices along every axis; those along the axes ``made`` were put together by planish, or are labels.
+def slice_checks(windows: Iterable[Window], *, through: Axis, assembled: Collection[Axis] = ()) -> tuple[Check, ...]:
+    """Judge the slices along every axis; those along ``assembled`` axes were put together by planish, or are labels.
 
     Returns
     -------
@@ -30,7 +30,8 @@ def slice_checks(windows: Iterable[Window], *, through: Axis, made: Collection[A
         foreign, empty or missing. ``value`` is the number of slices, or breaks, that are concerned.
     """
     return tuple(
-        axis_check(w.axis, find_faults(w, made=w.axis in made), slices=len(w.blocks), through=through) for w in windows
+        axis_check(w.axis, find_faults(w, assembled=w.axis in assembled), slices=len(w.blocks), through=through)
+        for w in windows
     )
 
 
@@ -44,13 +45,13 @@ def axis_check(axis: Axis, faults: Sequence[Fault], *, slices: int, through: Axi
         )  # fmt: skip
     kinds = {f.kind for f in faults}
     order = [f for f in faults if f.kind in ("exchanged", "moved")]
-    named = order or faults
-    sentences = [_sentence(f, axis) for f in named[:_NAMED]]
-    if len(named) > _NAMED:
-        sentences.append(f"{len(named) - _NAMED} more such places.")
-    if len(named) < len(faults):
-        others = len(faults) - len(named)
-        sentences.append(f"{others} other {'fault' if others == 1 else 'faults'} along the same axis.")
+    listed = order or faults
+    sentences = [_sentence(f, axis) for f in listed[:_NAMED]]
+    if len(listed) > _NAMED:
+        sentences.append(f"{len(listed) - _NAMED} more such places.")
+    if len(listed) < len(faults):
+        unlisted = len(faults) - len(listed)
+        sentences.append(f"{unlisted} other {'fault' if unlisted == 1 else 'faults'} along the same axis.")
     figures = {CORRELATION}
     if order or axis == through or kinds & {"filled", "foreign", "empty"}:
         figures.add(PROPERTIES)

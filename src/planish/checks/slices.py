@@ -13,18 +13,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.checks.windows import Window
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "jump"]
 
 # Largest values on some 80 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24, .82.
 ALIKE, FILLED, EXCHANGED, FOREIGN, JUMP = 1.0, 2.0, 1.2, 2.0, 0.9
 _SIGMA = 4.0  # standard errors by which a statistic stands out as well: matters where a window is small
-_SAME_GREYS, _HIGH = (
-    (0.3, 0.5),
-    1.2,
-)  # of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault
+# Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault.
+_SAME_GREYS, _HIGH = (0.3, 0.5), 1.2
 _EMPTY, _FULL = 0.05, 0.5  # of the usual spread of a slice's greys: it shows next to nothing; it shows the body
 _COPY = 0.5  # of the difference of neighbours: that of a slice and its copy with noise of its own
 _BACK, _FAR = 0.25, 64  # rise of ln d1 above its median at a jump that may lead back, by so many slices at most
@@ -53,10 +50,10 @@ class Fault:
         return self.last - self.first + 1
 
 
-def find_faults(window: Window, *, made: bool = False) -> list[Fault]:
+def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
 
-    ``made``: slices were put together from others, or are labels; only their order is looked at, whatever the grey
+    ``assembled``: slices were put together from others, or are labels; only their order is looked at, whatever the grey
     scale of each.
 
     Notes
@@ -64,19 +61,19 @@ def find_faults(window: Window, *, made: bool = False) -> list[Fault]:
     Nothing is found at either end, nor a missing slice where the body hardly changes along the axis, or
     in strong noise.
     """
-    stack = _Stack.of(window, even=made)
+    stack = _Stack.of(window, standardised=assembled)
     if stack is None or np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
-    order = (_foreign, _exchanged, _jumps)
-    for find in order if made else (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps):
+    steps = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
+    for find in (_foreign, _exchanged, _jumps) if assembled else steps:
         for fault in find(stack):
-            stack.found.append(fault)
+            stack.faults.append(fault)
             stack.good[max(fault.first - 1, 0) : fault.last + 2] = False
-        if made:  # between sections there are gaps, which are known
-            stack.found = [f for f in stack.found if f.kind != "jump"]
+        if assembled:  # between sections there are gaps, which are known
+            stack.faults = [f for f in stack.faults if f.kind != "jump"]
     n = window.first + stack.first
     moved = [replace(f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n)
-             for f in stack.found]  # fmt: skip
+             for f in stack.faults]  # fmt: skip
     return sorted(moved, key=lambda f: f.first)
 
 
@@ -85,67 +82,67 @@ class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
     s: NDArray[Any]  # (slices, blocks)
-    square: Array
-    product: Array
+    square: Floats
+    product: Floats
     first: int
-    shows: Mask  # whether a slice shows anything
-    good: Mask  # whether it does, and neither it nor a neighbour has a fault that was found
-    spread: Array
-    d1: Array
-    d2: Array
-    found: list[Fault]
+    shows: Bools  # whether a slice shows anything
+    good: Bools  # whether it does, and neither it nor a neighbour has a fault that was found
+    spread: Floats
+    d1: Floats
+    d2: Floats
+    faults: list[Fault]
 
     @classmethod
-    def of(cls, window: Window, *, even: bool) -> _Stack | None:
+    def of(cls, window: Window, *, standardised: bool) -> _Stack | None:
         # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
         spread = np.array([row.std(dtype=np.float64) for row in window.blocks])
         if not spread.any():
             return None
         shows = spread > _EMPTY * float(np.median(spread[spread > 0]))
-        at = np.flatnonzero(shows)
-        if at.size < _LEAST:
+        visible = np.flatnonzero(shows)
+        if visible.size < _LEAST:
             return None
-        a, b = int(at[0]), int(at[-1]) + 1
+        a, b = int(visible[0]), int(visible[-1]) + 1
         s: NDArray[Any] = window.blocks[a:b]
-        if even:
+        if standardised:
             s = s.astype(np.float64)
             s = (s - s.mean(axis=1, keepdims=True)) / np.maximum(s.std(axis=1, keepdims=True), 1e-300)
         return cls(
             s=s, square=window.square[a : b - 1], product=window.product[a : b - 2], first=a, shows=shows[a:b],
-            good=shows[a:b].copy(), spread=spread[a:b], d1=_differences(s, 1), d2=_differences(s, 2), found=[],
+            good=shows[a:b].copy(), spread=spread[a:b], d1=_differences(s, 1), d2=_differences(s, 2), faults=[],
         )  # fmt: skip
 
     def usual(self, k: int) -> float:
-        """How much neighbours around slice ``k`` differ."""
+        """Give the usual difference of neighbours around slice ``k``."""
         return float(np.median(self.d1[max(k - 5, 0) : k + 6]))
 
-    def away(self, k: int) -> Array:
-        """How much every slice differs from slice ``k``."""
-        return np.array([_square(_apart(a, self.s[k])) for a in self.s])
+    def away(self, k: int) -> Floats:
+        """Give the difference of every slice from slice ``k``."""
+        return np.array([_square(_difference(a, self.s[k])) for a in self.s])
 
-    def scatter(self, k: NDArray[np.intp]) -> Array:
+    def scatter(self, k: NDArray[np.intp]) -> Floats:
         """Relative standard error of ``d1`` at ``k``."""
-        fourth = np.array([_square(_apart(self.s[i + 1], self.s[i]) ** 2) for i in k])
+        fourth = np.array([_square(_difference(self.s[i + 1], self.s[i]) ** 2) for i in k])
         return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
 
 
-def _differences(s: NDArray[Any], lag: int) -> Array:
+def _differences(s: NDArray[Any], lag: int) -> Floats:
     """Mean squared difference of slices k and k + lag."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
-    return np.array([_square(_apart(a, b)) for a, b in zip(s[lag:], s[:-lag], strict=True)])
+    return np.array([_square(_difference(a, b)) for a, b in zip(s[lag:], s[:-lag], strict=True)])
 
 
-def _apart(a: NDArray[Any], b: NDArray[Any]) -> Array:
-    """The difference of two slices in double precision; they are stored in single."""
+def _difference(a: NDArray[Any], b: NDArray[Any]) -> Floats:
+    """Subtract two slices in double precision; they are stored in single."""
     return np.subtract(a, b, dtype=np.float64)
 
 
-def _square(d: Array) -> float:
+def _square(d: Floats) -> float:
     return float(np.vdot(d, d)) / d.size
 
 
-def _log(values: Array) -> Array:
-    return np.log(np.maximum(values, 1e-300))
+def _log(differences: Floats) -> Floats:
+    return np.log(np.maximum(differences, 1e-300))
 
 
 def _empty(t: _Stack) -> list[Fault]:
@@ -161,42 +158,42 @@ def _empty(t: _Stack) -> list[Fault]:
 
 def _foreign(t: _Stack) -> list[Fault]:
     """Slices unlike both neighbours, which are like each other."""
-    k = np.arange(1, t.d1.size)
-    ratio = np.minimum(t.d1[k - 1], t.d1[k]) / np.maximum(t.d2[k - 1], 1e-300)
-    found: list[Fault] = []
-    for at in k[(ratio > FOREIGN) & t.good[k - 1] & t.good[k] & t.good[k + 1]]:
-        away = t.away(int(at))
-        away[max(at - 2, 0) : at + 3] = np.inf
+    indices = np.arange(1, t.d1.size)
+    ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
+    faults: list[Fault] = []
+    for k in indices[(ratio > FOREIGN) & t.good[indices - 1] & t.good[indices] & t.good[indices + 1]]:
+        away = t.away(int(k))
+        away[max(k - 2, 0) : k + 3] = np.inf
         other = int(away.argmin())
-        if away[other] == 0 and any(f.first == other for f in found):
+        if away[other] == 0 and any(f.first == other for f in faults):
             continue
         if away[other] == 0:
-            found.append(Fault(kind="repeated", first=int(at), last=int(at), other=other))
+            faults.append(Fault(kind="repeated", first=int(k), last=int(k), other=other))
         elif away[other] < _FITS * t.usual(other):
-            found.append(Fault(kind="moved", first=int(at), last=int(at), other=other))
+            faults.append(Fault(kind="moved", first=int(k), last=int(k), other=other))
         else:
-            found.append(Fault(kind="foreign", first=int(at), last=int(at)))
-    return found
+            faults.append(Fault(kind="foreign", first=int(k), last=int(k)))
+    return faults
 
 
 def _copies(t: _Stack) -> list[Fault]:
     """Slices of which every block mean is that of an earlier one; neighbours at the same distance are one fault."""
-    known = {k for f in t.found if f.kind == "repeated" for k in (f.first, f.other)}
-    seen: dict[bytes, int] = {}
+    copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
+    first_indices: dict[bytes, int] = {}
     lag = np.zeros(len(t.s) + 1, np.int64)
     for k in np.flatnonzero(t.shows):
-        if k not in known:
-            lag[k] = k - seen.setdefault(t.s[k].tobytes(), int(k))
-    found: list[Fault] = []
+        if k not in copied:
+            lag[k] = k - first_indices.setdefault(t.s[k].tobytes(), int(k))
+    faults: list[Fault] = []
     k = 0
     while k < len(t.s):
         last = k
         if lag[k]:
             while lag[last + 1] and (k - lag[k] == last + 1 - lag[last + 1] or lag[last + 1] == lag[k]):
                 last += 1
-            found.append(Fault(kind="repeated", first=k, last=last, other=k - int(lag[k])))
+            faults.append(Fault(kind="repeated", first=k, last=last, other=k - int(lag[k])))
         k = last + 1
-    return found
+    return faults
 
 
 def _exchanged(t: _Stack) -> list[Fault]:
@@ -207,37 +204,37 @@ def _exchanged(t: _Stack) -> list[Fault]:
     hit = ratio > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
     d3 = _differences(t.s, 3)
-    between, apart = t.d1[1 : d3.size + 1], np.maximum(np.maximum(t.d1[: d3.size], t.d1[2 : d3.size + 2]), d3)
-    pairs = np.flatnonzero(between > limit[: d3.size] * apart)
+    between, outer = t.d1[1 : d3.size + 1], np.maximum(np.maximum(t.d1[: d3.size], t.d1[2 : d3.size + 2]), d3)
+    pairs = np.flatnonzero(between > limit[: d3.size] * outer)
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     hit |= np.isin(k, pairs) | np.isin(k, pairs + 2)
-    found: list[Fault] = []
-    for at in k[hit & _all(t.good, k, -1, 2)]:
-        if not found or at > found[-1].last:
-            found.append(Fault(kind="exchanged", first=int(at), last=int(at) + 1))
-    return found
+    faults: list[Fault] = []
+    for first in k[hit & _all(t.good, k, -1, 2)]:
+        if not faults or first > faults[-1].last:
+            faults.append(Fault(kind="exchanged", first=int(first), last=int(first) + 1))
+    return faults
 
 
-def _all(good: Mask, k: NDArray[np.intp], low: int, high: int) -> Mask:
-    """Whether slices ``k + low`` to ``k + high`` are all good."""
+def _all(good: Bools, k: NDArray[np.intp], low: int, high: int) -> Bools:
+    """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
     return np.logical_and.reduce([good[k + i] for i in range(low, high + 1)])
 
 
-def _dips(values: Array, good: Mask, slices: int, depth: float) -> list[tuple[int, int]]:
-    """Runs of values that lie by ``depth`` below their neighbours and the median around; each is of so many slices."""
-    found: list[tuple[int, int]] = []
+def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
+    """Runs of a curve that lie by ``depth`` below their neighbours and the median around; each is of so many slices."""
+    dips: list[tuple[int, int]] = []
     k = 1
-    while k < values.size - 1:
-        for last in range(k, min(k + _RUN, values.size - 1)):
-            limit = values[k : last + 1].max() + depth
-            if min(values[k - 1], values[last + 1]) > limit and np.median(values[max(k - 12, 0) : last + 13]) > limit:
+    while k < curve.size - 1:
+        for last in range(k, min(k + _RUN, curve.size - 1)):
+            limit = curve[k : last + 1].max() + depth
+            if min(curve[k - 1], curve[last + 1]) > limit and np.median(curve[max(k - 12, 0) : last + 13]) > limit:
                 if not good[k - 1 : last + 1 + slices].all():
                     continue
-                found.append((k, last))
+                dips.append((k, last))
                 k = last
                 break
         k += 1
-    return found
+    return dips
 
 
 def _near_copies(t: _Stack) -> list[Fault]:
@@ -252,28 +249,28 @@ def _filled(t: _Stack) -> list[Fault]:
     return [
         Fault(kind="filled", first=a + 1, last=b + 1)
         for a, b in _dips(_log(bend), t.good, 3, FILLED)
-        if float((_apart(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a)  # otherwise all of them are copies
+        if float((_difference(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a)  # otherwise all of them are copies
     ]
 
 
 def _far_copies(t: _Stack) -> list[Fault]:
     """Blocks of slices that were there before, with noise or compression of their own: a jump leads back to them."""
     log, n = _log(t.d1), len(t.s)
-    found: list[Fault] = []
+    faults: list[Fault] = []
     for k in range(2, n - 1):
         back = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
         if back < _BACK or not t.good[k - 1 : k + 1].all():
             continue
         low = max(k - _FAR, 0)
-        away = np.array([_square(_apart(a, t.s[k])) for a in t.s[low : k - 1]])
-        at = int(away.argmin()) + low
-        usual = min(t.usual(k - 1), t.usual(at))
+        away = np.array([_square(_difference(a, t.s[k])) for a in t.s[low : k - 1]])
+        source = int(away.argmin()) + low
+        usual = min(t.usual(k - 1), t.usual(source))
         if away.min() < _COPY * usual:
-            same = _differences(t.s[at : k + _FAR], k - at) < _COPY * usual
+            same = _differences(t.s[source : k + _FAR], k - source) < _COPY * usual
             last = k + int(np.argmin(np.append(same, False))) - 1
-            found.append(Fault(kind="repeated", first=k, last=last, other=at))
+            faults.append(Fault(kind="repeated", first=k, last=last, other=source))
             t.good[k - 1 : last + 2] = False
-    return found
+    return faults
 
 
 def _jumps(t: _Stack) -> list[Fault]:
@@ -282,31 +279,31 @@ def _jumps(t: _Stack) -> list[Fault]:
     k = np.arange(1, t.d1.size - 1)
     limit = np.maximum(JUMP, _SIGMA * t.scatter(k))
     hit = (log[k] - np.maximum(log[k - 1], log[k + 1]) > limit) & _all(t.good, k, -1, 2)
-    found: list[Fault] = []
-    for at in k[hit]:
-        a, b = (t.s[k].astype(np.float64) for k in (at, at + 1))
-        high = log[at] - max(log[at - 1], log[at + 1]) > _HIGH
-        if t.good[at] and _square(np.sort(a) - np.sort(b)) < _SAME_GREYS[int(high)] * t.d1[at]:
-            found.append(_jump(t, int(at)))
-            t.good[found[-1].first : found[-1].last + 1] = False
-    return found
+    faults: list[Fault] = []
+    for index in k[hit]:
+        a, b = (t.s[k].astype(np.float64) for k in (index, index + 1))
+        high = log[index] - max(log[index - 1], log[index + 1]) > _HIGH
+        if t.good[index] and _square(np.sort(a) - np.sort(b)) < _SAME_GREYS[int(high)] * t.d1[index]:
+            faults.append(_jump(t, int(index)))
+            t.good[faults[-1].first : faults[-1].last + 1] = False
+    return faults
 
 
 def _jump(t: _Stack, k: int) -> Fault:
-    """What the jump between slices k and k + 1 is: whether either of them fits elsewhere, or what is missing."""
+    """Name the fault at a jump between slices k and k + 1: one of them fits elsewhere, or slices are missing."""
     usual = t.usual(k)
     back, onward = t.away(k + 1), t.away(k)
     back[k : k + 4] = onward[max(k - 2, 0) : k + 2] = np.inf
-    at, other = int(back.argmin()), int(onward.argmin())
+    back_fit, onward_fit = int(back.argmin()), int(onward.argmin())
     far = 0.6 * t.d1[k]
-    fits = at if back[at] < onward[other] else other
-    if min(back[at], onward[other]) < min(_FITS * min(usual, t.usual(fits)), far) and _breaks(t.d1, fits):
+    fits = back_fit if back[back_fit] < onward[onward_fit] else onward_fit
+    if min(back[back_fit], onward[onward_fit]) < min(_FITS * min(usual, t.usual(fits)), far) and _breaks(t.d1, fits):
         return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
     return Fault(kind="jump", first=k, last=k + 1, steps=_steps(t.s, k, float(t.d1[k])))
 
 
-def _breaks(d1: Array, k: int) -> bool:
-    """Whether slice ``k`` is at an end of the stack or does not continue a neighbour of its own."""
+def _breaks(d1: Floats, k: int) -> bool:
+    """Tell if slice ``k`` is at an end of the stack or does not continue a neighbour of its own."""
     if k in (0, d1.size):
         return True
     near = d1[max(k - 4, 0) : k + 4]

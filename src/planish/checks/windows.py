@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from planish.checks import _kernels
 from planish.core.frame import Axis
 from planish.core.threads import map_threads
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
 Index = NDArray[np.intp]
 Places = NDArray[np.signedinteger[Any]]
-Sums = tuple[Array, Array, NDArray[np.float32]]
+Sums = tuple[Floats, Floats, NDArray[np.float32]]
 
 BLOCK = 5  # voxels along the edge of a block mean
 _COLUMNS = 90_000  # voxels of a slice that are looked at
@@ -45,32 +45,32 @@ class Window:
 
     axis: Axis
     first: int
-    square: Array
-    product: Array
+    square: Floats
+    product: Floats
     blocks: NDArray[np.float32]
 
 
-def window_of(values: NDArray[Any], axis: Axis = "z", first: int = 0) -> Window:
+def window_of(slices: NDArray[Any], axis: Axis = "z", first: int = 0) -> Window:
     """Sum up slices that are in memory, (slices, rows, cols)."""
-    part = np.ascontiguousarray(values, dtype=np.float32)
+    part = np.ascontiguousarray(slices, dtype=np.float32)
     sums = _sums(part)
     voxels = part.shape[1] * part.shape[2]
     return Window(axis=axis, first=first, square=sums[0] / voxels, product=sums[1] / voxels, blocks=sums[2])
 
 
-class Gathered(NamedTuple):
-    """What one pass over the windows gave."""
+class WindowReading(NamedTuple):
+    """Sums and greys that one pass over the windows gave."""
 
     windows: tuple[Window, ...]
     sample: NDArray[Any]  # greys as stored, of a part of the voxels around the sheet
     grey: NDArray[np.float32]  # (points,): at the places asked for, NaN for those outside of all windows
 
 
-def gather(
+def read_windows(
     volume: xr.DataArray, *, through: Axis, sheet: tuple[int, int], points: Places | None = None, missing: float = 0.0,
     threads: int | None = None,
-) -> Gathered:  # fmt: skip
-    """Look at a volume along its three axes.
+) -> WindowReading:  # fmt: skip
+    """Read a window along each of a volume's three axes.
 
     Parameters
     ----------
@@ -90,75 +90,75 @@ def gather(
     axes: tuple[Axis, ...] = ("z", "y", "x")
     places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}
     points = np.empty((0, 3), np.int32) if points is None else points
-    taken = _taken(points, places)
+    window_number = _window_numbers(points, places)
     reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
 
     def read(piece: slice) -> list[_Part | None]:
-        found: list[_Part | None] = []
-        for axis in axes:
-            place = places[axis]
-            inside = slice(max(piece.start, place["z"].start), min(piece.stop, place["z"].stop))
-            if inside.stop <= inside.start:
-                found.append(None)
-                continue
-            chosen = (taken == axes.index(axis)) & (points[:, 0] >= inside.start) & (points[:, 0] < inside.stop)
-            # Pairs across the border between two pieces belong to the second one.
-            before = min(2, inside.start - place["z"].start) if axis == "z" else 0
-            whole = place | {"z": slice(inside.start - before, inside.stop)}
-            parts: list[_Part] = []
-            tail: NDArray[Any] | None = None
-            for cut in [whole[axis]] if axis == "z" else _cuts(volume, whole, axis):
-                raw = np.asarray(volume.isel(whole | {axis: cut}).values)
-                k = axes.index(axis)
-                which = np.flatnonzero(chosen & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
-                first = [(cut if name == axis else whole[name]).start for name in axes]
-                z, y, x = (points[which] - first).T
-                grey = raw[z, y, x].astype(np.float32)
-                sample = raw[::_EVERY, ::_EVERY, ::_EVERY].ravel() if axis != through else raw[:0].ravel()
-                if tail is not None:
-                    before = tail.shape[k]
-                    raw = np.concatenate([tail, raw], axis=k)
-                parts.append(_Part(_part_sums(raw, axis, before, missing), sample, which, grey))
-                tail = raw.take(range(max(raw.shape[k] - 2, 0), raw.shape[k]), axis=k)
-            found.append(_Part.joined(parts))
-        return found
+        return [
+            _read_part(volume, axis, places[axis], piece, points, window_number == k, missing, sampled=axis != through)
+            for k, axis in enumerate(axes)
+        ]
 
     pieces = map_threads(read, _pieces(volume, places, reach), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[NDArray[Any]] = []
     sums: list[list[Sums]] = [[] for _ in axes]
     while pieces:  # a piece goes as soon as it is used
-        for known, one in zip(sums, pieces.pop(0), strict=True):
-            if one is not None:
-                known.append(one.sums)
-                samples.append(one.sample)
-                grey[one.which] = one.grey
+        for axis_sums, part in zip(sums, pieces.pop(0), strict=True):
+            if part is not None:
+                axis_sums.append(part.sums)
+                samples.append(part.sample)
+                grey[part.indices] = part.grey
     sample = np.concatenate(samples)
     samples.clear()
-    windows = tuple(_joined(axis, places[axis], known) for axis, known in zip(axes, sums, strict=True))
-    return Gathered(windows=windows, sample=sample, grey=grey)
+    windows = tuple(_joined(axis, places[axis], axis_sums) for axis, axis_sums in zip(axes, sums, strict=True))
+    return WindowReading(windows=windows, sample=sample, grey=grey)
 
 
 class _Part(NamedTuple):
-    """What is kept of a part of a window: sums, some greys, and the greys of the points ``which``."""
+    """Part of a window: its sums, some of its greys, and the greys of the points ``indices``."""
 
     sums: Sums
     sample: NDArray[Any]
-    which: Index
+    indices: Index
     grey: NDArray[np.float32]
 
-    @classmethod
-    def joined(cls, parts: list[_Part]) -> _Part:
-        """Parts that follow each other along the axis of their window."""
-        if len(parts) == 1:
-            return parts[0]
-        square, product, blocks = zip(*(part.sums for part in parts), strict=True)
-        return cls(
-            sums=(np.concatenate(square), np.concatenate(product), np.concatenate(blocks)),
-            sample=np.concatenate([part.sample for part in parts]),
-            which=np.concatenate([part.which for part in parts]),
-            grey=np.concatenate([part.grey for part in parts]),
-        )
+
+def _read_part(
+    volume: xr.DataArray, axis: Axis, place: dict[str, slice], piece: slice, points: Places, wanted: Bools,
+    missing: float, *, sampled: bool,
+) -> _Part | None:  # fmt: skip
+    """Read the slices ``piece`` along z of a window at ``place``; None where they lie outside of it."""
+    start, stop = max(piece.start, place["z"].start), min(piece.stop, place["z"].stop)
+    if stop <= start:
+        return None
+    wanted = wanted & (points[:, 0] >= start) & (points[:, 0] < stop)
+    # Pairs across the border between two pieces belong to the second one.
+    before = min(2, start - place["z"].start) if axis == "z" else 0
+    whole = place | {"z": slice(start - before, stop)}
+    k = "zyx".index(axis)
+    parts: list[_Part] = []
+    tail: NDArray[Any] | None = None
+    for cut in [whole[axis]] if axis == "z" else _cuts(volume, whole, axis):
+        box = whole | {axis: cut}
+        raw = np.asarray(volume.isel(box).values)
+        indices = np.flatnonzero(wanted & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
+        z, y, x = (points[indices] - [box[name].start for name in "zyx"]).T
+        grey = raw[z, y, x].astype(np.float32)
+        sample = raw[::_EVERY, ::_EVERY, ::_EVERY].ravel() if sampled else raw[:0].ravel()
+        if tail is not None:
+            before = tail.shape[k]
+            raw = np.concatenate([tail, raw], axis=k)
+        parts.append(_Part(_part_sums(raw, axis, before, missing), sample, indices, grey))
+        tail = raw.take(range(max(raw.shape[k] - 2, 0), raw.shape[k]), axis=k)
+    return parts[0] if len(parts) == 1 else _join(parts)
+
+
+def _join(parts: list[_Part]) -> _Part:
+    """Join parts that follow each other along the axis of their window."""
+    sums, *greys = zip(*parts, strict=True)
+    square, product, blocks = (np.concatenate(s) for s in zip(*sums, strict=True))
+    return _Part((square, product, blocks), *(np.concatenate(g) for g in greys))
 
 
 def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[slice]:
@@ -171,19 +171,19 @@ def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[sli
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
-def _taken(points: Places, places: dict[Axis, dict[str, slice]]) -> NDArray[np.int8]:
+def _window_numbers(points: Places, places: dict[Axis, dict[str, slice]]) -> NDArray[np.int8]:
     """Number of the axis in whose window each point is read; -1 for none."""
-    taken = np.full(len(points), -1, np.int8)
+    numbers = np.full(len(points), -1, np.int8)
     for i, place in enumerate(places.values()):
         inside = np.ones(len(points), bool)
         for k, name in enumerate("zyx"):
             inside &= (points[:, k] >= place[name].start) & (points[:, k] < place[name].stop)
-        taken[inside] = i
-    return taken
+        numbers[inside] = i
+    return numbers
 
 
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet: tuple[int, int]) -> dict[str, slice]:
-    """Part of the volume that an axis is looked at in: all slices along it that hold the sheet."""
+    """Give the window of an axis as a part of the volume: all slices along it that hold the sheet."""
     size = {k: int(n) for k, n in volume.sizes.items()}
     around = slice(max(sheet[0] - 4, 0), min(sheet[1] + 5, size[through]))
     across = [k for k in ("z", "y", "x") if k not in (axis, through)]
@@ -209,11 +209,11 @@ def _pieces(volume: xr.DataArray, places: dict[Axis, dict[str, slice]], reach: s
 
 def _part_sums(raw: NDArray[Any], axis: Axis, before: int, missing: float) -> Sums:
     """Sums of a part (z, y, x) of a window."""
-    values = np.ascontiguousarray(np.moveaxis(raw, "zyx".index(axis), 0), dtype=np.float32)
-    sums = _sums(values, before)
+    part = np.ascontiguousarray(np.moveaxis(raw, "zyx".index(axis), 0), dtype=np.float32)
+    sums = _sums(part, before)
     if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():
         return sums
-    return _sums(np.nan_to_num(values, nan=missing, posinf=missing, neginf=missing), before)
+    return _sums(np.nan_to_num(part, nan=missing, posinf=missing, neginf=missing), before)
 
 
 def _sums(part: NDArray[np.float32], before: int = 0) -> Sums:
@@ -226,21 +226,21 @@ def _sums(part: NDArray[np.float32], before: int = 0) -> Sums:
     return square[max(before - 1, 0) :], product, (sums / edge**2).reshape(n - before, -1).astype(np.float32)
 
 
-def _joined(axis: Axis, place: dict[str, slice], known: list[Sums]) -> Window:
-    """Join the parts of a window, which are taken out of ``known``."""
+def _joined(axis: Axis, place: dict[str, slice], sums: list[Sums]) -> Window:
+    """Join the sums of the parts of a window, which are taken out of ``sums``."""
     voxels = np.prod([s.stop - s.start for k, s in place.items() if k != axis])
     if axis == "z":
-        square, product = (np.concatenate([p[i] for p in known]) for i in range(2))
+        square, product = (np.concatenate([p[i] for p in sums]) for i in range(2))
     else:
-        square, product = (np.sum([p[i] for p in known], axis=0) for i in range(2))
+        square, product = (np.sum([p[i] for p in sums], axis=0) for i in range(2))
     along = 0 if axis == "z" else 1
-    shape = list(known[0][2].shape)
-    shape[along] = sum(p[2].shape[along] for p in known)
-    blocks, at = np.empty(shape, dtype=np.float32), 0
-    while known:
-        part = known.pop(0)[2]  # a part goes as soon as it is copied
-        blocks[(slice(None),) * along + (slice(at, at + part.shape[along]),)] = part
-        at += part.shape[along]
+    shape = list(sums[0][2].shape)
+    shape[along] = sum(p[2].shape[along] for p in sums)
+    blocks, start = np.empty(shape, dtype=np.float32), 0
+    while sums:
+        part = sums.pop(0)[2]  # a part goes as soon as it is copied
+        blocks[(slice(None),) * along + (slice(start, start + part.shape[along]),)] = part
+        start += part.shape[along]
     return Window(
         axis=axis, first=place[axis].start, square=square / voxels, product=product / voxels, blocks=blocks
     )  # fmt: skip
