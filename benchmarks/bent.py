@@ -17,7 +17,7 @@ from scipy import ndimage
 from planish.core.frame import Frame
 from planish.core.status import Status, status_flags
 from planish.surface import SurfaceParams
-from planish.surface.assemble import _other_surfaces, centre_surface
+from planish.surface.assemble import alternative_surfaces, centre_surface
 
 Array = NDArray[np.float64]
 PITCH_UM = 8.0  # of the columns
@@ -217,7 +217,7 @@ def _found(heights: dict[str, Array], y: Array, x: Array, holes: Array, thicknes
     params, whole, pitch = SurfaceParams(), np.ones(rim.shape, dtype=bool), (PITCH_UM, PITCH_UM)
     centre, _ = centre_surface(middle, whole, pitch, params)
     between = 0.5 * (known["interface_top"] + known["interface_bottom"]) - middle
-    others = _other_surfaces(between, middle, centre, whole, pitch, params)
+    others = alternative_surfaces(between, middle, centre, whole, pitch, params)
     data = known | {"centre": centre} | {name: values for name, (values, _) in others.items()}
     status = np.where(rim, Status.RIM, Status.MEASURED).astype(np.uint8)
     fields = {name: (("y", "x"), values) for name, values in data.items()}

@@ -51,7 +51,7 @@ MUTANTS = [
     Mutant("io/sections.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
     # surface
     Mutant("surface/assemble.py", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_top), (top, inner_bottom)", "surface/test_any_sheet.py surface/test_find.py"),
-    Mutant("surface/assemble.py", "np.where(sheet & ~rim & seen, 0.5 * (top + bottom), np.nan)", "np.where(sheet & seen, 0.5 * (top + bottom), np.nan)", "surface/test_find.py surface/test_centre.py surface/test_presence.py"),
+    Mutant("surface/assemble.py", "np.where(sheet & ~rim & f.has_faces, 0.5 * (f.top + f.bottom), np.nan)", "np.where(sheet & f.has_faces, 0.5 * (f.top + f.bottom), np.nan)", "surface/test_find.py surface/test_centre.py surface/test_presence.py"),
     Mutant("surface/assemble.py", "[Status.NO_SHEET, Status.RIM, Status.MEASURED]", "[Status.NO_SHEET, Status.MEASURED, Status.MEASURED]", "surface/test_find.py surface/test_presence.py"),
     Mutant("surface/centre.py", "coarse += regression(", "coarse -= regression(", "surface/test_centre.py"),
     Mutant("core/_envelope_kernels.py", "p * p / (2 * radius_um)", "p * p / radius_um", "surface/test_disturbed.py measure/test_maps_of_the_sheet.py"),

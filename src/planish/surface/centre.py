@@ -10,12 +10,10 @@ passes by half, is the same 400 um that a Gaussian of 75 um has.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import filled
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half (ISO
 # 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
@@ -26,7 +24,7 @@ _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 _LEAST_WEIGHT = 0.04  # of a full neighbourhood: below it the surface would be extrapolated
 
 
-def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_um: float) -> Array:
+def gaussian_regression(height: Floats, pitch_um: tuple[float, float], *, cutoff_um: float) -> Floats:
     """Smooth ``height`` (rows, cols) in um and carry it across missing values where the neighbourhood holds enough.
 
     ``cutoff_um``: wavelength that passes by half; ``pitch_um``: distance of rows and of columns.
@@ -43,30 +41,30 @@ def gaussian_regression(height: Array, pitch_um: tuple[float, float], *, cutoff_
     coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its height and not 0.6 %.
     coarse += regression(np.where(weight > 0, mean - coarse, 0.0))
-    where = [
+    grid_lines = [
         np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad, 0, m - 1)
         for n, b, m in zip(height.shape, block, coarse.shape, strict=True)
     ]
-    known = np.isfinite(coarse)
-    if not known.any():
+    is_finite = np.isfinite(coarse)
+    if not is_finite.any():
         return np.full(height.shape, np.nan)
-    grid = np.meshgrid(*where, indexing="ij")
-    fine = ndimage.map_coordinates(filled(coarse), grid, order=3, mode="nearest")
-    seen = ndimage.map_coordinates(known.astype(np.uint8), grid, order=0, mode="nearest")
-    return np.where(seen > 0, fine, np.nan)
+    positions = np.meshgrid(*grid_lines, indexing="ij")
+    fine = ndimage.map_coordinates(filled(coarse), positions, order=3, mode="nearest")
+    is_supported = ndimage.map_coordinates(is_finite.astype(np.uint8), positions, order=0, mode="nearest")
+    return np.where(is_supported > 0, fine, np.nan)
 
 
-def slice_smoothed(height: Array, pitch_um: float, *, cutoff_um: float) -> Array:
+def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floats:
     """Smooth every row by itself with a Gaussian, and carry it across what is missing in it; NaN in empty rows.
 
     ``cutoff_um``: wavelength that passes by half; 400 um is a Gaussian of 75 um. ``pitch_um``: distance of the columns.
     """
     sigma = cutoff_um * float(np.sqrt(2 * np.log(2))) / (2 * np.pi) / pitch_um
-    known = np.isfinite(height)
+    is_finite = np.isfinite(height)
     out = np.full(height.shape, np.nan)
     x = np.arange(height.shape[1], dtype=np.float64)
-    for i in np.flatnonzero(known.sum(axis=1) > 1):
-        filled = np.interp(x, x[known[i]], height[i, known[i]])
+    for i in np.flatnonzero(is_finite.sum(axis=1) > 1):
+        filled = np.interp(x, x[is_finite[i]], height[i, is_finite[i]])
         # Mirrored through its ends, so that a slope goes on beyond them.
         reach = min(int(np.ceil(3 * sigma)), filled.size - 1)
         before, after = 2 * filled[0] - filled[reach:0:-1], 2 * filled[-1] - filled[-2 : -reach - 2 : -1]
@@ -75,12 +73,12 @@ def slice_smoothed(height: Array, pitch_um: float, *, cutoff_um: float) -> Array
     return out
 
 
-def _blocks(height: Array, block: tuple[int, int]) -> tuple[Array, Array]:
+def _blocks(height: Floats, block: tuple[int, int]) -> tuple[Floats, Floats]:
     """Return mean and count share of blocks; the last block of an axis may be smaller and then counts less."""
-    known = np.isfinite(height)
+    is_finite = np.isfinite(height)
     edges = [np.arange(0, n, b) for n, b in zip(height.shape, block, strict=True)]
-    total = np.add.reduceat(np.add.reduceat(np.where(known, height, 0.0), edges[0], 0), edges[1], 1)
-    count = np.add.reduceat(np.add.reduceat(known.astype(float), edges[0], 0), edges[1], 1)
+    total = np.add.reduceat(np.add.reduceat(np.where(is_finite, height, 0.0), edges[0], 0), edges[1], 1)
+    count = np.add.reduceat(np.add.reduceat(is_finite.astype(float), edges[0], 0), edges[1], 1)
     # A partial block's mean does not lie at its nominal centre; it is left out unless it is (nearly) whole.
     whole = count >= 0.5 * block[0] * block[1]
     return np.where(whole, total / np.maximum(count, 1.0), 0.0), np.where(whole, count / (block[0] * block[1]), 0.0)
@@ -89,13 +87,13 @@ def _blocks(height: Array, block: tuple[int, int]) -> tuple[Array, Array]:
 class _Regression:
     """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
-    def __init__(self, weight: Array, pitch: tuple[float, float], cutoff: float) -> None:
+    def __init__(self, weight: Floats, pitch: tuple[float, float], cutoff: float) -> None:
         scale = _GAMMA * cutoff
         self.weight = weight
-        self.axes: list[tuple[Array, Array]] = []
+        self.axes: list[tuple[Floats, Floats]] = []
         for p in pitch:
             half = max(2, int(np.ceil(_REACH * scale / p)))
-            x: Array = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
+            x: Floats = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, _POWERS)
         full = float(self.axes[0][1].sum() * self.axes[1][1].sum())
@@ -109,18 +107,18 @@ class _Regression:
                 self.system[:, a, b] = moments[i + k, j + m][self.good]
         self.system += 1e-9 * full * np.eye(6)
 
-    def _moments(self, field: Array, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Array]:
+    def _moments(self, field: Floats, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Floats]:
         (y, wy), (x, wx) = self.axes
         down = {i: ndimage.correlate1d(field, wy * y**i, axis=0, mode="constant") for i in {i for i, _ in powers}}
         return {(i, j): ndimage.correlate1d(down[i], wx * x**j, axis=1, mode="constant") for i, j in powers}
 
-    def __call__(self, mean: Array) -> Array:
+    def __call__(self, mean: Floats) -> Floats:
         """Return the constant terms; NaN where nothing is known and the neighbourhood holds too little."""
-        known = self.weight > 0
+        has_data = self.weight > 0
         # Heights about their mean keep the sums well conditioned.
-        offset = float(mean[known].mean()) if known.any() else 0.0
+        offset = float(mean[has_data].mean()) if has_data.any() else 0.0
         right = self._moments(self.weight * (mean - offset), _TERMS)
-        result = np.full(self.weight.shape, np.nan)
+        smooth = np.full(self.weight.shape, np.nan)
         sums = np.stack([right[term][self.good] for term in _TERMS], axis=-1)
-        result[self.good] = np.linalg.solve(self.system, sums[..., None])[..., 0, 0] + offset
-        return result
+        smooth[self.good] = np.linalg.solve(self.system, sums[..., None])[..., 0, 0] + offset
+        return smooth

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis
+from planish.core.typing import Bools, Floats
 from planish.surface.coarse import CORE, Choice, CoarseSheet, coarse_sheet, followed_sheet
 from planish.surface.columns import Columns, voxel_pitch
 from planish.surface.levels import material
 from planish.surface.params import SurfaceParams
 
-Array = NDArray[np.float64]
-Beside = Literal["air", "others", "material"]
+Surroundings = Literal["air", "others", "material"]
 """What lies beside a sheet: air alone, other objects beyond air, or material from which a grey has to separate it."""
 
 _SHARES = np.linspace(0.5, 0.95, 19)  # of the grey at the seed, tried as threshold
@@ -34,29 +34,29 @@ def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: Su
     scale = {frame.rows: wide, frame.cols: wide, frame.through: 1}
     order: tuple[Axis, ...] = (frame.rows, frame.cols, frame.through)
 
-    def named(at: tuple[int, int, int]) -> str:
-        index = dict(zip(order, at, strict=True))
+    def describe(block_index: tuple[int, int, int]) -> str:
+        index = dict(zip(order, block_index, strict=True))
         place = {
             k: volume.coords[k].values[min(int((i + 0.5) * scale[k]), volume.sizes[k] - 1)] for k, i in index.items()
         }
         return ",".join(f"{float(place[k]):.4g}" for k in ("z", "y", "x"))
 
     if params.seed_um is None:
-        return Choice(named=named)
+        return Choice(describe=describe)
     seed: list[int] = []
-    given = dict(zip(("z", "y", "x"), params.seed_um, strict=True))
+    seed_um = dict(zip(("z", "y", "x"), params.seed_um, strict=True))
     for axis, most in zip(order, shape, strict=True):
         values = volume.coords[axis].values
         pitch = voxel_pitch(volume, axis)
-        index = (given[axis] - float(values[0])) / pitch
+        index = (seed_um[axis] - float(values[0])) / pitch
         if not -0.5 <= index < values.size - 0.5:
             ends = f"{float(values[0]):g} to {float(values[-1]):g}"
             raise VolumeError(
-                f"The seed point lies outside the volume: its {axis} is {given[axis]:g} um, the volume goes from "
+                f"The seed point lies outside the volume: its {axis} is {seed_um[axis]:g} um, the volume goes from "
                 f"{ends} um. Check --seed-um and --voxel-um."
             )
         seed.append(min(int((index + 0.5) / scale[axis]), most - 1))
-    return Choice(named=named, seed=(seed[0], seed[1], seed[2]))
+    return Choice(describe=describe, seed=(seed[0], seed[1], seed[2]))
 
 
 def choose_sheet(
@@ -67,7 +67,7 @@ def choose_sheet(
     params: SurfaceParams,
     choice: Choice,
     scatter: float | None,
-) -> tuple[CoarseSheet, Beside, float]:
+) -> tuple[CoarseSheet, Surroundings, float]:
     """Find the sheet in the block means; return it, what lies beside it, and its polarity."""
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
@@ -85,17 +85,17 @@ def choose_sheet(
         above = _above_air(sharp, air, polarity)
         alone: CoarseSheet | None = None
         with suppress(VolumeError):
-            alone = _refined(oriented, threshold, block, Choice(named=choice.named))
+            alone = _refined(oriented, threshold, block, Choice(describe=choice.describe))
         try:
-            sheet, amid = _chosen(oriented, above, threshold, block, choice)
+            sheet, is_embedded = _chosen(oriented, above, threshold, block, choice)
         except VolumeError:
             if alone is None or not _holds(alone, choice.seed):
                 raise
             return alone, "air", polarity
         if alone is not None and _holds(alone, choice.seed) and _shows_as_much(alone, sheet):
             return alone, "air", polarity
-        far = not amid and _stands_apart(oriented > sheet.threshold, sheet)
-        return sheet, "material" if amid else "air" if far else "others", polarity
+        far = not is_embedded and _stands_apart(oriented > sheet.threshold, sheet)
+        return sheet, "material" if is_embedded else "air" if far else "others", polarity
     try:
         return _refined(oriented, threshold, block, choice), "air", polarity
     except VolumeError:
@@ -136,24 +136,24 @@ def _chosen(
     In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
     """
     assert choice.seed is not None
-    found: VolumeError | None = None
+    failure: VolumeError | None = None
     try:
         sheet = _refined(oriented, threshold, block, choice)
         if _merged(sheet) < _MERGED_SHARE:
             return sheet, False
     except VolumeError as error:
-        found = error
-    own = float(seed_grey(sharp, choice.seed).max())
-    if found is not None and own < _CLEAR * float(np.percentile(sharp, 99)):
-        raise found
+        failure = error
+    own_grey = float(seed_grey(sharp, choice.seed).max())
+    if failure is not None and own_grey < _CLEAR * float(np.percentile(sharp, 99)):
+        raise failure
     # The best of them shows both faces, without a neighbour, in the most columns.
     most, best = 0, None
     for share in _SHARES:
-        inside = (sharp > share * own) & (sharp < _BRIGHTER * own)
+        inside = (sharp > share * own_grey) & (sharp < _BRIGHTER * own_grey)
         try:
-            sheet = followed_sheet(sharp, inside, float(share * own), block, choice)
+            sheet = followed_sheet(sharp, inside, float(share * own_grey), block, choice)
         except VolumeError as error:
-            found = error
+            failure = error
             continue
         shown = int(np.count_nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high)))
         if shown > most and _merged(sheet) < _MOST_MERGED:
@@ -161,10 +161,10 @@ def _chosen(
     if best is not None:
         return best, True
     raise VolumeError(
-        f"The object at the seed point {choice.named(choice.seed)} um (z, y, x) touches others at every grey: "
+        f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others at every grey: "
         "it cannot be separated from them. Crop the volume to a part where it stands alone, or "
         "choose another point with --seed-um."
-    ) from found
+    ) from failure
 
 
 def _holds(sheet: CoarseSheet, seed: tuple[int, int, int]) -> bool:
@@ -185,25 +185,25 @@ def _shows_as_much(alone: CoarseSheet, sheet: CoarseSheet) -> bool:
     return bool(same and np.count_nonzero(first) >= np.count_nonzero(second))
 
 
-def _stands_apart(material: NDArray[np.bool_], sheet: CoarseSheet) -> bool:
+def _stands_apart(material: Bools, sheet: CoarseSheet) -> bool:
     """Whether so much air lies beside a sheet that no search for its faces meets another object."""
-    apart = max(_LEAST_GAP, 4 + 3 * sheet.block)
+    least_gap = max(_LEAST_GAP, 4 + 3 * sheet.block)
     depth = np.arange(material.shape[2])
     near = 0
     for inside, low, high in zip(material, sheet.low, sheet.high, strict=True):  # row by row: it takes less memory
         away = np.fmax(low[:, None] - depth, depth - high[:, None])
-        near += np.count_nonzero((inside & (away > 2) & (away < apart)).any(axis=1))
+        near += np.count_nonzero((inside & (away > 2) & (away < least_gap)).any(axis=1))
     return bool(near < _NEAR_SHARE * sheet.low.size)
 
 
 def _merged(sheet: CoarseSheet) -> float:
     """Share of the sheet that touches others."""
-    some = np.count_nonzero(np.isfinite(sheet.low) | np.isfinite(sheet.high))
+    measured = np.count_nonzero(np.isfinite(sheet.low) | np.isfinite(sheet.high))
     touching = np.count_nonzero(sheet.touching)
-    return touching / max(some + touching, 1)
+    return touching / max(measured + touching, 1)
 
 
-def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
+def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Floats:
     """Grey of the blocks in the core of the sheet."""
     rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
     if rows.size == 0:
@@ -217,7 +217,7 @@ def _core(blocks: NDArray[np.float32], sheet: CoarseSheet) -> Array:
     return blocks[rows[:, None], cols[:, None], depth].ravel().astype(np.float64)
 
 
-def seed_grey(sharp: NDArray[np.float32], seed: tuple[int, int, int]) -> Array:
+def seed_grey(sharp: NDArray[np.float32], seed: tuple[int, int, int]) -> Floats:
     """Grey around the seed point, at the depth before it, at its own, and after it."""
     near = tuple(slice(max(k - 1, 0), k + 2) for k in seed)
     return np.asarray(np.median(sharp[near], axis=(0, 1)), dtype=np.float64)

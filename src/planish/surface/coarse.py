@@ -11,9 +11,8 @@ from scipy import ndimage
 
 from planish.core.errors import VolumeError
 from planish.core.grid import filled
+from planish.core.typing import Bools, Floats
 from planish.surface import _kernels
-
-Array = NDArray[np.float64]
 
 CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
 _SECOND_SHEET = 0.25  # share of the largest piece's area above which a second piece counts as another sheet
@@ -32,13 +31,13 @@ _NEAR = 3  # voxels: a seed point may lie so far beside its object
 class CoarseSheet:
     """Extent of the sheet in each block column, in voxels of depth, NaN where there is none."""
 
-    low: Array  # (block rows, block cols): first and last depth index, interpolated to the threshold
-    high: Array
+    low: Floats  # (block rows, block cols): first and last depth index, interpolated to the threshold
+    high: Floats
     block: int  # edge of a block in voxels
-    leaves: NDArray[np.bool_]  # (block rows, block cols): where the sheet runs out of the volume
+    leaves: Bools  # (block rows, block cols): where the sheet runs out of the volume
     threshold: float  # grey above the air at which the extent was measured
     # (block rows, block cols): where it touches another sheet or folds back on itself, as far as that is known.
-    touching: NDArray[np.bool_]
+    touching: Bools
     specks: int = 0  # other objects in the air beside the sheet
 
 
@@ -46,13 +45,13 @@ class CoarseSheet:
 class Choice:
     """Which object is the sheet."""
 
-    named: Callable[[tuple[int, int, int]], str]  # turns such a point into what a user would give as a seed
+    describe: Callable[[tuple[int, int, int]], str]  # turns such a point into what a user would give as a seed
     # Block row, block column and depth of a point in it; the largest object where not given.
     seed: tuple[int, int, int] | None = None
 
 
 def coarse_sheet(
-    blocks: NDArray[np.float32], inside: NDArray[np.bool_], threshold: float, block: int, choice: Choice
+    blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
 ) -> CoarseSheet:
     """Keep one connected slab of ``inside``, the chosen or the largest one, and measure its extent.
 
@@ -75,12 +74,12 @@ def coarse_sheet(
             f"There is no sheet in the volume: the largest connected object covers {100 * area:.2g} % of the columns. "
             "Check --through (the axis that runs through the sheet) and --sheet-grey."
         )
-    others = [int(k) + 1 for k in order[1:6] if cover[k] > _SECOND_SHEET * cover[largest - 1]]
-    if others:
-        shares = ", ".join(f"{100 * cover[k - 1] / labels[..., 0].size:.0f} %" for k in (largest, *others))
-        points = "; ".join(choice.named(_inner(labels == k)) for k in (largest, *others))
+    other_labels = [int(k) + 1 for k in order[1:6] if cover[k] > _SECOND_SHEET * cover[largest - 1]]
+    if other_labels:
+        shares = ", ".join(f"{100 * cover[k - 1] / labels[..., 0].size:.0f} %" for k in (largest, *other_labels))
+        points = "; ".join(choice.describe(_inner_point(labels == k)) for k in (largest, *other_labels))
         raise VolumeError(
-            f"The volume shows {1 + len(others)} separate sheets (they cover {shares} of the columns). {_CHOOSE} "
+            f"The volume shows {1 + len(other_labels)} separate sheets (they cover {shares} of the columns). {_CHOOSE} "
             f"Points in them: {points}."
         )
     mask = labels == largest
@@ -93,27 +92,27 @@ def coarse_sheet(
             f"there, or several "
             f"sheets lie behind each other. {_CHOOSE}"
         )
-    filled = mask.sum(axis=-1)
+    counts = mask.sum(axis=-1)
     first = np.argmax(mask, axis=-1)
     last = mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
-    some = filled > 0
-    gappy = np.median(filled[some] / (last - first + 1)[some])
+    is_sheet = counts > 0
+    gappy = np.median(counts[is_sheet] / (last - first + 1)[is_sheet])
     if gappy < 0.4:
         raise VolumeError(
             f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
             f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each "
             f"other. {_CHOOSE}"
         )
-    low, high = _extent(blocks, np.where(some, first, -1), np.where(some, last, -1), threshold)
+    low, high = _extent(blocks, np.where(is_sheet, first, -1), np.where(is_sheet, last, -1), threshold)
     return CoarseSheet(
         low=low, high=high, block=block,
-        leaves=mask[..., 0] | mask[..., -1], threshold=threshold, touching=np.zeros(some.shape, bool),
+        leaves=mask[..., 0] | mask[..., -1], threshold=threshold, touching=np.zeros(is_sheet.shape, bool),
         specks=int(np.count_nonzero(_sizes(labels, count) >= _SPECK)) - 1,
     )  # fmt: skip
 
 
 def followed_sheet(
-    blocks: NDArray[np.float32], inside: NDArray[np.bool_], threshold: float, block: int, choice: Choice
+    blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
 ) -> CoarseSheet:
     """Follow the sheet that holds the seed point from column to column.
 
@@ -122,7 +121,7 @@ def followed_sheet(
     VolumeError
         If there is nothing at the seed point, or what is there is no sheet.
     """
-    row, col, depth = _at(inside, choice)
+    row, col, depth = _seed_block(inside, choice)
     run = inside[row, col]
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1
@@ -136,19 +135,20 @@ def followed_sheet(
         merged = np.zeros(inside.shape[:2], np.bool_)
         _kernels.follow(inside, row, col, start, stop, most, low, high, merged)
         most = _MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
-    some = low >= 0
-    if some.mean() < _LEAST_COVER:
+    is_sheet = low >= 0
+    if is_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
-            f"The object at the seed point {choice.named((row, col, depth))} um (z, y, x) covers "
-            f"{100 * some.mean():.2g} % of the columns only. Check --through (the axis that runs "
+            f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x) covers "
+            f"{100 * is_sheet.mean():.2g} % of the columns only. Check --through (the axis that runs "
             "through the sheet) and --seed-um."
         )
     last = inside.shape[2] - 1
-    leaves = some & ((low == 0) | (high == last))
-    if np.mean(leaves[some]) > _LEAVES:
+    leaves = is_sheet & ((low == 0) | (high == last))
+    if np.mean(leaves[is_sheet]) > _LEAVES:
         raise VolumeError(
-            f"The object at the seed point {choice.named((row, col, depth))} um (z, y, x) reaches an end of the axis "
-            f"through the sheet in {100 * np.mean(leaves[some]):.0f} % of its columns. Check --through and --seed-um."
+            f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x) reaches an end of the "
+            f"axis through the sheet in {100 * np.mean(leaves[is_sheet]):.0f} % of its columns. Check --through and "
+            "--seed-um."
         )
     first_at, last_at = _extent(blocks, low, high, threshold)
     return CoarseSheet(
@@ -156,25 +156,25 @@ def followed_sheet(
     )  # fmt: skip
 
 
-def flags_to_columns(field: NDArray[np.bool_], block: int, shape: tuple[int, int]) -> NDArray[np.bool_]:
+def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
     """Give every column the flag of its block."""
     r, c = (np.minimum(np.arange(n) // block, m - 1) for n, m in zip(shape, field.shape, strict=True))
     return field[np.ix_(r, c)]
 
 
-def to_columns(field: Array, block: int, shape: tuple[int, int]) -> Array:
+def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
     """Interpolate a block map to single columns; NaN where the nearest block is NaN."""
-    known = np.isfinite(field)
-    if not known.any():
+    is_finite = np.isfinite(field)
+    if not is_finite.any():
         return np.full(shape, np.nan)
     r, c = ((np.arange(n) - 0.5 * (block - 1)) / block for n in shape)
     grid = np.meshgrid(np.clip(r, 0, field.shape[0] - 1), np.clip(c, 0, field.shape[1] - 1), indexing="ij")
-    values = ndimage.map_coordinates(filled(field), grid, order=1, mode="nearest")
-    seen = ndimage.map_coordinates(known.astype(np.uint8), grid, order=0, mode="nearest")
-    return np.where(seen > 0, values, np.nan)
+    interpolated = ndimage.map_coordinates(filled(field), grid, order=1, mode="nearest")
+    is_near_finite = ndimage.map_coordinates(is_finite.astype(np.uint8), grid, order=0, mode="nearest")
+    return np.where(is_near_finite > 0, interpolated, np.nan)
 
 
-def _at(inside: NDArray[np.bool_], choice: Choice) -> tuple[int, int, int]:
+def _seed_block(inside: Bools, choice: Choice) -> tuple[int, int, int]:
     """Nearest block of material to the seed point."""
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
@@ -182,14 +182,14 @@ def _at(inside: NDArray[np.bool_], choice: Choice) -> tuple[int, int, int]:
     places = np.argwhere(inside[tuple(slice(int(a), int(k) + _NEAR + 1) for a, k in zip(corner, seed, strict=True))])
     if places.size == 0:
         raise VolumeError(
-            f"There is only air at the seed point {choice.named(choice.seed)} um (z, y, x). Give a point inside the "
+            f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
             "sheet with --seed-um."
         )
     row, col, depth = places[int(np.argmin(np.sum((places + corner - seed) ** 2, axis=1)))] + corner
     return int(row), int(col), int(depth)
 
 
-def _inner(mask: NDArray[np.bool_]) -> tuple[int, int, int]:
+def _inner_point(mask: Bools) -> tuple[int, int, int]:
     """Return a point in the middle of an object."""
     rows, cols = np.nonzero(mask.any(axis=-1))
     k = int(np.argmin((rows - np.median(rows)) ** 2 + (cols - np.median(cols)) ** 2))
@@ -215,16 +215,16 @@ def _sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
 
 def _extent(
     blocks: NDArray[np.float32], low: NDArray[np.int64], high: NDArray[np.int64], threshold: float
-) -> tuple[Array, Array]:
+) -> tuple[Floats, Floats]:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold.
 
     A sheet that touches the end of its column is cut there: its face is not in the volume.
     """
-    found: list[Array] = []
+    ends: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):
         places = (np.clip(index + step, 0, last)[..., None] for step in (0, outward))
         a, b = (np.take_along_axis(blocks, at, axis=-1)[..., 0].astype(float) for at in places)
         share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)
-        found.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
-    return found[0], found[1]
+        ends.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
+    return ends[0], ends[1]

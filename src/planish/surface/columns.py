@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile, tiles_of
+from planish.core.typing import Floats
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression
 from planish.surface.coarse import CoarseSheet, to_columns
-
-Array = NDArray[np.float64]
 
 _WORKING = 12  # bytes that a voxel of a tile takes while it is worked on, beside its own
 _TILE = 192  # columns along an edge of a tile at most; the memory decides below that
@@ -48,17 +47,17 @@ class Columns:
         return rows * self.step, cols * self.step, depth
 
     @property
-    def depth_um(self) -> Array:
+    def depth_um(self) -> Floats:
         """Coordinates along the columns."""
         return np.asarray(self.volume.coords[self.frame.through].values, dtype=np.float64)
 
-    def lateral_um(self) -> tuple[Array, Array]:
+    def lateral_um(self) -> tuple[Floats, Floats]:
         """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
-        found: list[Array] = []
+        coordinates: list[Floats] = []
         for axis, count in zip((self.frame.rows, self.frame.cols), self.shape[:2], strict=True):
             voxels = np.asarray(self.volume.coords[axis].values, dtype=np.float64)[: count * self.step]
-            found.append(voxels.reshape(count, self.step).mean(axis=1) if self.step > 1 else voxels)
-        return found[0], found[1]
+            coordinates.append(voxels.reshape(count, self.step).mean(axis=1) if self.step > 1 else voxels)
+        return coordinates[0], coordinates[1]
 
     def padded(self, value: float | None) -> Columns:
         """Return the same columns with the voxels of this value left out."""
@@ -74,7 +73,7 @@ class Columns:
         return part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
 
     def grey(
-        self, tile: Tile, slope: tuple[Array, Array] | None = None, depth: slice = slice(None)
+        self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)
     ) -> NDArray[np.float32]:
         """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
 
@@ -130,18 +129,18 @@ def voxel_pitch(volume: xr.DataArray, axis: str) -> float:
 class Guide(NamedTuple):
     """Where the coarse search saw the sheet, for every column of a grid."""
 
-    low: Array  # (rows, cols): first and last depth index of the sheet; NaN where there is none
-    high: Array
+    low: Floats  # (rows, cols): first and last depth index of the sheet; NaN where there is none
+    high: Floats
     # (rows, cols): rise of the sheet, in voxels of depth from one voxel row, or voxel column, to the next.
-    slope_r: Array
-    slope_c: Array
-    tilt: Array  # (rows, cols): cosine of the sheet's tilt
+    slope_r: Floats
+    slope_c: Floats
+    tilt: Floats  # (rows, cols): cosine of the sheet's tilt
 
     def part(self, tile: Tile) -> Guide:
         """Return the guide of a tile."""
         return Guide(*(part[tile.rows, tile.cols] for part in self))
 
-    def faces(self, depth: int, *, high: bool) -> tuple[Array, Array]:
+    def faces(self, depth: int, *, high: bool) -> tuple[Floats, Floats]:
         """Depth of the outer and of the opposite face, counted from the end that is read from."""
         outer, other = (self.high, self.low) if high else (self.low, self.high)
         return (depth - 1 - outer, depth - 1 - other) if high else (outer, other)

@@ -14,13 +14,12 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine
+from planish.core.typing import Floats
 from planish.surface.assemble import centre_surface
 from planish.surface.columns import Columns
 from planish.surface.corrections import FACES, Corrections, Face, Stretch
 from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawn, draw_faces
 from planish.surface.params import SurfaceParams
-
-Array = NDArray[np.float64]
 
 _REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
 _SEEN_UM = 0.001  # the centre surface moves where a correction moves it by more
@@ -68,42 +67,42 @@ def correct_surfaces(
     A correction makes no sheet where a hole was seen, and takes no rim off.
     """
     params, engine = params or SurfaceParams(), engine or Engine()
-    found = uncorrected(surfaces)
+    before = uncorrected(surfaces)
     if not corrections.stretches:
-        return found
-    if "from_labels" in found.attrs or "grey_noise" not in found.attrs or params.method != "profile":
+        return before
+    if "from_labels" in before.attrs or "grey_noise" not in before.attrs or params.method != "profile":
         raise InputError(
             "Faces are corrected in grey values, with --surface-method profile. Correct labels in the program that "
             "made them, or leave --corrections out."
         )
     columns = Columns(
-        volume=volume, frame=Frame.of(found), step=columns_step(found), padding=found.attrs.get("padding")
+        volume=volume, frame=Frame.of(before), step=columns_step(before), padding=before.attrs.get("padding")
     )
-    drawn = draw_faces(found, columns, corrections, engine)
-    return _with_drawn(found, drawn, params).assign_attrs(
+    drawn = draw_faces(before, columns, corrections, engine)
+    return _with_drawn(before, drawn, params).assign_attrs(
         {"corrections": corrections.to_json(), _TILES: len(drawn.tiles)}
     )
 
 
 def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
-    """The surfaces as they were before corrections, to the last bit."""
+    """Give the surfaces as they were before corrections, to the last bit."""
     if "corrections" not in surfaces.attrs:
         return surfaces
     names = [str(name) for name in surfaces.data_vars if str(name).startswith(("found_", "correction_"))]
     before = surfaces.drop_vars(names)
     changed = surfaces["found_status"].values != _UNCHANGED
     moved = np.isfinite(surfaces["found_centre"].values)
-    for own in (*_HEIGHTS, "status", "centre"):
-        where = moved if own == "centre" else changed
-        before[own] = before[own].copy(data=np.where(where, surfaces[f"found_{own}"].values, before[own].values))
+    for name in (*_HEIGHTS, "status", "centre"):
+        where = moved if name == "centre" else changed
+        before[name] = before[name].copy(data=np.where(where, surfaces[f"found_{name}"].values, before[name].values))
     before.attrs = {name: value for name, value in surfaces.attrs.items() if name not in ("corrections", _TILES)}
     return before
 
 
 def preview_faces(
     surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, part: tuple[slice, slice]
-) -> tuple[tuple[slice, slice], dict[Face, Array]] | None:
-    """What corrections would make of the faces in a part of the columns; only what is near it is read.
+) -> tuple[tuple[slice, slice], dict[Face, Floats]] | None:
+    """Draw the faces in a part of the columns as corrections would; only what is near it is read.
 
     Parameters
     ----------
@@ -124,7 +123,10 @@ def preview_faces(
     chosen: list[Stretch] = []
     for stretch in corrections.stretches:
         box = _box(stretch, surfaces, frame, steps)
-        if all(own.start < asked.stop and own.stop > asked.start for own, asked in zip(box, part, strict=True)):
+        if all(
+            drawn_side.start < asked_side.stop and drawn_side.stop > asked_side.start
+            for drawn_side, asked_side in zip(box, part, strict=True)
+        ):
             chosen.append(stretch)
             boxes.append(box)
     if not chosen:
@@ -138,7 +140,7 @@ def preview_faces(
     }
     columns = Columns(volume=volume.isel(voxels), frame=frame, step=step, padding=near.attrs.get("padding"))
     drawn = draw_faces(near, columns, corrections.model_copy(update={"stretches": tuple(chosen)}), Engine(threads=1))
-    faces: dict[Face, Array] = {face: drawn.heights[face] for face in FACES}
+    faces: dict[Face, Floats] = {face: drawn.heights[face] for face in FACES}
     crossed = frame.sign * (faces["top"] - faces["bottom"]) <= 0
     return (rows, cols), {face: np.where(crossed, near[face].values, faces[face]) for face in FACES}
 
@@ -146,14 +148,14 @@ def preview_faces(
 def _box(stretch: Stretch, surfaces: xr.Dataset, frame: Frame, steps: tuple[float, float]) -> tuple[slice, slice]:
     """Columns that the drawing of a stretch may look at."""
     margin = 1.5 * stretch.reach_um + 2 * RING_UM
-    found: list[slice] = []
+    sides: list[slice] = []
     for dim, axis, step in (("y", frame.rows, steps[0]), ("x", frame.cols, steps[1])):
-        at = [float(getattr(point, axis)) for point in stretch.points]
+        points_um = [float(getattr(point, axis)) for point in stretch.points]
         places = surfaces[dim].values
-        first = int((min(at) - margin - float(places[0])) // step)
-        last = int((max(at) + margin - float(places[0])) // step) + 2
-        found.append(slice(max(first, 0), max(min(last, places.size), max(first, 0) + 1)))
-    return found[0], found[1]
+        first = int((min(points_um) - margin - float(places[0])) // step)
+        last = int((max(points_um) + margin - float(places[0])) // step) + 2
+        sides.append(slice(max(first, 0), max(min(last, places.size), max(first, 0) + 1)))
+    return sides[0], sides[1]
 
 
 def columns_step(surfaces: xr.Dataset) -> int:
@@ -164,72 +166,74 @@ def columns_step(surfaces: xr.Dataset) -> int:
 
 
 def correction_check(surfaces: xr.Dataset) -> Check | None:
-    """How much of the sheet was corrected by hand; None where nothing was."""
+    """Judge how much of the sheet was corrected by hand; None where nothing was."""
     if "corrections" not in surfaces.attrs:
         return None
     stretches = Corrections.model_validate_json(surfaces.attrs["corrections"]).stretches
-    points = sum(len(one.points) for one in stretches)
+    points = sum(len(stretch.points) for stretch in stretches)
     how = np.maximum(*(surfaces[f"correction_{face}"].values for face in FACES))
     sheet = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
-    drawn, guessed = (int(np.count_nonzero(how >= least)) for least in (IMAGE, INTERPOLATED))
+    drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (IMAGE, INTERPOLATED))
     return Check.at_most(
         "corrections", drawn / sheet, look=_MOST_DRAWN,
         sentence=f"Faces of {drawn} columns ({100 * drawn / sheet:.2g} % of the sheet) were drawn to {points} points "
-        f"of {len(stretches)} corrections by hand; {guessed} of them show no edge there and are interpolated.",
+        f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
         advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
         figures=(PROPERTIES,),
     )  # fmt: skip
 
 
-def _with_drawn(found: xr.Dataset, drawn: Drawn, params: SurfaceParams) -> xr.Dataset:
+def _with_drawn(surfaces: xr.Dataset, drawn: Drawn, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
-    before = {name: found[name].values for name in (*_HEIGHTS, "status")}
+    before = {name: surfaces[name].values for name in (*_HEIGHTS, "status")}
     changed = np.any([drawn.how[face] > 0 for face in FACES], axis=0)
-    up = Frame.of(found).sign
+    up = Frame.of(surfaces).sign
     top, bottom = (drawn.heights[face] for face in FACES)
     # Where the two faces would change places nothing is drawn.
     changed &= ~(up * (top - bottom) <= 0)
     heights = {name: np.where(changed, drawn.heights[name], before[name]) for name in _HEIGHTS}
-    both = changed & np.isfinite(heights["top"]) & np.isfinite(heights["bottom"])
-    repaired = both & np.isin(before["status"], _REPAIRED)
+    is_complete = changed & np.isfinite(heights["top"]) & np.isfinite(heights["bottom"])
+    repaired = is_complete & np.isin(before["status"], _REPAIRED)
     status = np.where(repaired, np.uint8(Status.MEASURED), before["status"])
-    centre = _moved_centre(found, heights, status, params)
-    data: dict[str, Any] = {}
+    centre = _moved_centre(surfaces, heights, status, params)
+    variables: dict[str, Any] = {}
     for name, values in (heights | {"status": status, "centre": centre}).items():
-        data[name] = found[name].copy(data=values)
-        old = found[name].values
-        about = {"long_name": f"{found[name].attrs['long_name']}, before corrections"}
+        variables[name] = surfaces[name].copy(data=values)
+        old = surfaces[name].values
+        about = {"long_name": f"{surfaces[name].attrs['long_name']}, before corrections"}
         if name == "status":
-            data[f"found_{name}"] = (("y", "x"), np.where(changed, old, _UNCHANGED).astype(np.uint8), about)
+            variables[f"found_{name}"] = (("y", "x"), np.where(changed, old, _UNCHANGED).astype(np.uint8), about)
         else:
             where = changed if name != "centre" else centre != old
-            data[f"found_{name}"] = (("y", "x"), np.where(where, old, np.nan), about | {"units": "um"})
+            variables[f"found_{name}"] = (("y", "x"), np.where(where, old, np.nan), about | {"units": "um"})
     for face in FACES:
         how = {"long_name": f"How the {face} face was corrected", "flag_values": [0, 1, 2], "flag_meanings": _HOW}
-        data[f"correction_{face}"] = (("y", "x"), np.where(changed, drawn.how[face], 0).astype(np.uint8), how)
+        variables[f"correction_{face}"] = (("y", "x"), np.where(changed, drawn.how[face], 0).astype(np.uint8), how)
         error = np.where(changed & (drawn.how[face] > 0), drawn.error_um[face], np.nan).astype(np.float32)
         about = {"units": "um", "long_name": f"Standard error that the correction adds to the {face} face"}
-        data[f"correction_{face}_error"] = (("y", "x"), error, about)
-    return found.assign(data)
+        variables[f"correction_{face}_error"] = (("y", "x"), error, about)
+    return surfaces.assign(variables)
 
 
-def _moved_centre(found: xr.Dataset, heights: dict[str, Array], status: NDArray[Any], params: SurfaceParams) -> Array:
+def _moved_centre(
+    surfaces: xr.Dataset, heights: dict[str, Floats], status: NDArray[Any], params: SurfaceParams
+) -> Floats:
     """The centre surface, moved by what the smoothing of the new faces differs from that of the old ones."""
     middles = [
         np.where(of == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
         for of, faces in (
-            (found["status"].values, {face: found[face].values for face in FACES}),
+            (surfaces["status"].values, {face: surfaces[face].values for face in FACES}),
             (status, heights),
         )
     ]
-    centre = found["centre"].values
+    centre = surfaces["centre"].values
     differs = ~((middles[0] == middles[1]) | (np.isnan(middles[0]) & np.isnan(middles[1])))
     if not differs.any():
         return centre
-    steps = pitch(found)
+    steps = pitch(surfaces)
     window = tuple(
-        slice(max(int(at[0]) - reach, 0), int(at[-1]) + reach + 1)
-        for at, reach in zip(
+        slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1)
+        for changed_lines, reach in zip(
             (np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))),
             (int(np.ceil(_SUPPORT * params.cutoff_um / step)) for step in steps), strict=True,
         )

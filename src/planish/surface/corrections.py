@@ -55,8 +55,8 @@ class Corrections(Params):
     stretches: Annotated[tuple[Stretch, ...], Field(max_length=1000)] = ()
 
     @model_validator(mode="after")
-    def _told_apart(self) -> Corrections:
-        names = [one.id for one in self.stretches]
+    def _ids_are_unique(self) -> Corrections:
+        names = [stretch.id for stretch in self.stretches]
         if twice := sorted({name for name in names if names.count(name) > 1}):
             raise ValueError(f"more than one stretch has the id {', '.join(twice)}")
         return self

@@ -24,16 +24,14 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
+from planish.core.typing import Bools, Floats
 from planish.surface import _draw_kernels
 from planish.surface.columns import Columns, Guide, Scale, oriented, voxel_pitch
 from planish.surface.corrections import FACES, Corrections, Face, Stretch
 from planish.surface.kriging import Kriging, variogram_slope
-from planish.surface.learnt import FRINGE_PX
+from planish.surface.priors import FRINGE_PX
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-KEPT, IMAGE, INTERPOLATED = 0, 1, 2
+UNCHANGED, IMAGE, INTERPOLATED = 0, 1, 2
 """A column's face was left as it was found, found again in the image, or interpolated."""
 
 RING_UM = 25.0
@@ -54,9 +52,9 @@ _NEVER = (Status.NO_SHEET, Status.LEAVES_VOLUME)
 class Drawn:
     """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face."""
 
-    heights: dict[str, Array]
+    heights: dict[str, Floats]
     how: dict[Face, NDArray[np.uint8]]
-    error_um: dict[Face, Array]
+    error_um: dict[Face, Floats]
     tiles: list[Tile] = field(default_factory=list[Tile])  # those that were searched again
 
 
@@ -74,10 +72,10 @@ class _Edges(NamedTuple):
     high: bool  # whether the outer end is the high one
     rows: NDArray[np.intp]
     cols: NDArray[np.intp]
-    expected: Array
-    error: Array
-    band: Array
-    other: Array
+    expected: Floats
+    error: Floats
+    band: Floats
+    other: Floats
     rides: bool
     sign: float
     blur: float
@@ -91,6 +89,7 @@ class _Drawing:
     def __init__(self, surfaces: xr.Dataset, columns: Columns, engine: Engine) -> None:
         self.columns, self.engine, self.frame = columns, engine, Frame.of(surfaces)
         self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
+        self.contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
         self.rows_um, self.cols_um = columns.lateral_um()
         self.voxel_um = voxel_pitch(columns.volume, self.frame.through)
         names = [name for face in FACES for name in (face, f"interface_{face}")]
@@ -98,7 +97,7 @@ class _Drawing:
         self.status: NDArray[np.uint8] = surfaces["status"].values
         self.centre = surfaces["centre"].values.astype(np.float64)
         self.how: dict[Face, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in FACES}
-        self.error: dict[Face, Array] = {face: np.full(self.status.shape, np.nan) for face in FACES}
+        self.error: dict[Face, Floats] = {face: np.full(self.status.shape, np.nan) for face in FACES}
         self.tiles: list[Tile] = []
 
     def drawn(self, corrections: Corrections) -> Drawn:
@@ -110,64 +109,51 @@ class _Drawing:
 
     def _draw(self, stretch: Stretch, face: Face) -> None:
         points = self._points(stretch, face)
-        places, clicked = points[:, :2], points[:, 2]
         ring_um = max(RING_UM, 0.5 * stretch.reach_um)
-        window = self._window(places, stretch.reach_um + ring_um)
-        at = np.stack(np.meshgrid(self.rows_um[window.rows], self.cols_um[window.cols], indexing="ij"), axis=-1)
-        away = distance_to_line(at, places)
-        known = self._known(face, window)
+        window = self._window(points[:, :2], stretch.reach_um + ring_um)
+        grid = np.stack(np.meshgrid(self.rows_um[window.rows], self.cols_um[window.cols], indexing="ij"), axis=-1)
+        away = distance_to_line(grid, points[:, :2])
+        measured = self._measured(face, window)
         inside = (away <= stretch.reach_um) & ~np.isin(self.status[window.rows, window.cols], _NEVER)
-        around = np.isfinite(known) & (away > stretch.reach_um) & (away <= stretch.reach_um + ring_um)
-        click = np.full(len(clicked), (_CLICK * self.voxel_um) ** 2)
-
-        def expect(trusted: Mask, field: Array, wanted: Mask, *, points: bool = True) -> tuple[Array, Array] | None:
-            rows, cols = _spread_over(trusted)
-            given = places if points else places[:0]
-            if len(given) + rows.size < 1 or not wanted.any():
-                return None
-            lag = max(0.25 * stretch.reach_um, 2 * max(self.pitch))
-            slope = variogram_slope(
-                np.where(trusted, field, np.nan), self.pitch, lag, least=(0.25 * self.voxel_um) ** 2
-            )
-            return Kriging(
-                places=np.concatenate([given, at[rows, cols]]),
-                heights=np.concatenate([clicked if points else clicked[:0], field[rows, cols]]),
-                variances=np.concatenate([click if points else click[:0], np.full(rows.size, click[0])]), slope=slope,
-            )(at[wanted])  # fmt: skip
-
-        first = expect(around, known, inside)
+        around = np.isfinite(measured) & (away > stretch.reach_um) & (away <= stretch.reach_um + ring_um)
+        expect = _Expectation(
+            points, grid, self.pitch, self.voxel_um, max(0.25 * stretch.reach_um, 2 * max(self.pitch))
+        )
+        first = expect(around, measured, inside)
         if first is None:
             return
         wrong = np.zeros_like(inside)
-        off = np.abs(known[inside] - first[0])
+        off = np.abs(measured[inside] - first[0])
         wrong[inside] = ~(off <= _WRONG * first[1] + _CLICK * self.voxel_um)
         if not wrong.any():
             return
         # Beside what is wrong a face turns towards it.
-        beside = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
-        wrong = ndimage.binary_dilation(wrong, iterations=beside) & inside
+        blurred = int(np.ceil(2 * self.attrs["blur_um"] / min(self.pitch))) + 1
+        wrong = ndimage.binary_dilation(wrong, iterations=blurred) & inside
         near = ndimage.binary_dilation(wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch)))))
-        right = near & ~wrong & np.isfinite(known) & (inside | around)
-        trusted = right if np.count_nonzero(right) >= 10 else around
-        expected = expect(trusted, known, wrong)
+        right = near & ~wrong & np.isfinite(measured) & (inside | around)
+        expected = expect(right if np.count_nonzero(right) >= 10 else around, measured, wrong)
         assert expected is not None
         self._redraw(face, window, wrong, expected)
         other: Face = "bottom" if face == "top" else "top"
         missing = wrong & ~np.isfinite(self.heights[other][window.rows, window.cols])
-        opposite = self._known(other, window)
+        opposite = self._measured(other, window)
         if (expected := expect(np.isfinite(opposite) & near, opposite, missing, points=False)) is not None:
             self._redraw(other, window, missing, expected)
-        redrawn: dict[Face, Mask] = {face: wrong, other: missing}
-        for side, redone in redrawn.items():
-            interface = self.heights[f"interface_{side}"]
-            if not np.isfinite(interface).any() or not redone.any():
-                continue
-            coating = np.abs(interface - self.heights[side])[window.rows, window.cols]
-            trusted = near & ~redone & np.isfinite(coating)
-            if (thick := expect(trusted, coating, redone, points=False)) is not None:
-                self._redraw_interface(side, window, redone, thick)
+        self._redraw_interfaces(window, near, {face: wrong, other: missing}, expect)
 
-    def _points(self, stretch: Stretch, face: Face) -> Array:
+    def _redraw_interfaces(self, window: Tile, near: Bools, redrawn: dict[Face, Bools], expect: _Expectation) -> None:
+        """Move the interfaces with the faces that were redrawn, by the coating around."""
+        for face, where in redrawn.items():
+            interface = self.heights[f"interface_{face}"]
+            if not np.isfinite(interface).any() or not where.any():
+                continue
+            coating = np.abs(interface - self.heights[face])[window.rows, window.cols]
+            trusted = near & ~where & np.isfinite(coating)
+            if (thickness := expect(trusted, coating, where, points=False)) is not None:
+                self._redraw_interface(face, window, where, thickness)
+
+    def _points(self, stretch: Stretch, face: Face) -> Floats:
         """Points of a face as (row, col, height) in um.
 
         Raises
@@ -176,14 +162,14 @@ class _Drawing:
             If a point lies outside the columns.
         """
         order = ["zyx".index(axis) for axis in (self.frame.rows, self.frame.cols, self.frame.through)]
-        given = [(point.z, point.y, point.x) for point in stretch.of(face)]
-        points = np.asarray(given, dtype=np.float64)[:, order]
+        points_zyx = [(point.z, point.y, point.x) for point in stretch.of(face)]
+        points = np.asarray(points_zyx, dtype=np.float64)[:, order]
         depth = self.columns.depth_um
-        for point, place in zip(points, given, strict=True):
-            for axis, value, places in zip(("rows", "cols", "through"), point, (self.rows_um, self.cols_um, depth),
+        for point, place in zip(points, points_zyx, strict=True):
+            for axis, coordinate, places in zip(("rows", "cols", "through"), point, (self.rows_um, self.cols_um, depth),
                                            strict=True):  # fmt: skip
                 name = getattr(self.frame, axis)
-                if not places[0] - 1e-6 <= value <= places[-1] + 1e-6:
+                if not places[0] - 1e-6 <= coordinate <= places[-1] + 1e-6:
                     raise InputError(
                         f"A point of correction {stretch.id}, z, y, x = {', '.join(f'{v:g}' for v in place)} um, lies "
                         f"outside the volume: its {name} goes from {places[0]:g} to {places[-1]:g} um. Move the point "
@@ -191,7 +177,7 @@ class _Drawing:
                     )
         return points
 
-    def _window(self, places: Array, reach_um: float) -> Tile:
+    def _window(self, places: Floats, reach_um: float) -> Tile:
         """Columns within a reach of any of the points."""
         low, high = places.min(axis=0) - reach_um, places.max(axis=0) + reach_um
         r0, c0 = (int(np.searchsorted(um, v)) for um, v in zip((self.rows_um, self.cols_um), low, strict=True))
@@ -200,12 +186,12 @@ class _Drawing:
         )
         return Tile(r0, max(r1, r0 + 1), c0, max(c1, c0 + 1))
 
-    def _known(self, face: Face, window: Tile) -> Array:
+    def _measured(self, face: Face, window: Tile) -> Floats:
         """Heights of a face where it was measured."""
         height = self.heights[face][window.rows, window.cols]
         return np.where(self.status[window.rows, window.cols] == Status.MEASURED, height, np.nan)
 
-    def _redraw(self, face: Face, window: Tile, where: Mask, expected: tuple[Array, Array]) -> None:
+    def _redraw(self, face: Face, window: Tile, where: Bools, expected: tuple[Floats, Floats]) -> None:
         """Set a face to the edge near where it is expected, or to that place."""
         height, error = expected
         interface = self.heights[f"interface_{face}"]
@@ -213,16 +199,17 @@ class _Drawing:
         if np.isfinite(interface).any():
             usual = np.nanmedian(np.abs(interface - self.heights[face])[window.rows, window.cols])
             offset[:] = usual / self.voxel_um
-        contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
-        found = self._edges(face, window, where, height, error, offset, rides=True, sign=1.0, least=_LEAST * contrast)
-        seen = np.isfinite(found)
+        edges = self._edges(
+            face, window, where, height, error, offset, rides=True, sign=1.0, least=_LEAST * self.contrast
+        )
+        has_edge = np.isfinite(edges)
         # Both say where the face is, each as sure as it is.
         share = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
-        self._set(self.heights[face], window, where, np.where(seen, height + share * (found - height), height))
-        self._set(self.how[face], window, where, np.where(seen, IMAGE, INTERPOLATED))
-        self._set(self.error[face], window, where, np.where(seen, np.sqrt(1 - share) * error, error))
+        self._set(self.heights[face], window, where, np.where(has_edge, height + share * (edges - height), height))
+        self._set(self.how[face], window, where, np.where(has_edge, IMAGE, INTERPOLATED))
+        self._set(self.error[face], window, where, np.where(has_edge, np.sqrt(1 - share) * error, error))
 
-    def _redraw_interface(self, face: Face, window: Tile, where: Mask, thick: tuple[Array, Array]) -> None:
+    def _redraw_interface(self, face: Face, window: Tile, where: Bools, thick: tuple[Floats, Floats]) -> None:
         """Set the interface below a face that was drawn, in the image or by the coating around it."""
         outer = self.heights[face][window.rows, window.cols][where]
         inward = -self.frame.sign if face == "top" else self.frame.sign
@@ -230,19 +217,19 @@ class _Drawing:
         coat = self.attrs[f"grey_coating_{face}"]
         step = abs(self.attrs["grey_base"] - coat)
         brighter = self.attrs["polarity"] * (self.attrs["grey_base"] - coat) > 0
-        found = self._edges(
+        edges = self._edges(
             face, window, where, expected, error, self._depth(outer, face), rides=False,
             sign=1.0 if brighter else -1.0, least=_LEAST_INNER * step,
         )  # fmt: skip
-        seen = np.isfinite(found) & (inward * (found - outer) > 0)
-        self._set(self.heights[f"interface_{face}"], window, where, np.where(seen, found, expected))
+        has_edge = np.isfinite(edges) & (inward * (edges - outer) > 0)
+        self._set(self.heights[f"interface_{face}"], window, where, np.where(has_edge, edges, expected))
         before = self.error[face][window.rows, window.cols][where]
-        self._set(self.error[face], window, where, np.where(seen, before, np.hypot(before, error)))
+        self._set(self.error[face], window, where, np.where(has_edge, before, np.hypot(before, error)))
 
-    def _set(self, out: NDArray[np.generic], window: Tile, where: Mask, values: NDArray[np.generic]) -> None:
-        out[window.rows, window.cols][where] = values
+    def _set(self, field: NDArray[np.generic], window: Tile, where: Bools, new: NDArray[np.generic]) -> None:
+        field[window.rows, window.cols][where] = new
 
-    def _depth(self, height: Array, face: Face) -> Array:
+    def _depth(self, height: Floats, face: Face) -> Floats:
         """Depth in voxels from the outer end of a face."""
         depth = (height - float(self.columns.depth_um[0])) / self.voxel_um
         return self.columns.shape[2] - 1 - depth if self._high(face) else depth
@@ -251,11 +238,11 @@ class _Drawing:
         return (face == "top") == (self.frame.top == "high")
 
     def _edges(
-        self, face: Face, window: Tile, where: Mask, height: Array, error: Array, other: Array, *, rides: bool,
+        self, face: Face, window: Tile, where: Bools, height: Floats, error: Floats, other: Floats, *, rides: bool,
         sign: float, least: float,
-    ) -> Array:  # fmt: skip
+    ) -> Floats:  # fmt: skip
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
-        shape, attrs = self.columns.shape[:2], self.attrs
+        attrs = self.attrs
         rows, cols = np.nonzero(where)
         rows, cols = rows + window.r0, cols + window.c0
         scale = Scale(
@@ -264,73 +251,100 @@ class _Drawing:
         guide, blur = self._guide(), attrs["blur_um"] / self.voxel_um
         fringe_px = attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         error_px = np.maximum(error / self.voxel_um, 0.25)
-        contrast = abs(attrs["grey_base"] - attrs["grey_air"])
         all_edges = _Edges(
             columns=self.columns, scale=scale, guide=guide, high=self._high(face), rows=rows, cols=cols,
             expected=self._depth(height, face), error=error_px, band=np.clip(_SURE * error_px + 1, *_BAND), other=other,
-            rides=rides, sign=sign, blur=blur, noise=max(attrs["grey_noise"], _MISFIT * contrast),
+            rides=rides, sign=sign, blur=blur, noise=max(attrs["grey_noise"], _MISFIT * self.contrast),
             least=max(least, 4 * attrs["grey_noise"]), fringe=attrs.get("fringe", 0.0), ratio=blur / fringe_px,
         )  # fmt: skip
 
         def job(tile: Tile) -> _Edges:
             part = _in_tile(rows, cols, tile)
             arrays = {k: getattr(all_edges, k)[part] for k in ("rows", "cols", "expected", "error", "band", "other")}
-            return all_edges._replace(guide=guide.part(scale.grown(tile, shape)), **arrays)
+            return all_edges._replace(guide=guide.part(scale.grown(tile, self.columns.shape[:2])), **arrays)
 
         tiles = [t for t in self.columns.tiles(self.engine) if _in_tile(rows, cols, t).any()]
         self.tiles += [t for t in tiles if t not in self.tiles]
-        found = np.full(rows.size, np.nan)
+        depths = np.full(rows.size, np.nan)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of these.
         asked = hashlib.sha256(b"".join(a.tobytes() for a in (rows, cols, height, error, other))).hexdigest()[:16]
-        for tile, part in self.engine.map(f"drawn-{asked}", _search, job, tiles):
-            found[_in_tile(rows, cols, tile)] = part
-        first, last = float(self.columns.depth_um[0]), self.columns.shape[2] - 1
-        return first + self.voxel_um * (last - found if self._high(face) else found)
+        for tile, part in self.engine.map(f"drawn-{asked}", _search_edges, job, tiles):
+            depths[_in_tile(rows, cols, tile)] = part
+        if self._high(face):
+            depths = self.columns.shape[2] - 1 - depths
+        return float(self.columns.depth_um[0]) + self.voxel_um * depths
 
     def _guide(self) -> Guide:
-        """How the sheet lies, from its centre surface."""
-        slopes = np.gradient(self.centre, *self.pitch)
-        down, across = (np.where(np.isfinite(s), s, 0.0) for s in slopes)
-        voxels = (s * p / self.columns.step / self.voxel_um for s, p in zip((down, across), self.pitch, strict=True))
-        along_r, along_c = voxels
+        """Give slopes and tilt of the sheet, from its centre surface."""
+        down, across = (np.where(np.isfinite(s), s, 0.0) for s in np.gradient(self.centre, *self.pitch))
+        along_r, along_c = (
+            s * p / self.columns.step / self.voxel_um for s, p in zip((down, across), self.pitch, strict=True)
+        )
         unknown = np.full(self.centre.shape, np.nan)
         tilt = 1 / np.sqrt(1 + down**2 + across**2)
         return Guide(low=unknown, high=unknown, slope_r=along_r, slope_c=along_c, tilt=tilt)
 
 
-def _in_tile(rows: NDArray[np.intp], cols: NDArray[np.intp], tile: Tile) -> Mask:
+class _Expectation(NamedTuple):
+    """Kriging between the points of a stretch, (n, 3) in um, and the face around them on a ``grid`` of places."""
+
+    points: Floats
+    grid: Floats
+    pitch: tuple[float, float]
+    voxel_um: float
+    lag_um: float
+
+    def __call__(
+        self, trusted: Bools, field: Floats, wanted: Bools, *, points: bool = True
+    ) -> tuple[Floats, Floats] | None:
+        """Give a field and its standard error where it is wanted, from where it is trusted and from the points."""
+        rows, cols = _spread_over(trusted)
+        points_um = self.points if points else self.points[:0]
+        if len(points_um) + rows.size < 1 or not wanted.any():
+            return None
+        slope = variogram_slope(
+            np.where(trusted, field, np.nan), self.pitch, self.lag_um, least=(0.25 * self.voxel_um) ** 2
+        )
+        return Kriging(
+            places=np.concatenate([points_um[:, :2], self.grid[rows, cols]]),
+            heights=np.concatenate([points_um[:, 2], field[rows, cols]]),
+            variances=np.full(len(points_um) + rows.size, (_CLICK * self.voxel_um) ** 2), slope=slope,
+        )(self.grid[wanted])  # fmt: skip
+
+
+def _in_tile(rows: NDArray[np.intp], cols: NDArray[np.intp], tile: Tile) -> Bools:
     return (rows >= tile.r0) & (rows < tile.r1) & (cols >= tile.c0) & (cols < tile.c1)
 
 
-def _search(edges: _Edges, tile: Tile) -> Array:
+def _search_edges(edges: _Edges, tile: Tile) -> Floats:
     grey = oriented(edges.columns, tile, edges.guide, edges.scale)
     outside = edges.scale.grown(tile, edges.columns.shape[:2])
-    at = edges.rows - tile.r0, edges.cols - tile.c0
-    profiles = grey[at]
+    places = edges.rows - tile.r0, edges.cols - tile.c0
+    profiles = grey[places]
     if edges.high:
         profiles = profiles[:, ::-1]
     tilt = edges.guide.tilt[edges.rows - outside.r0, edges.cols - outside.c0]
-    found = np.empty(len(profiles))
+    depths = np.empty(len(profiles))
     _draw_kernels.draw_edges(
         np.ascontiguousarray(profiles), edges.expected, edges.error, edges.band, edges.other, edges.rides, edges.sign,
-        edges.blur / tilt, edges.noise, edges.least, _GAIN, edges.fringe, edges.ratio, found,
+        edges.blur / tilt, edges.noise, edges.least, _GAIN, edges.fringe, edges.ratio, depths,
     )  # fmt: skip
-    return found
+    return depths
 
 
-def _spread_over(mask: Mask) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _spread_over(mask: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Some of the columns of a mask, spread over all of it."""
     rows, cols = np.nonzero(mask)
     few = np.unique(np.linspace(0, rows.size - 1, min(rows.size, _KNOWN)).astype(int)) if rows.size else slice(0, 0)
     return rows[few], cols[few]
 
 
-def distance_to_line(at: Array, places: Array) -> Array:
+def distance_to_line(grid: Floats, places: Floats) -> Floats:
     """Distance of places (..., 2) from the line through points (n, 2), in their order."""
-    away = np.hypot(*np.moveaxis(at - places[0], -1, 0))
+    away = np.hypot(*np.moveaxis(grid - places[0], -1, 0))
     for start, end in pairwise(places):
         along = end - start
         length = float(along @ along)
-        share = np.clip(((at - start) @ along) / length, 0, 1) if length > 0 else np.zeros(at.shape[:-1])
-        away = np.minimum(away, np.hypot(*np.moveaxis(at - start - share[..., None] * along, -1, 0)))
+        share = np.clip(((grid - start) @ along) / length, 0, 1) if length > 0 else np.zeros(grid.shape[:-1])
+        away = np.minimum(away, np.hypot(*np.moveaxis(grid - start - share[..., None] * along, -1, 0)))
     return away

@@ -11,12 +11,11 @@ from scipy import ndimage
 
 from planish.core.grid import filled
 from planish.core.tiles import Engine, Tile
+from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
 from planish.surface.columns import Columns, Guide, oriented
-from planish.surface.learnt import Learnt
 from planish.surface.levels import spread
-
-Array = NDArray[np.float64]
+from planish.surface.priors import Priors
 
 _SPIKE_UM = 3.0
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
@@ -33,11 +32,11 @@ class Faces:
     ``stuck`` (rows, cols): columns below an attached particle; ``particles``: how many particles were removed.
     """
 
-    high: Array
-    low: Array
-    interface_high: Array
-    interface_low: Array
-    stuck: NDArray[np.bool_]
+    high: Floats
+    low: Floats
+    interface_high: Floats
+    interface_low: Floats
+    stuck: Bools
     particles: int
 
 
@@ -47,28 +46,28 @@ class Fit:
 
     columns: Columns
     guide: Guide
-    learnt: Learnt
-    again: Array | None = None  # (2, rows, cols): only columns with a number here, and next to it
+    priors: Priors
+    again: Floats | None = None  # (2, rows, cols): only columns with a number here, and next to it
 
 
-def find_faces(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine, particles: int = 0) -> Faces:
+def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
     """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
     shape = columns.shape[:2]
-    found = np.empty((4, *shape))
+    depths = np.empty((4, *shape))
 
     def job(tile: Tile) -> Fit:
-        return Fit(columns=columns, guide=guide.part(learnt.scale.grown(tile, shape)), learnt=learnt)
+        return Fit(columns=columns, guide=guide.part(priors.scale.grown(tile, shape)), priors=priors)
 
     for tile, part in engine.map("faces", _fit_tile, job, columns.tiles(engine)):
-        found[:, tile.rows, tile.cols] = part
-    particles += _below_particles(found, fit_job=job, columns=columns, guide=guide, learnt=learnt, engine=engine)
+        depths[:, tile.rows, tile.cols] = part
+    particles += _below_particles(depths, fit_job=job, columns=columns, guide=guide, priors=priors, engine=engine)
     return placed(
-        found, columns, (learnt.sides[True].coated, learnt.sides[False].coated), cleaned=True, particles=particles
+        depths, columns, (priors.sides[True].coated, priors.sides[False].coated), cleaned=True, particles=particles
     )
 
 
 def placed(
-    found: Array, columns: Columns, coated: tuple[bool, bool], *, cleaned: bool = False, particles: int = 0
+    depths: Floats, columns: Columns, coated: tuple[bool, bool], *, cleaned: bool = False, particles: int = 0
 ) -> Faces:
     """Turn depths into heights.
 
@@ -79,8 +78,8 @@ def placed(
     shape, depth_um, step = columns.shape[:2], columns.depth_um, columns.pitch[2]
     first, last = float(depth_um[0]), columns.shape[2] - 1
     stuck = np.zeros(shape, dtype=bool)
-    heights: list[Array] = []
-    for high, (outer, thickness) in zip((True, False), (found[:2], found[2:]), strict=True):
+    heights: list[Floats] = []
+    for high, (outer, thickness) in zip((True, False), (depths[:2], depths[2:]), strict=True):
         if cleaned:
             outer = _without_spikes(outer, step)
             narrow = _narrow(-outer, columns.pitch)
@@ -98,7 +97,7 @@ def placed(
 
 
 def _below_particles(
-    found: Array, *, fit_job: Callable[[Tile], Fit], columns: Columns, guide: Guide, learnt: Learnt, engine: Engine
+    depths: Floats, *, fit_job: Callable[[Tile], Fit], columns: Columns, guide: Guide, priors: Priors, engine: Engine
 ) -> int:
     """Look again, below it, where the face was found on something that floats above the sheet.
 
@@ -106,7 +105,7 @@ def _below_particles(
     that the coarse search saw one object, a plate with a step all around is tried too. Such plates are counted here;
     what floats farther away was counted by the coarse search.
     """
-    if learnt.amid:
+    if priors.embedded_level:
         return 0
     shape, depth = columns.shape[:2], columns.shape[2]
     floating = np.zeros((2, *shape), dtype=bool)
@@ -114,11 +113,11 @@ def _below_particles(
     plates: list[NDArray[np.int32]] = []
     for k, high in enumerate((True, False)):
         expected[k] = guide.faces(depth, high=high)[0]
-        plate, opened = _plates(-found[2 * k], columns.pitch)
+        plate, opened = _plates(-depths[2 * k], columns.pitch)
         plates.append(plate)
         expected[k] = np.where(plate > 0, -opened, expected[k])
         with np.errstate(invalid="ignore"):
-            floating[k] = (expected[k] - found[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
+            floating[k] = (expected[k] - depths[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
     tiles = [t for t in columns.tiles(engine) if floating[:, t.rows, t.cols].any()]
 
     def job(tile: Tile) -> Fit:
@@ -136,33 +135,33 @@ def _below_particles(
             share = _share(better, plate)
             count += int(np.count_nonzero(share > _MOST_OF))
             better &= (plate == 0) | np.isin(plate, index[share > _MOST_OF])
-            found[2 * k][np.isin(plate, index[share > _MOST_OF]) & ~better] = np.nan
+            depths[2 * k][np.isin(plate, index[share > _MOST_OF]) & ~better] = np.nan
         for n in (2 * k, 2 * k + 1):
-            found[n][better] = below[n][better]
+            depths[n][better] = below[n][better]
     return count
 
 
-def _plates(outward: Array, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Array]:
+def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:
     """Label what stands three voxels out of the face with a step all around, and give the face without it."""
-    known = np.isfinite(outward)
-    if not known.any():
+    is_finite = np.isfinite(outward)
+    if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
     whole = filled(outward)
     size = int(_PLATE_UM / pitch[0]) + 2, int(_PLATE_UM / pitch[1]) + 2
     opened = _opened(whole, size)
     hat = whole - opened
-    labels, count = ndimage.label(known & (hat > max(_FLOATS - 0.5, 8.0 * spread(hat[known]))))
+    labels, count = ndimage.label(is_finite & (hat > max(_FLOATS - 0.5, 8.0 * spread(hat[is_finite]))))
     if not count:
         return np.asarray(labels, np.int32), opened
     # A bump, or a fibre that lies on others with its ends, has no step all around.
     grown = ndimage.grey_dilation(labels, size=(9, 9))
-    ring = np.where((labels == 0) & known, grown, 0)
+    ring = np.where((labels == 0) & is_finite, grown, 0)
     index = np.arange(1, count + 1)
     alone = _share(hat < 1.5, ring, count) > _MOST_OF
     return np.where(np.isin(labels, index[alone]), labels, 0).astype(np.int32), opened
 
 
-def _opened(height: Array, size: tuple[int, int]) -> Array:
+def _opened(height: Floats, size: tuple[int, int]) -> Floats:
     """Opening of a face that goes on beyond its border with the slope it has there."""
     pad = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
     wide = np.pad(height, pad, mode="reflect", reflect_type="odd")
@@ -171,55 +170,55 @@ def _opened(height: Array, size: tuple[int, int]) -> Array:
     ]
 
 
-def _share(mask: NDArray[np.bool_], labels: NDArray[np.integer], count: int = 0) -> Array:
+def _share(mask: Bools, labels: NDArray[np.integer], count: int = 0) -> Floats:
     """Share of each label's columns, 1 to the last, in which ``mask`` is set."""
     flat = labels.ravel()
     number = np.bincount(flat, minlength=count + 1)[1:]
     return np.bincount(flat, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(number, 1)
 
 
-def _fit_tile(fit: Fit, tile: Tile) -> Array:
+def _fit_tile(fit: Fit, tile: Tile) -> Floats:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
-    columns, learnt = fit.columns, fit.learnt
-    edge = learnt.edge
-    grey = oriented(columns, tile, fit.guide, learnt.scale)
-    outside = learnt.scale.grown(tile, columns.shape[:2])
+    columns, priors = fit.columns, fit.priors
+    edge = priors.edge
+    grey = oriented(columns, tile, fit.guide, priors.scale)
+    outside = priors.scale.grown(tile, columns.shape[:2])
     guide = fit.guide.part(tile.within(outside))
     tilt = np.ascontiguousarray(guide.tilt)
     out = np.empty((4, *tile.shape))
     result = np.empty((5, *tile.shape))
     for k, high in enumerate((True, False)):
         outer, other = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], high=high))
-        side = learnt.sides[high]
-        amid = learnt.amid
+        side = priors.sides[high]
+        embedded_level = priors.embedded_level
         if fit.again is not None:
-            outer, amid = np.ascontiguousarray(fit.again[k]), 0.5 * learnt.base
+            outer, embedded_level = np.ascontiguousarray(fit.again[k]), 0.5 * priors.base
         _fit_kernels.fit_faces(
-            grey, outer, other, tilt, 0.0, edge.width, learnt.scatter, side.level, side.spread, side.coated,
-            learnt.reach, result, 0.0, amid, edge.fringe or None, edge.ratio, high,
+            grey, outer, other, tilt, 0.0, edge.width, priors.scatter, side.level, side.spread, side.coated,
+            priors.reach, result, 0.0, embedded_level, edge.fringe or None, edge.ratio, high,
         )  # fmt: skip
         out[2 * k : 2 * k + 2] = result[:2]
     return out
 
 
-def _without_spikes(height: Array, step: float) -> Array:
+def _without_spikes(height: Floats, step: float) -> Floats:
     """Drop columns whose face stands far off its neighbours': dust, and fits that went astray."""
-    known = np.isfinite(height)
-    if not known.any():
+    is_finite = np.isfinite(height)
+    if not is_finite.any():
         return height
     around = ndimage.median_filter(filled(height), size=5, mode="nearest")
     off = np.abs(height - around)
-    limit = max(8.0 * spread(off[known]) + 1.0, _SPIKE_UM / step, 3.0)
-    return np.where(known & (off <= limit), height, np.nan)
+    limit = max(8.0 * spread(off[is_finite]) + 1.0, _SPIKE_UM / step, 3.0)
+    return np.where(is_finite & (off <= limit), height, np.nan)
 
 
-def _narrow(outward: Array, pitch: tuple[float, float, float]) -> NDArray[np.bool_]:
+def _narrow(outward: Floats, pitch: tuple[float, float, float]) -> Bools:
     """Columns that stand out of the face by more than its roughness, in places narrower than a particle may be."""
-    known = np.isfinite(outward)
-    if not known.any():
+    is_finite = np.isfinite(outward)
+    if not is_finite.any():
         return np.zeros(outward.shape, dtype=bool)
     whole = filled(outward)
     size = max(int(_NARROW_UM / pitch[0]), 1) + 1, max(int(_NARROW_UM / pitch[1]), 1) + 1
     hat = whole - _opened(whole, size)
-    limit = max(8.0 * spread(hat[known]) + 1.0, _PROUD_UM / pitch[2], 3.0)
-    return known & (hat > limit)
+    limit = max(8.0 * spread(hat[is_finite]) + 1.0, _PROUD_UM / pitch[2], 3.0)
+    return is_finite & (hat > limit)

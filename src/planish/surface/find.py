@@ -18,7 +18,7 @@ from planish.surface.corrected import correct_surfaces
 from planish.surface.corrections import read_corrections
 from planish.surface.faces import find_faces
 from planish.surface.labels import surfaces_from_labels
-from planish.surface.learn import learn
+from planish.surface.learn import learn_priors
 from planish.surface.params import SurfaceParams
 from planish.surface.plausible import check_axis, check_sheet
 from planish.surface.regions import doubtful
@@ -125,15 +125,15 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     check_axis(columns, survey, params, engine)
     columns = columns.padded(survey.padding)
     guide = make_guide(survey.coarse, columns)
-    learnt = learn(columns, guide, survey, params)
-    air = learnt.scale.air
+    priors = learn_priors(columns, guide, survey, params)
+    air = priors.scale.air
     search = find_faces if params.method == "profile" else find_faces_by_slice
     surfaces = assemble(
-        columns, params, search(columns, guide, learnt, engine, survey.coarse.specks),
-        doubtful(guide, survey.coarse, learnt.edge.width, columns.shape[2]),
-        (air, learnt.scale.polarity * learnt.base + air), engine,
+        columns, params, search(columns, guide, priors, engine, survey.coarse.specks),
+        doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2]),
+        (air, priors.scale.polarity * priors.base + air), engine,
     )  # fmt: skip
-    surfaces.attrs |= learnt.attrs(columns.pitch[2], frame)
+    surfaces.attrs |= priors.attrs(columns.pitch[2], frame)
     surfaces.attrs |= {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding

@@ -10,13 +10,11 @@ from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize
 
-from planish.surface.learnt import FRINGE_PX, Edge, Side
+from planish.core.typing import Floats
+from planish.surface.priors import FRINGE_PX, Edge, Side
 from planish.surface.sample import Sample, Sampler, most_cost
-
-Array = NDArray[np.float64]
 
 _NEAR = ((1.0, 2.0), (2.0, 3.2), (3.2, 4.8))  # from the face, in widths of the blur: where an undershoot may be seen
 _BETWEEN = (4.8, 8.0)  # a fringe is over here; a streak along the sheet is not
@@ -38,9 +36,9 @@ def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool,
 
     The blur with which the faces are found need not be more than roughly right.
     """
-    if sampler.amid:
+    if sampler.embedded_level:
         return False  # what lies beside is no air
-    depths = [_beside(sampler, samples[high], sides[high], edge) for high in samples]
+    depths = [_undershoot_depth(sampler, samples[high], sides[high], edge) for high in samples]
     means, errors = (np.stack(a) for a in zip(*map(_mean_error, depths), strict=True))
     # Sides whose contrast differs are weighted by what their rows' scatter tells.
     weight = np.where(np.isfinite(means) & (errors > 0), 1.0 / np.maximum(errors, 1e-12) ** 2, 0.0)
@@ -53,15 +51,15 @@ def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool,
     return bool(dark.any())
 
 
-def _mean_error(depth: Array) -> tuple[Array, Array]:
+def _mean_error(depth: Floats) -> tuple[Floats, Floats]:
     """Mean over the rows and its standard error; NaN where too few rows are known."""
     count = np.isfinite(depth).sum(axis=1)
-    known = np.where(count[:, None] >= _ROWS, depth, 0.0)
-    mean, sd = np.nanmean(known, axis=1), np.nanstd(known, axis=1)
+    depth_of_rows = np.where(count[:, None] >= _ROWS, depth, 0.0)
+    mean, sd = np.nanmean(depth_of_rows, axis=1), np.nanstd(depth_of_rows, axis=1)
     return np.where(count >= _ROWS, mean, np.nan), sd / np.sqrt(np.maximum(count - 1, 1))
 
 
-def _beside(sampler: Sampler, sample: Sample, side: Side, edge: Edge) -> Array:
+def _undershoot_depth(sampler: Sampler, sample: Sample, side: Side, edge: Edge) -> Floats:
     """Mean grey of the air near the faces above that farther away, as a share of the contrast, (distances, rows)."""
     face = sampler.fit(sample, side, edge)[0, 0]
     unit = max(edge.width, 1.0)
@@ -77,14 +75,14 @@ def _beside(sampler: Sampler, sample: Sample, side: Side, edge: Edge) -> Array:
     rows = int(sample.row.max()) + 1
     row = np.broadcast_to(sample.row[0][:, None], grey.shape)
 
-    def mean(first: float, last: float) -> Array:
+    def mean(first: float, last: float) -> Floats:
         use = air & (away >= first) & (away < last)
         count = np.bincount(row[use], minlength=rows)
         total = np.bincount(row[use], weights=grey[use], minlength=rows)
         return np.where(count >= _FEW, total / np.maximum(count, 1), np.nan)
 
     far = mean(*_FAR)
-    return np.stack([mean(*at) - far for at in (*_NEAR, _BETWEEN)]) / contrast
+    return np.stack([mean(*reach) - far for reach in (*_NEAR, _BETWEEN)]) / contrast
 
 
 def with_fringe(
@@ -97,22 +95,22 @@ def with_fringe(
     few = {high: sample.thinned(3 if thin else 4) for high, sample in samples.items()}
     misfit = _misfit(sampler, few, sides, edge, _WINDOW * max(edge.width, 1.0))
 
-    def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
+    def put(vector: Floats) -> tuple[Edge, dict[bool, Side]]:
         tried = Edge(
-            width=edge.width * float(np.exp(at[0])), fringe=max(float(at[1]), 0.0),
-            fringe_width=FRINGE_PX * float(np.exp(at[2])),
+            width=edge.width * float(np.exp(vector[0])), fringe=max(float(vector[1]), 0.0),
+            fringe_width=FRINGE_PX * float(np.exp(vector[2])),
         )  # fmt: skip
-        return tried, _brighter(sides, thin, at[3:])
+        return tried, _brighter(sides, thin, vector[3:])
 
-    def cost(at: Array) -> float:
-        loose = (float(at[2]) / _LOOSE) ** 2 + float(np.sum(at[3:] ** 2))
-        return misfit(*put(at)) + 1e-4 * loose + max(-float(at[1]), 0.0)
+    def cost(vector: Floats) -> float:
+        loose = (float(vector[2]) / _LOOSE) ** 2 + float(np.sum(vector[3:] ** 2))
+        return misfit(*put(vector)) + 1e-4 * loose + max(-float(vector[1]), 0.0)
 
     steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin))
     starts = [np.array([0.1, 0.1, 0.0] + [share] * len(thin)) for share in (_SHARES if thin else (0.0,))]
-    best = min((_simplex(cost, start, steps, _TRIALS) for start in starts), key=lambda found: found[0])[1]
-    found, put_to = put(best)
-    return (found, put_to) if found.fringe > _SMALLEST else (edge, sides)
+    best = min((_simplex(cost, start, steps, _TRIALS) for start in starts), key=lambda fitted: fitted[0])[1]
+    fitted, brighter = put(best)
+    return (fitted, brighter) if fitted.fringe > _SMALLEST else (edge, sides)
 
 
 def thin_levels(
@@ -125,14 +123,14 @@ def thin_levels(
     few = {high: sample.thinned(3) for high, sample in samples.items()}
     misfit = _misfit(sampler, few, sides, edge, _WINDOW * edge.width)
 
-    def put(at: Array) -> tuple[Edge, dict[bool, Side]]:
-        return replace(edge, width=edge.width * float(np.exp(at[0]))), _brighter(sides, thin, at[1:])
+    def put(vector: Floats) -> tuple[Edge, dict[bool, Side]]:
+        return replace(edge, width=edge.width * float(np.exp(vector[0]))), _brighter(sides, thin, vector[1:])
 
-    def cost(at: Array) -> float:
+    def cost(vector: Floats) -> float:
         # A layer's grey is seldom far from the brightest that was seen of it.
-        return misfit(*put(at)) + 1e-4 * float(np.sum(at**2))
+        return misfit(*put(vector)) + 1e-4 * float(np.sum(vector**2))
 
-    def with_width(share: float) -> tuple[float, Array]:
+    def with_width(share: float) -> tuple[float, Floats]:
         """Best width for coatings that are so much brighter."""
 
         def of(log_width: float) -> float:
@@ -142,7 +140,7 @@ def thin_levels(
         return float(best.fun), np.array([float(best.x), *[share] * len(thin)])
 
     # Brighter layers with a wider blur look nearly the same: the search goes along that valley first.
-    _, start = min((with_width(share) for share in _THIN_SHARES), key=lambda found: found[0])
+    _, start = min((with_width(share) for share in _THIN_SHARES), key=lambda costs: costs[0])
     along = np.array([0.03, *[0.08] * len(thin)])
     steps = np.vstack([along, np.diag(np.where(np.arange(along.size) > 0, 0.08, 0.03))[1:]])
     return put(_simplex(cost, start, steps, _THIN_TRIALS)[1])
@@ -155,28 +153,28 @@ def _misfit(
     size = max(sum(s.outer.size for s in few.values()), 1)
     most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in few.items()}
 
-    def misfit(tried: Edge, put_to: dict[bool, Side]) -> float:
+    def misfit(tried: Edge, tried_sides: dict[bool, Side]) -> float:
         total = 0.0
         for high, sample in few.items():
-            found = sampler.fit(sample, put_to[high], tried, window)[4]
-            total += float(np.sum(np.where(np.isfinite(found), np.minimum(found, most[high]), most[high])))
+            cost = sampler.fit(sample, tried_sides[high], tried, window)[4]
+            total += float(np.sum(np.where(np.isfinite(cost), np.minimum(cost, most[high]), most[high])))
         return total / size
 
     return misfit
 
 
-def _brighter(sides: dict[bool, Side], thin: list[bool], shares: Array) -> dict[bool, Side]:
+def _brighter(sides: dict[bool, Side], thin: list[bool], shares: Floats) -> dict[bool, Side]:
     """Return the sides with the greys of thin coatings multiplied by exp(share)."""
-    found = dict(sides)
+    brighter = dict(sides)
     for high, share in zip(thin, shares, strict=True):
-        found[high] = sides[high].brighter(float(np.exp(share)))
-    return found
+        brighter[high] = sides[high].brighter(float(np.exp(share)))
+    return brighter
 
 
-def _simplex(cost: Callable[[Array], float], start: Array, steps: Array, trials: int) -> tuple[float, Array]:
+def _simplex(cost: Callable[[Floats], float], start: Floats, steps: Floats, trials: int) -> tuple[float, Floats]:
     """Lowest cost that Nelder and Mead's method finds, and where."""
-    found = optimize.minimize(
+    optimum = optimize.minimize(
         cost, start, method="Nelder-Mead",
         options={"initial_simplex": np.vstack([start, start + steps]), "xatol": 2e-3, "fatol": 1e-7, "maxfev": trials},
     )  # fmt: skip
-    return float(found.fun), np.asarray(found.x, dtype=np.float64)
+    return float(optimum.fun), np.asarray(optimum.x, dtype=np.float64)

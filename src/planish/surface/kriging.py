@@ -9,9 +9,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 _OF_A_MEDIAN = 0.4549  # the median of the square of a normal deviate over its variance
 _AT_ONCE = 20_000  # places
@@ -21,49 +20,49 @@ _AT_ONCE = 20_000  # places
 class Kriging:
     """Known heights (n,) at places (n, 2) in um, each with the variance of its own error."""
 
-    places: Array
-    heights: Array
-    variances: Array
+    places: Floats
+    heights: Floats
+    variances: Floats
     slope: float  # um2 of semivariance for one um of distance
 
-    def __call__(self, at: Array) -> tuple[Array, Array]:
+    def __call__(self, targets: Floats) -> tuple[Floats, Floats]:
         """Height and its standard error at places (m, 2)."""
         middle, n = self.places.mean(axis=0), len(self.heights)
         plane = np.zeros(3)
         if n >= 6:
             design = np.column_stack([np.ones(n), self.places - middle])
             plane = np.linalg.lstsq(design, self.heights, rcond=1e-6)[0]
-        rest = self.heights - plane[0] - (self.places - middle) @ plane[1:]
+        residuals = self.heights - plane[0] - (self.places - middle) @ plane[1:]
         system = np.ones((n + 1, n + 1))
         system[:n, :n] = -self._between(self.places) + np.diag(self.variances)
         system[n, n] = 0.0
         inverse = np.linalg.inv(system)
-        height, error = np.empty(len(at)), np.empty(len(at))
-        for start in range(0, len(at), _AT_ONCE):
+        height, error = np.empty(len(targets)), np.empty(len(targets))
+        for start in range(0, len(targets), _AT_ONCE):
             part = slice(start, start + _AT_ONCE)
-            known = np.ones((len(at[part]), n + 1))
-            known[:, :n] = -self._between(at[part])
-            weights = known @ inverse
-            height[part] = weights[:, :n] @ rest + plane[0] + (at[part] - middle) @ plane[1:]
-            error[part] = np.sqrt(np.maximum(-np.sum(weights * known, axis=1), 0.0))
+            semivariances = np.ones((len(targets[part]), n + 1))
+            semivariances[:, :n] = -self._between(targets[part])
+            weights = semivariances @ inverse
+            height[part] = weights[:, :n] @ residuals + plane[0] + (targets[part] - middle) @ plane[1:]
+            error[part] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
         return height, error
 
-    def _between(self, at: Array) -> Array:
-        return self.slope * np.hypot(*(at[:, None, k] - self.places[None, :, k] for k in (0, 1)))
+    def _between(self, targets: Floats) -> Floats:
+        return self.slope * np.hypot(*(targets[:, None, k] - self.places[None, :, k] for k in (0, 1)))
 
 
-def variogram_slope(heights: Array, pitch: tuple[float, float], lag_um: float, *, least: float) -> float:
+def variogram_slope(heights: Floats, pitch: tuple[float, float], lag_um: float, *, least: float) -> float:
     """Slope of the linear variogram of a field (rows, cols), NaN where unknown, from pairs ``lag_um`` apart.
 
     ``least``: variance at that lag where no more is seen.
     """
-    found: list[Array] = []
+    squares: list[Floats] = []
     for axis, step in enumerate(pitch):
         k = max(1, round(lag_um / step))
         if heights.shape[axis] > k:
             first, second = (np.take(heights, range(a, heights.shape[axis] - k + a), axis) for a in (0, k))
             pairs = (second - first)[np.isfinite(second - first)] ** 2
-            found.append(pairs * lag_um / (k * step))
-    pairs = np.concatenate(found) if found else np.empty(0)
+            squares.append(pairs * lag_um / (k * step))
+    pairs = np.concatenate(squares) if squares else np.empty(0)
     usual = float(np.median(pairs)) / (2 * _OF_A_MEDIAN) if pairs.size else 0.0
     return max(usual, least) / lag_um

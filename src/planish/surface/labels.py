@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile
+from planish.core.typing import Floats
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, Guide, make_guide
 from planish.surface.faces import placed
@@ -20,7 +21,6 @@ from planish.surface.regions import doubtful
 from planish.surface.slices import first_where
 from planish.surface.survey import survey_labels
 
-Array = NDArray[np.float64]
 _CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
 _UNKNOWN = 255
 _COATED_SHARE = 0.02  # of the columns; below it a side has no coating
@@ -62,17 +62,17 @@ def surfaces_from_labels(
     guide = make_guide(coarse, columns)
     coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
     shape = columns.shape[:2]
-    found = np.empty((4, *shape))
+    depths = np.empty((4, *shape))
     reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
 
     tiles = columns.tiles(engine)
     for tile, part in engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), tiles):
-        found[:, tile.rows, tile.cols] = part
+        depths[:, tile.rows, tile.cols] = part
     share = [float(np.mean(thickness[np.isfinite(thickness)] > 0)) if np.isfinite(thickness).any() else 0.0
-             for thickness in (found[1], found[3])]  # fmt: skip
+             for thickness in (depths[1], depths[3])]  # fmt: skip
     coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
     surfaces = assemble(
-        columns, params, placed(found, columns, coated, particles=coarse.specks),
+        columns, params, placed(depths, columns, coated, particles=coarse.specks),
         doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
     )  # fmt: skip
     surfaces.attrs["empty_share"] = empty_share
@@ -91,7 +91,7 @@ def _codes(meaning: LabelParams) -> tuple[tuple[int, int], ...]:
     return tuple(sorted(codes.items()))
 
 
-def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Array:
+def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
     columns, guide, reach = job
     codes = columns.voxels(tile)
@@ -99,12 +99,12 @@ def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Array:
     last = codes.shape[2] - 1
     for k, high in enumerate((True, False)):
         outer, other = guide.faces(last + 1, high=high)
-        known = np.isfinite(outer) & np.isfinite(other)
-        middle, start = (np.where(known, a, -1.0) for a in (0.5 * (outer + other), outer - reach / guide.tilt))
+        is_seen = np.isfinite(outer) & np.isfinite(other)
+        middle, start = (np.where(is_seen, a, -1.0) for a in (0.5 * (outer + other), outer - reach / guide.tilt))
         part = codes[:, :, ::-1] if high else codes
         # The outermost boundary of base or coating, and the outermost run of coating.
         face = first_where((part == _CODES["base"]) | (part == _CODES["coating"]), np.floor(start))
         end = first_where(part != _CODES["coating"], face)
-        found = known & (face > 0) & (face <= np.minimum(middle.astype(int), last - 1))
-        out[2 * k][found], out[2 * k + 1][found] = face[found] - 0.5, (end - face)[found]
+        is_boundary = is_seen & (face > 0) & (face <= np.minimum(middle.astype(int), last - 1))
+        out[2 * k][is_boundary], out[2 * k + 1][is_boundary] = face[is_boundary] - 0.5, (end - face)[is_boundary]
     return out

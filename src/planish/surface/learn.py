@@ -10,9 +10,9 @@ from planish.surface import _fit_kernels
 from planish.surface.coarse import CORE
 from planish.surface.columns import Columns, Guide
 from planish.surface.fringe import thin_levels, undershoots, with_fringe
-from planish.surface.learnt import Edge, Learnt, Side
 from planish.surface.levels import spread
 from planish.surface.params import SurfaceParams
+from planish.surface.priors import Edge, Priors, Side
 from planish.surface.sample import Sample, Sampler, most_cost
 from planish.surface.survey import Survey
 
@@ -26,7 +26,7 @@ _COATING_RATIO = 1.25  # a layer is a coating when it stands out from the base b
 _FEW = 50  # columns that show it
 
 
-def learn(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Learnt:
+def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
     """Learn the grey levels, the blur and the fringe from a sample of columns.
 
     Raises
@@ -34,36 +34,36 @@ def learn(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams)
     VolumeError
         If the core of the sheet does not stand out from the air.
     """
-    return _Learner(Sampler(columns, guide, survey), survey, params).learnt()
+    return _Learner(Sampler(columns, guide, survey), survey, params).priors()
 
 
 class _Learner:
     def __init__(self, sampler: Sampler, survey: Survey, params: SurfaceParams) -> None:
         self.sampler, self.params, self.survey = sampler, params, survey
 
-    def learnt(self) -> Learnt:
+    def priors(self) -> Priors:
         sampler, params = self.sampler, self.params
         base, base_sd = self._base(sampler.sample(high=True))
         sampler.calm(base)
         samples = {high: sampler.sample(high=high) for high in (True, False)}
         # Coarse profile per side: is there a coating, how bright, how much does it vary?
         sides = {high: self._first_side(part, base, base_sd) for high, part in samples.items()}
-        given_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
-        edge = Edge(width=self._blur(samples, sides, given_fringe), fringe=given_fringe)
-        seen = params.fringe == "auto" and undershoots(sampler, samples, sides, edge)
-        if seen:
+        preset_fringe = 0.0 if isinstance(params.fringe, str) else params.fringe
+        edge = Edge(width=self._blur(samples, sides, preset_fringe), fringe=preset_fringe)
+        has_fringe = params.fringe == "auto" and undershoots(sampler, samples, sides, edge)
+        if has_fringe:
             edge, _ = with_fringe(sampler, samples, sides, edge, [])
         thin = [high for high in samples if self._is_thin(samples[high], sides[high], edge)]
         if thin:
             quiet = sampler.quiet(samples, edge.width)
-            edge, sides = (with_fringe if seen else thin_levels)(sampler, quiet, sides, edge, thin)
-        given = params.coating_grey is not None
-        sides = {high: self._narrowed(samples[high], sides[high], edge, given or high in thin) for high in samples}
-        if given:
+            edge, sides = (with_fringe if has_fringe else thin_levels)(sampler, quiet, sides, edge, thin)
+        is_given = params.coating_grey is not None
+        sides = {high: self._narrowed(samples[high], sides[high], edge, is_given or high in thin) for high in samples}
+        if is_given:
             sides = {high: self._given_side(samples[high], side, edge, base) for high, side in sides.items()}
-        return Learnt(
+        return Priors(
             scale=sampler.scale, noise=sampler.noise, single_noise=sampler.single_noise, scatter=sampler.scatter,
-            base=base, edge=edge, reach=sampler.reach, amid=sampler.amid, sides=sides,
+            base=base, edge=edge, reach=sampler.reach, embedded_level=sampler.embedded_level, sides=sides,
         )  # fmt: skip
 
     def _base(self, sample: Sample) -> tuple[float, float]:
@@ -85,11 +85,11 @@ class _Learner:
         bare = Side(
             level=np.array([0.0, 0.0, 0.0, base]), spread=np.array([0.0, 0.0, -1.0, side.spread[3]]), coated=False
         )
-        return self._narrowed(sample, bare, edge, given=True)
+        return self._narrowed(sample, bare, edge, is_given=True)
 
     def _first_side(self, sample: Sample, base: float, base_sd: float) -> Side:
         """Look for a coating in the median profile below the face; wide spreads."""
-        scale, amid, reach = self.sampler.scale, self.sampler.amid, self.sampler.reach
+        scale, embedded_level, reach = self.sampler.scale, self.sampler.embedded_level, self.sampler.reach
         if self.params.coating_grey is not None:
             grey = scale.polarity * (self.params.coating_grey - scale.air)
             if grey < 1.05 * base:
@@ -104,7 +104,7 @@ class _Learner:
             )  # fmt: skip
         outer = sample.outer[0]
         start = np.array([
-            _fit_kernels.nearest(g, e, reach, amid) if amid
+            _fit_kernels.nearest(g, e, reach, embedded_level) if embedded_level
             else _fit_kernels.outermost(g, max(int(e - reach), 0), int(e + reach) + 1, 0.5 * base)
             for g, e in zip(sample.grey[0], outer, strict=True)
         ])  # fmt: skip
@@ -115,11 +115,11 @@ class _Learner:
         profile = np.nanmedian(np.take_along_axis(sample.grey[0][good], depth, axis=1), axis=0)
         peak = float(profile[: max(2, int(0.8 * half))].max())
         solid = base + 1.28 * min(base_sd, 0.3 * base)
-        given = self.params.sheet_grey is not None or self.survey.beside == "material"
-        coated = peak > _COATING_RATIO * (1.2 * solid if given else solid)
+        is_separated = self.params.sheet_grey is not None or self.survey.surroundings == "material"
+        coated = peak > _COATING_RATIO * (1.2 * solid if is_separated else solid)
         # Without a coating the third level is what lies outside: the air, unless the sheet was separated from other
         # material.
-        outside = (1.0 if amid else 0.5) * base if given else -1.0
+        outside = (1.0 if embedded_level else 0.5) * base if is_separated else -1.0
         level = np.array([0.0, 0.0, peak if coated else 0.0, base])
         wide = np.array([0.0, 0.0, 0.25 * peak if coated else outside, max(base_sd, 0.25 * base)])
         return Side(level=level, spread=wide, coated=coated)
@@ -133,9 +133,9 @@ class _Learner:
             tried = [self.sampler.fit(few, sides[high], edge)[4] for edge in edges]
             most = min((most_cost(cost) for cost in tried if np.isfinite(cost).any()), default=0.0)
             for i, cost in enumerate(tried):
-                known = cost[np.isfinite(cost)]
+                finite_costs = cost[np.isfinite(cost)]
                 # A blur so wide that it reaches the end of every column cannot be tried.
-                costs[i] += float(np.mean(np.minimum(known, most))) if known.size else np.inf
+                costs[i] += float(np.mean(np.minimum(finite_costs, most))) if finite_costs.size else np.inf
         best = int(np.argmin(costs))
         if 0 < best < costs.size - 1 and np.isfinite(costs[best + 1]):
             a, b, c = costs[best - 1 : best + 2]
@@ -152,20 +152,20 @@ class _Learner:
         thick = self.sampler.fit(sample, side, edge)[1] * sample.tilt > _PLAIN * edge.width
         return float(np.mean(thick)) < _PLAIN_SHARE
 
-    def _narrowed(self, sample: Sample, side: Side, edge: Edge, given: bool) -> Side:
+    def _narrowed(self, sample: Sample, side: Side, edge: Edge, is_given: bool) -> Side:
         """Narrow what is expected to what thick layers and the base below them show."""
         level, wide = side.level.copy(), side.spread.copy()
         for _ in range(2):
             fit = self.sampler.fit(sample, Side(level=level, spread=wide, coated=side.coated), edge)
-            known = np.isfinite(fit[0])
-            if side.coated and given:
+            has_face = np.isfinite(fit[0])
+            if side.coated and is_given:
                 wide[2] = 0.02 * level[2]
             elif side.coated:
-                thick = known & (fit[1] * sample.tilt > _THICK * edge.width)
+                thick = has_face & (fit[1] * sample.tilt > _THICK * edge.width)
                 if np.count_nonzero(thick) < _FEW:
-                    thick = known & (fit[1] >= np.nanpercentile(fit[1], 75))
+                    thick = has_face & (fit[1] >= np.nanpercentile(fit[1], 75))
                 level[2] = float(np.median(fit[2][thick]))
                 wide[2] = max(1.2 * spread(fit[2][thick]), 0.01 * level[2])
-            level[3] = float(np.median(fit[3][known]))
-            wide[3] = max(1.2 * spread(fit[3][known]), 0.03 * level[3])
+            level[3] = float(np.median(fit[3][has_face]))
+            wide[3] = max(1.2 * spread(fit[3][has_face]), 0.03 * level[3])
         return Side(level=level, spread=wide, coated=side.coated)

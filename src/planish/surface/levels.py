@@ -6,37 +6,36 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 _ENOUGH = 2**21  # block means from which levels are told; of more, every so many
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 _FEWER_SIGMAS = 4.5  # where that is not enough to see the base of a sheet
 
 
-def mode(values: Array) -> float:
+def mode(values: Floats) -> float:
     """Half-sample mode: the value around which the data crowd, whatever lies beside."""
-    data = np.sort(values[np.isfinite(values)].ravel())
-    if data.size == 0:
+    crowd = np.sort(values[np.isfinite(values)].ravel())
+    if crowd.size == 0:
         raise VolumeError("The volume holds no finite value at the ends of the axis through the sheet.")
-    while data.size > 3:
-        half = (data.size + 1) // 2
-        width = data[half - 1 :] - data[: data.size - half + 1]
+    while crowd.size > 3:
+        half = (crowd.size + 1) // 2
+        width = crowd[half - 1 :] - crowd[: crowd.size - half + 1]
         narrowest = np.flatnonzero(width == width.min())
         # Integers tie: take the middle one of the ties.
         start = int(narrowest[narrowest.size // 2])
-        data = data[start : start + half]
-        if data[0] == data[-1]:
+        crowd = crowd[start : start + half]
+        if crowd[0] == crowd[-1]:
             break
-    return float(np.mean(data))
+    return float(np.mean(crowd))
 
 
-def spread(values: Array) -> float:
+def spread(values: Floats) -> float:
     """Return the standard deviation estimated from the median absolute deviation."""
-    data = values[np.isfinite(values)]
-    if data.size == 0:
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
         return float("nan")
-    return float(1.4826 * np.median(np.abs(data - np.median(data))))
+    return float(1.4826 * np.median(np.abs(finite - np.median(finite))))
 
 
 def padding_value(columns: NDArray[np.generic]) -> float | None:
@@ -52,12 +51,12 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     if not np.isfinite(corner) or columns[-1, -1] != corner or same.mean() < 1e-3:
         return None
     inside = ~same
-    some = inside.sum(axis=1) > 12
-    if np.count_nonzero(some) < 10:
+    has_inside = inside.sum(axis=1) > 12
+    if np.count_nonzero(has_inside) < 10:
         return None
-    kept = columns[some].astype(np.float64)
-    first = np.argmax(inside[some], axis=1)
-    last = columns.shape[1] - 1 - np.argmax(inside[some][:, ::-1], axis=1)
+    profiles = columns[has_inside].astype(np.float64)
+    first = np.argmax(inside[has_inside], axis=1)
+    last = columns.shape[1] - 1 - np.argmax(inside[has_inside][:, ::-1], axis=1)
     cut = (first > 0) | (last < columns.shape[1] - 1)
     whole = ~same.all(axis=1)
     if np.count_nonzero(cut) < 0.05 * cut.size:
@@ -70,20 +69,20 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     rows = np.flatnonzero(cut & (first > 0))
     if rows.size < 10:
         rows, first = np.flatnonzero(cut), columns.shape[1] - 1 - last
-        kept = kept[:, ::-1]
-    edge = kept[rows, first[rows]]
-    deeper = kept[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), columns.shape[1] - 1)]
+        profiles = profiles[:, ::-1]
+    edge = profiles[rows, first[rows]]
+    deeper = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), columns.shape[1] - 1)]
     level = float(np.median(deeper))
     scatter = max(spread(deeper - level), 1e-9)
-    run = (kept[rows, :-2] + kept[rows, 1:-1] + kept[rows, 2:]) / 3
-    run = np.where(same[some][rows][:, 1:-1], level, run)
+    run = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
+    run = np.where(same[has_inside][rows][:, 1:-1], level, run)
     stands_out = float(np.median(np.max(np.abs(run - level), axis=1)))
     sharp = abs(float(np.median(edge)) - level) < 0.2 * abs(level - float(corner))
     differs = abs(level - float(corner)) > 3 * scatter
     return float(corner) if sharp and differs and stands_out > 4 * scatter else None
 
 
-def voxel_noise(ends: Array, air: float) -> float:
+def voxel_noise(ends: Floats, air: float) -> float:
     """Standard deviation of one voxel, from samples (n, 3) of neighbouring voxels in the air."""
     steps = np.diff(ends, axis=1).ravel()
     distance = np.abs(ends - air)
@@ -94,16 +93,16 @@ def voxel_noise(ends: Array, air: float) -> float:
     return float(robust if robust > 0 else np.sqrt(np.mean(steps[near] ** 2) / 2))
 
 
-def material(blocks: NDArray[np.float32], air: float, known: float | None = None) -> tuple[float, float, float]:
+def material(blocks: NDArray[np.float32], air: float, air_scatter: float | None = None) -> tuple[float, float, float]:
     """Return polarity, the threshold of a first, coarse search, and the least that noise allows, both above the air.
 
     ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
     to the air where it is not ``known``.
     """
-    some = blocks.ravel()[:: 1 + blocks.size // _ENOUGH]
-    deviation = some[np.isfinite(some)].astype(np.float64) - air
+    subset = blocks.ravel()[:: 1 + blocks.size // _ENOUGH]
+    deviation = subset[np.isfinite(subset)].astype(np.float64) - air
     size = np.abs(deviation)
-    scatter = spread(deviation[size <= np.percentile(size, 50)]) if known is None else known
+    scatter = spread(deviation[size <= np.percentile(size, 50)]) if air_scatter is None else air_scatter
     scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
     bright = deviation > _SIGMAS * scatter
     dark = deviation < -_SIGMAS * scatter

@@ -12,13 +12,13 @@ Label = Annotated[int, Field(ge=0)]
 Fringe = Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)]
 
 
-def _label(default: int | None, what: str) -> tuple[Label, ...]:
-    given: tuple[int, ...] = () if default is None else (default,)
+def _label(default: int | None, meaning: str) -> tuple[Label, ...]:
+    labels: tuple[int, ...] = () if default is None else (default,)
     return option(
-        given,
-        cli=f"--label-{what.split()[0]}",
+        labels,
+        cli=f"--label-{meaning.split()[0]}",
         metavar="N[,N...]",
-        help=f"Labels that mean {what}; several with commas, none for no such label.",
+        help=f"Labels that mean {meaning}; several with commas, none for no such label.",
     )
 
 
@@ -54,7 +54,7 @@ class SurfaceParams(Params):
     )
     fringe: Fringe = option(
         "auto", metavar="auto|off|SIZE",
-        help="Phase-contrast fringe beside every edge: learnt, none, or its size as a share of the edge's step.",
+        help="Phase-contrast fringe beside every edge: priors, none, or its size as a share of the edge's step.",
     )  # fmt: skip
     envelope_um: float | None = option(
         None, gt=0, help="Radius of a ball that rolls over both faces (50 to 250): loose fibres do not lift envelopes."

@@ -1,4 +1,4 @@
-"""Where there is material in three layers of the sheet: what holes are found in."""
+"""Presence of material in three layers of the sheet: the maps in which holes are found."""
 
 from __future__ import annotations
 
@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.tiles import Engine, Tile
+from planish.core.typing import Floats
 from planish.surface import _kernels
 from planish.surface.columns import Columns
-
-Array = NDArray[np.float64]
 
 _FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, and places between; the bottom's layer mirrors the top's
 _INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to the second place of either neighbour
@@ -28,12 +27,14 @@ TITLES = {
 }
 
 
-_Look = tuple[Columns, list[Array], float, tuple[float, float]]  # depth and normals are those of the tile, in voxels
+_TileJob = tuple[
+    Columns, list[Floats], float, tuple[float, float]
+]  # depth and normals are those of the tile, in voxels
 
 
 def find_presence(
-    columns: Columns, centre: Array, thickness: float, up: float, levels: tuple[float, float], engine: Engine
-) -> dict[str, Array]:
+    columns: Columns, centre: Floats, thickness: float, up: float, levels: tuple[float, float], engine: Engine
+) -> dict[str, Floats]:
     """Share of material in three layers of the sheet, along the true normals, of every column; 0 to 1.
 
     ``centre``: height of the centre surface, um; ``up``: +1 where heights grow towards the top; ``levels``: grey of air
@@ -47,16 +48,16 @@ def find_presence(
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
-    def job(tile: Tile) -> _Look:
+    def job(tile: Tile) -> _TileJob:
         return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
 
     out = np.full((len(LAYERS), *shape), np.nan)
-    for tile, part in engine.map("layers", _look, job, columns.tiles(engine)):
+    for tile, part in engine.map("layers", _tile_presence, job, columns.tiles(engine)):
         out[:, tile.rows, tile.cols] = part
     return dict(zip(LAYERS, out, strict=True))
 
 
-def _places() -> tuple[Array, NDArray[np.int64]]:
+def _places() -> tuple[Floats, NDArray[np.int64]]:
     """Places along the normal in shares of the thickness, and which of them each layer is the mean of."""
     outer = np.linspace(_FROM, _TO, _STEPS)
     # The centre's layer takes the two places of either neighbour that lie in it, and three of its own.
@@ -67,28 +68,27 @@ def _places() -> tuple[Array, NDArray[np.int64]]:
     return places, np.stack([top, centre, top + _STEPS]).astype(np.int64)
 
 
-def _look(look: _Look, tile: Tile) -> Array:
-    columns, fields, thickness, levels = look
+def _tile_presence(job: _TileJob, tile: Tile) -> Floats:
+    """Give the presence in a tile, (layers, rows, cols)."""
+    columns, fields, thickness, levels = job
     whole = columns.shape
     out = np.full((len(LAYERS), *tile.shape), np.nan)
     depth, rows, cols, along = (np.ascontiguousarray(a) for a in fields)
-    known = np.isfinite(depth) & np.isfinite(along)
-    if not known.any():
+    is_sheet = np.isfinite(depth) & np.isfinite(along)
+    if not is_sheet.any():
         return out
     places, layers = _places()
     offsets = places * thickness
     # Only what the normals pass through is read.
-    ends = [depth[known] + s * along[known] for s in (offsets.min(), offsets.max())]
+    ends = [depth[is_sheet] + s * along[is_sheet] for s in (offsets.min(), offsets.max())]
     low, high = min(float(e.min()) for e in ends), max(float(e.max()) for e in ends)
     if high < 0 or low > whole[2] - 1:
         return out
     first = min(max(int(np.floor(low)), 0), whole[2] - 2)
-    part = slice(first, min(int(np.ceil(high)) + 2, whole[2]))
-    farthest = float(np.abs(offsets).max())
-    lead = [int(np.ceil(farthest * float(np.abs(n[known]).max()))) + 1 for n in (rows, cols)]
+    lead = [int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1 for n in (rows, cols)]
     outside = tile.grown(lead[0], lead[1], whole[:2])
     inner = tile.within(outside)
-    grey = columns.grey(outside, depth=part)
+    grey = columns.grey(outside, depth=slice(first, min(int(np.ceil(high)) + 2, whole[2])))
     _kernels.presence(
         grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, offsets, layers, *levels, out
     )

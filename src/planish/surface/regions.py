@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import ndimage, spatial
 
+from planish.core.typing import Bools, Floats
 from planish.surface.coarse import CoarseSheet, flags_to_columns
 from planish.surface.columns import Guide
-
-Array = NDArray[np.float64]
 
 _MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
 _BESIDE = 2  # columns beside such a place whose faces it disturbs
@@ -21,9 +19,7 @@ _OPEN = 0.7  # share of a hole's ellipse that must be open
 _LEAST_UM = 40.0  # width of what counts as a hole at all
 
 
-def regions(
-    seen: NDArray[np.bool_], runs_out: NDArray[np.bool_], pitch: tuple[float, float], rim_um: float
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_], NDArray[np.bool_]]:
+def regions(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float], rim_um: float) -> tuple[Bools, Bools, Bools]:
     """Return where the sheet is, the rims of its holes and edges, and its outline with the holes filled.
 
     A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of the sheet or of the
@@ -31,8 +27,8 @@ def regions(
     """
     step = float(np.sqrt(pitch[0] * pitch[1]))
     # Single columns without a face are gaps of the measurement; only larger ones are gaps of the sheet.
-    reach = max(1, round(12.0 / step)) if min(seen.shape) * step > 100 else 1
-    padded = np.pad(seen, 2 * reach, mode="edge")
+    reach = max(1, round(12.0 / step)) if min(is_sheet.shape) * step > 100 else 1
+    padded = np.pad(is_sheet, 2 * reach, mode="edge")
     inner = (slice(2 * reach, -2 * reach),) * 2
     sheet = ndimage.binary_closing(padded, _disc(reach))
     sheet = ndimage.binary_opening(sheet, _disc(reach))[inner] | ndimage.binary_erosion(sheet, _disc(1))[inner]
@@ -51,14 +47,12 @@ def regions(
     return sheet, rim & sheet, sheet | holes
 
 
-def doubtful(
-    guide: Guide, coarse: CoarseSheet, width: float, depth: int
-) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+def doubtful(guide: Guide, coarse: CoarseSheet, width: float, depth: int) -> tuple[Bools, Bools]:
     """Columns in which the sheet touches another or itself, and those in which it may run out of the volume."""
     extent = (guide.high - guide.low) * guide.tilt
-    known = np.isfinite(extent)
-    usual = float(np.median(extent[known])) if known.any() else np.inf
-    touching = known & (np.where(known, extent, 0.0) > _MERGED * usual + 2.0 * width)
+    is_finite = np.isfinite(extent)
+    usual = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
+    touching = is_finite & (np.where(is_finite, extent, 0.0) > _MERGED * usual + 2.0 * width)
     touching |= flags_to_columns(coarse.touching, coarse.block, extent.shape)
     if touching.any():
         touching = ndimage.binary_dilation(touching, _disc(_BESIDE))
@@ -68,14 +62,14 @@ def doubtful(
     return touching, flags_to_columns(coarse.leaves, coarse.block, extent.shape) | near
 
 
-def _near(region: NDArray[np.bool_], pitch: tuple[float, float], distance_um: float) -> NDArray[np.bool_]:
+def _near(region: Bools, pitch: tuple[float, float], distance_um: float) -> Bools:
     """Columns within a distance of a region."""
     if not region.any():
         return np.zeros_like(region)
     return np.asarray(ndimage.distance_transform_edt(~region, sampling=pitch)) <= distance_um
 
 
-def _disc(radius: int) -> NDArray[np.bool_]:
+def _disc(radius: int) -> Bools:
     y, x = np.ogrid[-radius : radius + 1, -radius : radius + 1]
     return x * x + y * y <= radius * radius + 0.5
 
@@ -93,19 +87,19 @@ class Hole(NamedTuple):
     ellipse_um2: float
 
 
-def half_closed(seen: NDArray[np.bool_], runs_out: NDArray[np.bool_], pitch: tuple[float, float]) -> list[Hole]:
+def half_closed(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float]) -> list[Hole]:
     """Find the holes of which less than 70 % is open.
 
     A hole is compared with its own ellipse, and where there are three or more, with the usual ellipse of all: what has
     half closed with a straight edge is a smaller ellipse of its own. ``seen``: columns with a sheet; ``runs_out``:
     columns in which it goes on beyond the volume.
     """
-    holes = all_holes(seen | runs_out, pitch)
+    holes = all_holes(is_sheet | runs_out, pitch)
     usual = float(np.median([h.ellipse_um2 for h in holes])) if len(holes) >= 3 else 0.0
     return [h for h in holes if h.open_um2 < _OPEN * max(h.ellipse_um2, usual)]
 
 
-def all_holes(sheet: NDArray[np.bool_], pitch: tuple[float, float]) -> list[Hole]:
+def all_holes(sheet: Bools, pitch: tuple[float, float]) -> list[Hole]:
     """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map."""
     reach = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.
@@ -115,7 +109,7 @@ def all_holes(sheet: NDArray[np.bool_], pitch: tuple[float, float]) -> list[Hole
     for k, place in enumerate(ndimage.find_objects(around)[:count], start=1):
         if any(s.start == 0 or s.stop == n for s, n in zip(place, sheet.shape, strict=True)):
             continue
-        where: Array = np.argwhere(gaps[place] & (around[place] == k)).astype(np.float64) * np.asarray(pitch)
+        where: Floats = np.argwhere(gaps[place] & (around[place] == k)).astype(np.float64) * np.asarray(pitch)
         if where.shape[0] < 8 or np.ptp(where, axis=0).min() <= 0:
             continue
         area = where.shape[0] * pitch[0] * pitch[1]
@@ -126,7 +120,7 @@ def all_holes(sheet: NDArray[np.bool_], pitch: tuple[float, float]) -> list[Hole
     return out
 
 
-def _ellipse(points: Array) -> float:
+def _ellipse(points: Floats) -> float:
     """Area of the ellipse with the second moments of the convex hull of ``points``."""
     try:
         hull = points[spatial.ConvexHull(points).vertices]

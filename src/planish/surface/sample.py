@@ -11,13 +11,12 @@ from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.tiles import Tile
+from planish.core.typing import Floats
 from planish.surface import _fit_kernels
 from planish.surface.columns import Columns, Guide, Scale, oriented
-from planish.surface.learnt import Edge, Side
 from planish.surface.levels import spread
+from planish.surface.priors import Edge, Side
 from planish.surface.survey import Survey
-
-Array = NDArray[np.float64]
 
 _ROWS = 24  # rows that are read for it
 _WIDTH = 1024  # columns of each of them
@@ -37,9 +36,9 @@ class Sample(NamedTuple):
     """Columns read from one end, as one row: (1, n, depth), with (1, n) expected faces, tilt and number of the row."""
 
     grey: NDArray[np.float32]
-    outer: Array
-    other: Array
-    tilt: Array
+    outer: Floats
+    other: Floats
+    tilt: Floats
     row: NDArray[np.intp]
 
     def thinned(self, every: int) -> Sample:
@@ -62,13 +61,13 @@ class Sampler:
         rounding and the paper's own texture leave. Without noise nothing would weigh beside a sample otherwise.
     reach : float
         How far outside the expected face a search starts, in voxels.
-    amid : float
+    embedded_level : float
         Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
     """
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
-        self.amid = survey.coarse.threshold if survey.beside != "air" else 0.0
+        self.embedded_level = survey.coarse.threshold if survey.surroundings != "air" else 0.0
         self.depth = columns.shape[2]
         self.pitch = columns.pitch
         self.scale = Scale(air=survey.air, polarity=survey.polarity)
@@ -77,13 +76,13 @@ class Sampler:
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
         self.scatter = self.single_noise = self.noise
         self.rows = self._chosen_rows()
-        self.kept: dict[tuple[Tile, float], NDArray[np.float32]] = {}
+        self.cache: dict[tuple[Tile, float], NDArray[np.float32]] = {}
 
     def _chosen_rows(self) -> list[Tile]:
         """Pieces of rows, spread over the sheet."""
         guide, (_, cols, _) = self.guide, self.columns.shape
-        both = np.isfinite(guide.low) & np.isfinite(guide.high)
-        rows = np.flatnonzero(both.any(axis=1))
+        has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
+        rows = np.flatnonzero(has_sheet.any(axis=1))
         rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, _ROWS)).astype(int))]
         wide = min(cols, _WIDTH)
         # Starts that are far apart from one row to the next: multiples of the golden section.
@@ -93,12 +92,12 @@ class Sampler:
     def _read(self, tile: Tile, *, high: bool) -> NDArray[np.float32]:
         # The same columns are looked at several times.
         key = (tile, self.scale.blend)
-        if key not in self.kept:
-            if any(blend != self.scale.blend for _, blend in self.kept):
-                self.kept.clear()
+        if key not in self.cache:
+            if any(blend != self.scale.blend for _, blend in self.cache):
+                self.cache.clear()
             guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
-            self.kept[key] = oriented(self.columns, tile, guide, self.scale)[0]
-        part = self.kept[key]
+            self.cache[key] = oriented(self.columns, tile, guide, self.scale)[0]
+        part = self.cache[key]
         return np.ascontiguousarray(part[:, ::-1]) if high else part
 
     def sample(self, *, high: bool) -> Sample:
@@ -150,49 +149,50 @@ class Sampler:
 
     def _air_noise(self) -> float:
         """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
-        if self.amid:
+        if self.embedded_level:
             return float("nan")  # what lies beside is no air
-        return spread(np.concatenate([*self._beside()]).astype(np.float64))
+        return spread(np.concatenate([*self._air_samples()]).astype(np.float64))
 
-    def _beside(self) -> Iterator[NDArray[np.float32]]:
-        beside = int(np.ceil(_BESIDE_UM / self.pitch[2]))
+    def _air_samples(self) -> Iterator[NDArray[np.float32]]:
+        width = int(np.ceil(_BESIDE_UM / self.pitch[2]))
         for tile in self.rows:
             part = self._read(tile, high=False)
             for high in (True, False):
                 outer = self.guide.part(tile).faces(self.depth, high=high)[0][0]
                 grey = part[:, ::-1] if high else part
-                first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - beside
-                for at in (first, first - beside):
-                    held = np.flatnonzero(at >= 0)
-                    yield grey[held, at[held]]
+                first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - width
+                for start in (first, first - width):
+                    is_inside = np.flatnonzero(start >= 0)
+                    yield grey[is_inside, start[is_inside]]
 
     def quiet(self, samples: dict[bool, Sample], width: float) -> dict[bool, Sample]:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
-        guide, kept = self.guide, self.scale
+        guide, scale = self.guide, self.scale
         steep = float(np.nanpercentile(np.hypot(guide.slope_r, guide.slope_c), 90)) * self.columns.step
         blend = min(_QUIET_BLEND, 0.3 * width / max(steep, 1e-3))
-        if blend <= max(kept.blend, 0.3):
+        if blend <= max(scale.blend, 0.3):
             return samples
-        self.scale = replace(kept, blend=blend)
+        self.scale = replace(scale, blend=blend)
         quiet = {high: self.sample(high=high) for high in samples}
-        self.scale = kept
+        self.scale = scale
         return quiet
 
-    def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Array:
+    def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Floats:
         """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
-        result = np.empty((5, *sample.outer.shape))
+        fit = np.empty((5, *sample.outer.shape))
         outer, other, tilt = (np.ascontiguousarray(a) for a in (sample.outer, sample.other, sample.tilt))
         _fit_kernels.fit_faces(
             np.ascontiguousarray(sample.grey), outer, other, tilt, 0.0, edge.width, self.scatter, side.level,
-            side.spread, side.coated, self.reach, result, window, self.amid, edge.fringe or None, edge.ratio, False,
+            side.spread, side.coated, self.reach, fit, window, self.embedded_level, edge.fringe or None, edge.ratio,
+            False,
         )  # fmt: skip
-        return result
+        return fit
 
 
-def most_cost(cost: Array) -> float:
+def most_cost(cost: Floats) -> float:
     """Cost above which a column counts no more: its fit went astray.
 
     Where most columns cost more than that, the staircase is what does not fit, and what fits it worse must still show.
     """
-    known = cost[np.isfinite(cost)]
-    return max(_ASTRAY, _USUAL * float(np.median(known))) if known.size else _ASTRAY
+    finite = cost[np.isfinite(cost)]
+    return max(_ASTRAY, _USUAL * float(np.median(finite))) if finite.size else _ASTRAY

@@ -13,52 +13,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.tiles import Engine, Tile, tiles_of
+from planish.core.typing import Bools, Floats
 from planish.surface.columns import Columns, Guide, oriented
 from planish.surface.faces import Faces, Fit, placed
-from planish.surface.learnt import Learnt
-
-Array = NDArray[np.float64]
+from planish.surface.priors import Priors
 
 _BINS = 128
 _AIR_UM = 20.0  # of air beside the sheet that counts in the histogram
 _BYTES = 16  # that a voxel of a slab takes
 
 
-def find_faces_by_slice(columns: Columns, guide: Guide, learnt: Learnt, engine: Engine, particles: int = 0) -> Faces:
+def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
     """Find the faces and interfaces of every column with its slice's own thresholds; ``particles`` float in the air."""
     rows, cols, depth = columns.shape
-    found = np.empty((4, rows, cols))
+    depths = np.empty((4, rows, cols))
     # Whole rows: a threshold belongs to a slice.
     high = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * _BYTES)), 1)
 
     def job(tile: Tile) -> Fit:
-        return Fit(columns=columns, guide=guide.part(learnt.scale.grown(tile, (rows, cols))), learnt=learnt)
+        return Fit(columns=columns, guide=guide.part(priors.scale.grown(tile, (rows, cols))), priors=priors)
 
     for tile, part in engine.map("slices", _fit, job, tiles_of((rows, cols), (high, cols))):
-        found[:, tile.rows] = part
-    return placed(found, columns, (learnt.sides[True].coated, learnt.sides[False].coated), particles=particles)
+        depths[:, tile.rows] = part
+    return placed(depths, columns, (priors.sides[True].coated, priors.sides[False].coated), particles=particles)
 
 
-def _fit(job: Fit, tile: Tile) -> Array:
+def _fit(job: Fit, tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
-    columns, learnt = job.columns, job.learnt
-    grey = oriented(columns, tile, job.guide, learnt.scale)
-    guide = job.guide.part(tile.within(learnt.scale.grown(tile, columns.shape[:2])))
-    coated = learnt.sides[True].coated or learnt.sides[False].coated
-    beside = _AIR_UM / columns.pitch[2]
+    columns, priors = job.columns, job.priors
+    grey = oriented(columns, tile, job.guide, priors.scale)
+    guide = job.guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
+    coated = priors.sides[True].coated or priors.sides[False].coated
+    margin = _AIR_UM / columns.pitch[2]
     out = np.full((4, *tile.shape), np.nan)
-    reach = learnt.reach / guide.tilt
+    reach = priors.reach / guide.tilt
     depth = np.arange(grey.shape[2])
     for i in range(tile.shape[0]):
         low, high = guide.low[i][:, None], guide.high[i][:, None]
         with np.errstate(invalid="ignore"):
-            near = (depth >= low - beside) & (depth <= high + beside)
-        values = grey[i][near & np.isfinite(grey[i])]
-        if values.size < 100:
+            near = (depth >= low - margin) & (depth <= high + margin)
+        grey_near = grey[i][near & np.isfinite(grey[i])]
+        if grey_near.size < 100:
             continue
-        paper, coating = otsu(values.astype(np.float64), 3 if coated else 2)
+        paper, coating = otsu(grey_near.astype(np.float64), 3 if coated else 2)
         for k, end in enumerate((True, False)):
-            side = learnt.sides[end]
+            side = priors.sides[end]
             column = grey[i, :, ::-1] if end else grey[i]
             outer, other = (a[i] for a in guide.faces(grey.shape[2], high=end))
             out[2 * k : 2 * k + 2, i] = _outer_boundaries(
@@ -67,15 +66,15 @@ def _fit(job: Fit, tile: Tile) -> Array:
     return out
 
 
-def first_where(mask: NDArray[np.bool_], start: NDArray[Any]) -> NDArray[np.intp]:
+def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
     """First index from ``start`` (...) on at which ``mask`` (..., depth) is set; the depth where there is none."""
-    held = mask & (np.arange(mask.shape[-1]) >= start[..., None])
-    return np.where(held.any(axis=-1), held.argmax(axis=-1), mask.shape[-1])
+    candidates = mask & (np.arange(mask.shape[-1]) >= start[..., None])
+    return np.where(candidates.any(axis=-1), candidates.argmax(axis=-1), mask.shape[-1])
 
 
 def _outer_boundaries(
-    grey: Array, expected: Array, other: Array, start: Array, paper: float, coating: float
-) -> tuple[Array, Array]:
+    grey: Floats, expected: Floats, other: Floats, start: Floats, paper: float, coating: float
+) -> tuple[Floats, Floats]:
     """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,); NaN where there is none.
 
     ``grey`` (cols, depth) is read from outside to inside; ``expected`` and ``other`` are where this face and the
@@ -83,14 +82,14 @@ def _outer_boundaries(
     side without a coating is infinite.
     """
     cols, depth = grey.shape
-    known = np.isfinite(expected) & np.isfinite(other)
-    middle = np.where(known, 0.5 * (expected + other), -1.0).astype(int)
+    is_expected = np.isfinite(expected) & np.isfinite(other)
+    middle = np.where(is_expected, 0.5 * (expected + other), -1.0).astype(int)
     above, bright = grey > paper, grey > coating
     clear = 0.25 * grey[:, :-2] + 0.5 * grey[:, 1:-1] + 0.25 * grey[:, 2:] > paper
     entered = np.zeros(grey.shape, dtype=bool)
     entered[:, 1:-2] = clear[:, :-1] & clear[:, 1:]
     d = first_where(entered & (np.arange(depth) <= middle[:, None]), np.maximum(np.floor(start), 1))
-    found = d < depth
+    has_face = d < depth
     # The smoothed grey passes up to a voxel beside the grey itself.
     outside = ~above & (np.arange(depth) < d[:, None])
     d = np.where(outside.any(axis=1), depth - outside[:, ::-1].argmax(axis=1), 1)
@@ -100,31 +99,31 @@ def _outer_boundaries(
     last = np.minimum(first_where(~bright, first) - 1, np.maximum(np.minimum(middle, depth - 2), first))
     coated = bright[np.arange(cols), first]
     thickness = np.where(coated, np.maximum(last + _crossing(grey, last, coating) - face, 0.0), 0.0)
-    return np.where(found, face, np.nan), np.where(found, thickness, np.nan)
+    return np.where(has_face, face, np.nan), np.where(has_face, thickness, np.nan)
 
 
-def _crossing(grey: Array, at: NDArray[np.intp], level: float) -> Array:
+def _crossing(grey: Floats, start: NDArray[np.intp], level: float) -> Floats:
     """Share of the way from one sample to the next at which level is passed."""
-    index = np.arange(at.size)
-    a, b = grey[index, at], grey[index, np.minimum(at + 1, grey.shape[1] - 1)]
+    index = np.arange(start.size)
+    a, b = grey[index, start], grey[index, np.minimum(start + 1, grey.shape[1] - 1)]
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
 
 
-def otsu(values: Array, classes: int) -> tuple[float, float]:
+def otsu(grey: Floats, classes: int) -> tuple[float, float]:
     """Thresholds that separate two or three classes of grey best; the second is infinite for two.
 
     The variance between the classes is largest there.
     """
-    low, high = np.percentile(values, [0.1, 99.9])
+    low, high = np.percentile(grey, [0.1, 99.9])
     if not high > low:
         return float(low), float("inf")
-    counts, edges = np.histogram(np.clip(values, low, high), bins=_BINS, range=(float(low), float(high)))
+    counts, edges = np.histogram(np.clip(grey, low, high), bins=_BINS, range=(float(low), float(high)))
     middle = 0.5 * (edges[1:] + edges[:-1])
     weight = np.concatenate([[0.0], np.cumsum(counts / counts.sum())])
     total = np.concatenate([[0.0], np.cumsum(middle * counts / counts.sum())])
 
-    def part(a: NDArray[np.intp], b: NDArray[np.intp]) -> Array:
+    def part(a: NDArray[np.intp], b: NDArray[np.intp]) -> Floats:
         w = weight[b] - weight[a]
         t = total[b] - total[a]
         return np.where(w > 0, t * t / np.maximum(w, 1e-300), 0.0)

@@ -12,14 +12,13 @@ from scipy import ndimage
 from planish.core.errors import VolumeError
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
+from planish.core.typing import Bools, Floats
 from planish.surface._kernels import block_sums
-from planish.surface.choose import Beside, choose_sheet, make_choice, seed_grey
+from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, coarse_sheet, followed_sheet
 from planish.surface.columns import Columns
 from planish.surface.levels import mode, padding_value, spread, voxel_noise
 from planish.surface.params import SurfaceParams
-
-Array = NDArray[np.float64]
 
 _SAMPLE = 40_000  # columns of the sample, and blocks wanted
 _WIDEST = 4  # columns along the edge of a block
@@ -38,11 +37,9 @@ class Survey:
     noise: float  # standard deviation of one voxel of the air
     polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
     padding: float | None  # value of the voxels outside the field of view
-    sample: NDArray[Any]  # (rows, cols, depth): voxels as stored of every ``stride``-th column
-    stride: tuple[int, int]  # along rows and columns
     missing_share: float  # voxels that are NaN or infinite
     empty_share: float  # columns with nothing but air, beside the sheet or in a hole
-    beside: Beside = "air"
+    surroundings: Surroundings = "air"
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
@@ -55,8 +52,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     """
     depth = columns.shape[2]
     block, stride = _block(columns)
-    sample = _sampled(columns, stride, engine)
-    flat = sample.reshape(-1, depth)
+    flat = _sampled(columns, stride, engine).reshape(-1, depth)
     padding = padding_value(flat)
     columns = columns.padded(padding)
     blocks, sharp, missing = _blocks(columns, block, engine)
@@ -74,12 +70,12 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
         scatter = spread(ends)
     air = mode(ends)
     noise = voxel_noise(voxels, air)
-    coarse, beside, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
+    coarse, surroundings, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
     limit = _ABOVE_AIR * spread(ends)
     empty = np.array([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
     return Survey(
-        coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding, sample=sample, stride=stride,
-        missing_share=missing, empty_share=float(empty.mean()), beside=beside,
+        coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding,
+        missing_share=missing, empty_share=float(empty.mean()), surroundings=surroundings,
     )  # fmt: skip
 
 
@@ -121,15 +117,15 @@ def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArr
     """Every ``stride``-th column, as stored."""
     rows, cols, depth = columns.shape
     k = columns.step
-    at = np.arange(0, rows, stride[0])
-    out = np.empty((at.size, -(-cols // stride[1]), depth), dtype=columns.volume.dtype)
+    row_numbers = np.arange(0, rows, stride[0])
+    out = np.empty((row_numbers.size, -(-cols // stride[1]), depth), dtype=columns.volume.dtype)
     single = replace(columns, step=1)
 
     def read(n: int) -> None:
-        r = int(at[n]) * k
+        r = int(row_numbers[n]) * k
         out[n] = single.voxels(Tile(r, r + 1, 0, cols * k))[0, : cols * k : stride[1] * k]
 
-    map_threads(read, range(at.size), number=engine.at_once)
+    map_threads(read, range(row_numbers.size), number=engine.at_once)
     return out
 
 
@@ -149,11 +145,11 @@ def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.fl
         for t in columns.tiles(engine, multiple=block)
         if (t.r0 <= max(rows - block, 0)) and (t.c0 <= max(cols - block, 0))
     ]
-    for tile, found in engine.map("survey", _look, lambda _tile: (columns, block), tiles):
+    for tile, sums in engine.map("survey", _tile_blocks, lambda _tile: (columns, block), tiles):
         r, c = tile.r0 // block, tile.c0 // block
-        part = found[..., :-1]
+        part = sums[..., :-1]
         out[r : r + part.shape[0], c : c + part.shape[1]] = part
-        bad += float(found[..., -1].sum(dtype=np.float64))
+        bad += float(sums[..., -1].sum(dtype=np.float64))
     missing = ~np.isfinite(out)
     if missing.any():
         out[missing] = np.nan
@@ -162,9 +158,9 @@ def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.fl
     return smooth, out, bad / (rows * cols * depth * columns.step**2)
 
 
-def _look(look: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
+def _tile_blocks(job: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
     """Block means of a tile, (block rows, block cols, depth + 1); the last number counts the missing voxels."""
-    columns, block = look
+    columns, block = job
     voxels = columns.voxels(tile)
     wide = block * columns.step
     counts = [max(n // wide, 1) for n in voxels.shape[:2]]
@@ -182,12 +178,12 @@ def _look(look: tuple[Columns, int], tile: Tile) -> NDArray[np.float32]:
     return out
 
 
-def _ends(columns: NDArray[Any], inside: NDArray[np.bool_]) -> Array:
+def _ends(columns: NDArray[Any], inside: Bools) -> Floats:
     """First and last three voxels of each column (n, depth) that lie inside the field of view; (2 n, 3)."""
-    held = inside.sum(axis=1) > 12
-    if not held.any():
+    is_long = inside.sum(axis=1) > 12
+    if not is_long.any():
         return np.full((1, 3), np.nan)
-    rows, inside = np.flatnonzero(held)[:, None], inside[held]
+    rows, inside = np.flatnonzero(is_long)[:, None], inside[is_long]
     # One voxel is skipped where the field of view begins within the column: it may be cut.
     first = np.argmax(inside, axis=1)
     last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
@@ -196,12 +192,12 @@ def _ends(columns: NDArray[Any], inside: NDArray[np.bool_]) -> Array:
     return np.concatenate([columns[rows, k].astype(np.float64) for k in (starts, stops)])
 
 
-def _airy(ends: Array, voxels: Array, seed: Array) -> tuple[Array, Array]:
+def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
     """Where the two ends of the columns differ, keep the one that looks less like the object at the seed."""
     halves = [(part[: part.shape[0] // 2], part[part.shape[0] // 2 :]) for part in (ends, voxels)]
     levels = [mode(half) for half in halves[0]]
-    own = float(np.median(seed))
-    if abs(levels[0] - levels[1]) < 0.1 * max(abs(level - own) for level in levels):
+    object_grey = float(np.median(seed))
+    if abs(levels[0] - levels[1]) < 0.1 * max(abs(level - object_grey) for level in levels):
         return ends, voxels
-    k = int(np.argmax([abs(level - own) for level in levels]))
+    k = int(np.argmax([abs(level - object_grey) for level in levels]))
     return halves[0][k], halves[1][k]

@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numpy as np
-from numpy.typing import NDArray
-
 from planish.core.frame import Frame
+from planish.core.typing import Floats
 from planish.surface.columns import Scale
-
-Array = NDArray[np.float64]
 
 FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
 
@@ -44,8 +40,8 @@ class Side:
     coated : bool
     """
 
-    level: Array
-    spread: Array
+    level: Floats
+    spread: Floats
     coated: bool
 
     def brighter(self, factor: float) -> Side:
@@ -57,7 +53,7 @@ class Side:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Learnt:
+class Priors:
     """All that the fit of a column needs beside the column."""
 
     scale: Scale
@@ -67,7 +63,9 @@ class Learnt:
     base: float  # level of the base above the air
     edge: Edge  # blur and fringe
     reach: float  # how far outside the expected face the search starts, in voxels
-    amid: float  # grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet
+    embedded_level: (
+        float  # grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet
+    )
     sides: dict[bool, Side]  # by whether the side lies at the high end of the columns
 
     def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
