@@ -61,7 +61,7 @@ MUTANTS = [
     Mutant("measure/ray_frame.py", "    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)", "    length = np.sqrt(1 + slope[..., 0] ** 2)", "measure/test_along_normals.py"),
     Mutant("measure/properties.py", '"coating_bottom": place["interface_bottom"] - place["bottom"]', '"coating_bottom": place["bottom"] - place["interface_bottom"]', "measure/test_along_normals.py"),
     Mutant("measure/properties.py", '"topography_bottom": -place["bottom"]', '"topography_bottom": place["bottom"]', "measure/test_along_normals.py"),
-    Mutant("measure/properties.py", "            whole &= np.isfinite(values", "            whole |= np.isfinite(values", "measure/test_along_normals.py"),
+    Mutant("measure/properties.py", "            whole &= np.isfinite(lengths", "            whole |= np.isfinite(lengths", "measure/test_along_normals.py"),
     Mutant("measure/masses.py", "contrast = rays.greys.base - rays.greys.air", "contrast = rays.greys.base", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
     Mutant("measure/topography.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
     Mutant("measure/topography.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),

@@ -66,37 +66,37 @@ def measure_along_rays(
     if not wanted:
         raise CannotMeasure("No property was named. Name one or more.")
     asked = {name if isinstance(name, str) else name.name for name in names}
-    for one in wanted:
-        if one.check is not None:
-            one.check(params, greys)
+    for prop in wanted:
+        if prop.check is not None:
+            prop.check(params, greys)
     frame = ray_frame(volume, surfaces, params)
-    of_rays = [one for one in wanted if one.kind == "rays"]
-    found = {one.name: _blank(frame.status.shape) for one in of_rays}
+    of_rays = [prop for prop in wanted if prop.kind == "rays"]
+    maps = {prop.name: _blank(frame.status.shape) for prop in of_rays}
     status = frame.status.copy()
 
-    def work(tile: Rays, own: slice, at: slice) -> None:
-        status[at] = tile.status[own]
+    def work(tile: Rays, inner: slice, rows: slice) -> None:
+        status[rows] = tile.status[inner]
         grouped: dict[int, tuple[Rays, slice]] = {}
-        for one in of_rays:
-            halo = _halo(one, frame)
+        for prop in of_rays:
+            halo = _halo(prop, frame)
             if halo not in grouped:
-                lo, hi = max(own.start - halo, 0), min(own.stop + halo, tile.status.shape[0])
+                lo, hi = max(inner.start - halo, 0), min(inner.stop + halo, tile.status.shape[0])
                 whole = (lo, hi) == (0, tile.status.shape[0])
                 part = tile if whole else tile.rows(slice(lo, hi))
-                grouped[halo] = part, slice(own.start - lo, own.stop - lo)
-            part, inner = grouped[halo]
-            answer = _measured(one, part)
+                grouped[halo] = part, slice(inner.start - lo, inner.stop - lo)
+            part, tile_rows = grouped[halo]
+            answer = _measured(prop, part)
             for name in ("values", "se", "reason"):
-                getattr(found[one.name], name)[at] = getattr(answer, name)[inner]
+                getattr(maps[prop.name], name)[rows] = getattr(answer, name)[tile_rows]
 
     if of_rays:
-        most = max(_halo(one, frame) for one in of_rays)
+        most = max(_halo(prop, frame) for prop in of_rays)
         each_tile(volume, frame, work, halo=most, rows=rows_per_tile, engine=engine)
-    sheet = Sheet(frame=replace(frame, status=status), maps=found)
-    for one in wanted:
-        if one.kind == "sheet":
-            found[one.name] = _measured(one, sheet)
-    return _dataset([one for one in wanted if one.name in asked], found, status, surfaces, frame)
+    sheet = Sheet(frame=replace(frame, status=status), maps=maps)
+    for prop in wanted:
+        if prop.kind == "sheet":
+            maps[prop.name] = _measured(prop, sheet)
+    return _dataset([prop for prop in wanted if prop.name in asked], maps, status, surfaces, frame)
 
 
 def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
@@ -130,28 +130,28 @@ def each_tile(
         rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)
     tiles = [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
 
-    def one(at: slice) -> T:
-        lo, hi = max(at.start - halo, 0), min(at.stop + halo, count)
+    def run_tile(rows_of_tile: slice) -> T:
+        lo, hi = max(rows_of_tile.start - halo, 0), min(rows_of_tile.stop + halo, count)
         tile = frame.tile(volume, slice(lo, hi))
-        return work(tile, slice(at.start - lo, at.stop - lo), at)
+        return work(tile, slice(rows_of_tile.start - lo, rows_of_tile.stop - lo), rows_of_tile)
 
-    return map_threads(one, tiles, number=threads)
+    return map_threads(run_tile, tiles, number=threads)
 
 
-def _halo(one: Property, frame: RayFrame) -> int:
-    length = length_of(one.halo_um, frame.params)
+def _halo(prop: Property, frame: RayFrame) -> int:
+    length = length_of(prop.halo_um, frame.params)
     return int(np.ceil(length / frame.pitch_um[0])) + 1 if length > 0 else 0
 
 
-def _measured(one: Property, given: Rays | Sheet) -> Measured:
+def _measured(prop: Property, subject: Rays | Sheet) -> Measured:
     """Answer of a property with all three arrays."""
-    answer = one.function(given)
+    answer = prop.function(subject)
     if not isinstance(answer, Measured):
         answer = Measured(values=np.asarray(answer))
-    shape = given.status.shape if isinstance(given, Rays) else given.frame.status.shape
+    shape = subject.status.shape if isinstance(subject, Rays) else subject.frame.status.shape
     if answer.values.shape != shape:
         raise CannotMeasure(
-            f"The property '{one.name}' returned the shape {answer.values.shape} for {shape[0]} x {shape[1]} rays. "
+            f"The property '{prop.name}' returned the shape {answer.values.shape} for {shape[0]} x {shape[1]} rays. "
             "Return one value for each ray: (rows, cols)."
         )
     se, reason = (np.broadcast_to(part, shape) for part in (answer.se, answer.reason))
@@ -164,29 +164,25 @@ def _blank(shape: tuple[int, ...]) -> Measured:
 
 
 def _dataset(
-    properties: list[Property], found: dict[str, Measured], status: NDArray[np.uint8], surfaces: xr.Dataset,
+    properties: list[Property], maps: dict[str, Measured], status: NDArray[np.uint8], surfaces: xr.Dataset,
     frame: RayFrame,
 ) -> xr.Dataset:  # fmt: skip
     valid = status == 0
-    data: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {}
+    variables: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {}
     ray = max(*frame.pitch_um, float(np.sqrt(8 * np.log(2.0))) * frame.greys.blur_um)
-    for one in properties:
-        answer = found[one.name]
-        support = ray if one.support_um is None else max(length_of(one.support_um, frame.params), ray)
-        values = np.where(valid, answer.values, np.nan).astype(np.float32)
-        se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
-        title = f"Standard error of {one.long_name[0].lower()}{one.long_name[1:]}"
-        about: dict[str, object] = {"units": one.units, "long_name": one.long_name, "support_um": round(support, 3)}
-        data[one.name] = (("y", "x"), values, about)
-        data[f"{one.name}_se"] = (("y", "x"), se, {"units": one.units, "long_name": title})
-        if one.reasons:
-            own = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
-            flags = status_flags(f"Status of {one.long_name}", last=Status.RAY_LEAVES_VOLUME, own=one.reasons)
-            data[f"{one.name}_status"] = (("y", "x"), own, flags)
-    data["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
-    attrs = (
-        dict(surfaces.attrs)
-        | {"rays": frame.params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
-        | frame.params.known()
-    )
-    return xr.Dataset(data, coords=surfaces.coords, attrs=attrs)
+    for prop in properties:
+        answer = maps[prop.name]
+        support = ray if prop.support_um is None else max(length_of(prop.support_um, frame.params), ray)
+        masked = np.where(valid, answer.values, np.nan).astype(np.float32)
+        se = np.where(np.isfinite(masked), answer.se, np.nan).astype(np.float32)
+        title = f"Standard error of {prop.long_name[0].lower()}{prop.long_name[1:]}"
+        attrs: dict[str, object] = {"units": prop.units, "long_name": prop.long_name, "support_um": round(support, 3)}
+        variables[prop.name] = (("y", "x"), masked, attrs)
+        variables[f"{prop.name}_se"] = (("y", "x"), se, {"units": prop.units, "long_name": title})
+        if prop.reasons:
+            own_status = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
+            flags = status_flags(f"Status of {prop.long_name}", last=Status.RAY_LEAVES_VOLUME, own=prop.reasons)
+            variables[f"{prop.name}_status"] = (("y", "x"), own_status, flags)
+    variables["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
+    used = {"rays": frame.params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
+    return xr.Dataset(variables, coords=surfaces.coords, attrs=dict(surfaces.attrs) | used | frame.params.known())

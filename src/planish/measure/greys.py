@@ -37,10 +37,10 @@ class Greys:
         lacking = [key for key in named.values() if key not in attrs]
         if lacking:
             raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
-        values = {name: float(attrs[key]) for name, key in named.items()}
-        more = {"padding": np.nan, "grey_noise_single": values["noise"], "averaged_columns": 0.0}
+        levels = {name: float(attrs[key]) for name, key in named.items()}
+        more = {"padding": np.nan, "grey_noise_single": levels["noise"], "averaged_columns": 0.0}
         padding, single, averaged = (float(attrs.get(key, default)) for key, default in more.items())
-        return cls(**values, padding=padding, single_noise=single, averaged=averaged)
+        return cls(**levels, padding=padding, single_noise=single, averaged=averaged)
 
     def coating(self, side: str) -> float:
         """Level of the coating of ``top`` or ``bottom``."""
@@ -50,17 +50,17 @@ class Greys:
         """Whether that side has a coating."""
         return bool(np.isfinite(self.coating(side)))
 
-    def need_coating(self, side: str, what: str) -> float:
+    def need_coating(self, side: str, subject: str) -> float:
         """Level of the coating; CannotMeasure if that side has none."""
         level = self.coating(side)
         if not np.isfinite(level):
-            raise CannotMeasure(f"{what} needs a coating on the {side} side, and none was seen there. Leave it out.")
+            raise CannotMeasure(f"{subject} needs a coating on the {side} side, and none was seen there. Leave it out.")
         return level
 
-    def need_absorption(self, what: str) -> None:
+    def need_absorption(self, subject: str) -> None:
         """Refuse grey values that are no X-ray absorption: those of a sheet darker than what surrounds it."""
         if self.polarity < 0:
             raise CannotMeasure(
-                f"{what} is read from X-ray absorption, and this sheet is darker than what surrounds it, as in "
+                f"{subject} is read from X-ray absorption, and this sheet is darker than what surrounds it, as in "
                 "photographs of sections in resin. Use a property that needs lengths only, with a density."
             )

@@ -10,12 +10,13 @@ from pydantic import model_validator
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
+from planish.core.typing import Floats
 from planish.measure.registry import Measured, ray_property
 
 if TYPE_CHECKING:
     from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
-    from planish.measure.rays import Array, Rays
+    from planish.measure.rays import Rays
 
 
 class Options(Params):
@@ -52,10 +53,10 @@ def _check(params: MeasureParams, _greys: Greys) -> None:
         )
 
 
-def _depths(rays: Rays) -> tuple[Array, NDArray[np.uint8]]:
+def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
     from planish.measure import _ray_kernels
 
-    def work() -> tuple[Array, NDArray[np.uint8]]:
+    def work() -> tuple[Floats, NDArray[np.uint8]]:
         assert rays.params.ink_grey is not None
         reach = rays.params.ink_reach_um
         limit = 0.5 * (rays.top + rays.bottom) if reach is None else np.maximum(rays.top - reach, rays.bottom)
@@ -69,7 +70,7 @@ def _depths(rays: Rays) -> tuple[Array, NDArray[np.uint8]]:
         reason[total < _LEAST_VOXELS * rays.voxel_um] = NO_INK
         return np.where(reason == 0, depth, np.nan), reason
 
-    return rays.once("ink", work)
+    return rays.cached("ink", work)
 
 
 for _which, (_share, _title) in enumerate(

@@ -52,7 +52,7 @@ class Densities(Params):
         """Weighed mass of the coating of one side."""
         return self.coat_weight_top_g_m2 if side == "top" else self.coat_weight_bottom_g_m2
 
-    def need(self, what: str, *names: str) -> float:
+    def need(self, quantity: str, *names: str) -> float:
         """Return the first of ``names`` that is known.
 
         Raises
@@ -61,18 +61,17 @@ class Densities(Params):
             If none is.
         """
         for name in names:
-            value = getattr(self, name)
-            if value is not None:
-                return value
-        one = "neither is" if len(names) > 1 else "that is not"
+            if (number := getattr(self, name)) is not None:
+                return number
+        lacking = "neither is" if len(names) > 1 else "that is not"
         raise CannotMeasure(
-            f"{what} in grams needs {spoken(Densities, *names)}, and {one} given. Give it, or leave {what.lower()} out."
+            f"{quantity} in grams needs {spoken(Densities, *names)}, and {lacking} given. Give it, or leave "
+            f"{quantity.lower()} out."
         )
 
     def known(self) -> dict[str, float]:
         """Return those that are known, for the attributes of a dataset."""
-        found = {name: getattr(self, name) for name in Densities.model_fields}
-        return {name: value for name, value in found.items() if value is not None}
+        return {name: number for name in Densities.model_fields if (number := getattr(self, name)) is not None}
 
 
 class Options(Params):
@@ -88,15 +87,15 @@ class Options(Params):
     )  # fmt: skip
 
 
-def _in_grams(part: Measured, sheet: Sheet, what: str, weighed: float | None, density: str) -> Measured:
+def _in_grams(part: Measured, sheet: Sheet, quantity: str, weighed: float | None, density: str) -> Measured:
     """Scale a map of lengths to the mean that was weighed, or by a density."""
     if weighed is None:
-        return part.times(sheet.params.need(what, density))
+        return part.times(sheet.params.need(quantity, density))
     mean = sheet.mean(part.values)
     if not mean > 0:
         raise CannotMeasure(
-            f"{what} is {mean:.3g} um in the mean; {weighed:g} g/m2 cannot be spread over it. Check the side, and the "
-            "surfaces and grey levels in the report."
+            f"{quantity} is {mean:.3g} um in the mean; {weighed:g} g/m2 cannot be spread over it. Check the side, and "
+            "the surfaces and grey levels in the report."
         )
     return part.times(weighed / mean)
 
@@ -194,16 +193,16 @@ def absorption_base(rays: Rays) -> Measured:
     """
     greys = rays.greys
     whole = _absorption(rays)
-    values, variance = whole.values, whole.se**2
+    lengths, variance = whole.values, whole.se**2
     for side, thick in zip(
         SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True
     ):  # fmt: skip
         if greys.coated(side):
             layer = _excess(rays, side)
             share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
-            values = values - layer.values * share - thick
+            lengths = lengths - layer.values * share - thick
             variance = variance + (layer.se * share) ** 2
-    return Measured(values=values, se=np.sqrt(variance))
+    return Measured(values=lengths, se=np.sqrt(variance))
 
 
 def _check(d: MeasureParams, greys: Greys) -> None:
@@ -216,20 +215,20 @@ def _check(d: MeasureParams, greys: Greys) -> None:
             d.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
 
 
-def _given(d: MeasureParams, greys: Greys) -> bool:
+def _has_masses(d: MeasureParams, greys: Greys) -> bool:
     coated = any(greys.coated(side) for side in SIDES)
     return d.grammage_g_m2 is not None or (d.base_g_cm3 is not None and (not coated or d.coating_g_cm3 is not None))
 
 
-def _made_from(d: MeasureParams, greys: Greys) -> tuple[str, ...]:
+def _sources(d: MeasureParams, greys: Greys) -> tuple[str, ...]:
     sides: list[Side] = [side for side in SIDES if greys.coated(side)]
-    apart = all(d.coating_g_cm3 is not None or d.coat_weight(side) is not None for side in sides)
-    if not sides or (d.grammage_g_m2 is not None and not apart):
+    is_separable = all(d.coating_g_cm3 is not None or d.coat_weight(side) is not None for side in sides)
+    if not sides or (d.grammage_g_m2 is not None and not is_separable):
         return ("absorption",)
     return ("absorption_base", *(f"coating_absorption_{side}" for side in sides))
 
 
-@sheet_property("grammage", units="g/m2", long_name="Grammage", check=_check, after=_made_from, when=_given)
+@sheet_property("grammage", units="g/m2", long_name="Grammage", check=_check, after=_sources, when=_has_masses)
 def grammage(sheet: Sheet) -> Measured:
     """P-08: absorption along the ray, scaled so that its mean is the weighed grammage.
 
@@ -239,31 +238,31 @@ def grammage(sheet: Sheet) -> Measured:
     SE: each part's times its factor, as independent.
     """
     d, greys, maps = sheet.params, sheet.frame.greys, sheet.maps
-    rest = d.grammage_g_m2
-    if "absorption" in _made_from(d, greys):
-        return _in_grams(maps["absorption"], sheet, "Grammage", rest, "base_g_cm3")
+    base_g_m2 = d.grammage_g_m2
+    if "absorption" in _sources(d, greys):
+        return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
     parts: list[Measured] = []
     for side in SIDES:
         if greys.coated(side):
-            what = f"Grammage with a coating on the {side} side"
+            quantity = f"Grammage with a coating on the {side} side"
             layer = maps[f"coating_absorption_{side}"]
-            parts.append(_in_grams(layer, sheet, what, d.coat_weight(side), "coating_g_cm3"))
-    if rest is not None:
+            parts.append(_in_grams(layer, sheet, quantity, d.coat_weight(side), "coating_g_cm3"))
+    if base_g_m2 is not None:
         coats = sum(sheet.mean(p.values) for p in parts)
-        if not rest > coats:
+        if not base_g_m2 > coats:
             raise CannotMeasure(
-                f"The coatings weigh {coats:.4g} g/m2 and the whole sheet {rest:g} g/m2: nothing is left for the base. "
-                "Check --grammage and the coat weights."
+                f"The coatings weigh {coats:.4g} g/m2 and the whole sheet {base_g_m2:g} g/m2: nothing is left "
+                "for the base. Check --grammage and the coat weights."
             )
-        rest -= coats
-    parts.append(_in_grams(maps["absorption_base"], sheet, "Grammage", rest, "base_g_cm3"))
-    values = np.sum([p.values for p in parts], axis=0)
-    return Measured(values=values, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in parts], axis=0)))
+        base_g_m2 -= coats
+    parts.append(_in_grams(maps["absorption_base"], sheet, "Grammage", base_g_m2, "base_g_cm3"))
+    total = np.sum([p.values for p in parts], axis=0)
+    return Measured(values=total, se=np.sqrt(np.sum([np.asarray(p.se) ** 2 for p in parts], axis=0)))
 
 
 @sheet_property(
     "apparent_density", units="g/cm3", long_name="Apparent density", check=_check, after=("grammage", "thickness"),
-    support_um=lambda params: params.density_support_um, when=_given,
+    support_um=lambda params: params.density_support_um, when=_has_masses,
 )  # fmt: skip
 def apparent_density(sheet: Sheet) -> Measured:
     """P-09: grammage over thickness, both averaged with the same Gaussian first.
@@ -273,10 +272,10 @@ def apparent_density(sheet: Sheet) -> Measured:
     """
     f = sheet.frame
     sigma = f.params.density_support_um / _FWHM
-    left = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
+    noise_share = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
     mass, thick = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.
-    both = sheet.valid & np.isfinite(mass.values) & np.isfinite(thick.values)
-    w, t = (smoothed(np.where(both, m.values, np.nan), f.pitch_um, sigma) for m in (mass, thick))
-    relative = np.sqrt((mass.se / w) ** 2 + (thick.se / t) ** 2) * left
-    return Measured(values=np.where(both, w / t, np.nan), se=np.abs(w / t) * relative)
+    is_measured = sheet.valid & np.isfinite(mass.values) & np.isfinite(thick.values)
+    w, t = (smoothed(np.where(is_measured, m.values, np.nan), f.pitch_um, sigma) for m in (mass, thick))
+    relative = np.sqrt((mass.se / w) ** 2 + (thick.se / t) ** 2) * noise_share
+    return Measured(values=np.where(is_measured, w / t, np.nan), se=np.abs(w / t) * relative)

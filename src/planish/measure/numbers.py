@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
 from planish.core.grid import pitch
 from planish.core.results import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.tiles import Engine
+from planish.core.typing import Floats
 from planish.measure.params import MeasureParams
 from planish.measure.phases import depth_profiles
 from planish.measure.registry import SIDES, Side
 from planish.measure.topography import scale_limited
-
-Array = NDArray[np.float64]
 
 MARKED_UM = (0.0, 2.0, 5.0)  # uncovered, all but, and the outline of Fig. 6 in Hirn et al. (2009)
 _CURVE_UM = 0.25  # step of the curve
 
 
 def thin_fraction(
-    thickness: xr.DataArray, *, se: xr.DataArray | Array | None = None, marked_um: tuple[float, ...] = MARKED_UM
+    thickness: xr.DataArray, *, se: xr.DataArray | Floats | None = None, marked_um: tuple[float, ...] = MARKED_UM
 ) -> xr.Dataset:
     """Share F(x) of the area whose coating is thinner than x (P-03).
 
@@ -49,26 +47,26 @@ def thin_fraction(
     CannotMeasure
         If no value is known.
     """
-    known = np.isfinite(thickness.values)
-    values = np.sort(thickness.values[known].astype(np.float64))
-    if values.size == 0:
+    is_finite = np.isfinite(thickness.values)
+    ascending = np.sort(thickness.values[is_finite].astype(np.float64))
+    if ascending.size == 0:
         raise CannotMeasure("There is no coating thickness to count: all values are missing. Look at 'status'.")
-    x = np.arange(0.0, float(values[-1]) + _CURVE_UM, _CURVE_UM)
+    x = np.arange(0.0, float(ascending[-1]) + _CURVE_UM, _CURVE_UM)
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
     shares = np.where(
-        marks > 0, np.searchsorted(values, marks, side="left"), np.searchsorted(values, marks, side="right")
-    ) / values.size  # fmt: skip
+        marks > 0, np.searchsorted(ascending, marks, side="left"), np.searchsorted(ascending, marks, side="right")
+    ) / ascending.size  # fmt: skip
     errors = np.zeros(marks.size)
     if se is not None:
-        every = np.asarray(se)[known].astype(np.float64)
-        at = thickness.values[known]
+        every = np.asarray(se)[is_finite].astype(np.float64)
+        thickness_um = thickness.values[is_finite]
         for k, mark in enumerate(marks):
-            near = every[np.abs(at - mark) <= max(2.0, 0.5 * mark)]
+            near = every[np.abs(thickness_um - mark) <= max(2.0, 0.5 * mark)]
             near = near[np.isfinite(near)]
             errors[k] = float(np.median(near)) if near.size else 0.0
     biased = (marks < 2 * errors).astype(np.uint8)
-    attrs: dict[str, object] = {"n": int(values.size), "mean_um": float(values.mean())}
+    attrs: dict[str, object] = {"n": int(ascending.size), "mean_um": float(ascending.mean())}
     if "support_um" in thickness.attrs:
         attrs["support_um"] = float(thickness.attrs["support_um"])
     if biased.any():
@@ -77,20 +75,20 @@ def thin_fraction(
             f"The standard error of one value is {errors[biased > 0].max():.2g} um: the shares below {listed} um are "
             "too large by what noise puts there. Average the map first, or compare larger thicknesses."
         )
-    counts = np.searchsorted(values, x, side="left") / values.size
-    data = {
+    counts = np.searchsorted(ascending, x, side="left") / ascending.size
+    variables = {
         "share": ("thickness", counts, {"units": "1", "long_name": "Share of the area with a thinner coating"}),
         "marked_share": ("marked", shares, {"units": "1", "long_name": "Share of the area with a thinner coating"}),
-        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / values.size), {"units": "1"}),
+        "marked_se": ("marked", np.sqrt(shares * (1 - shares) / ascending.size), {"units": "1"}),
         "value_se": ("marked", errors, {"units": "um", "long_name": "Standard error of one value"}),
         "biased": ("marked", biased, {"long_name": "Thickness below two standard errors of one value"}),
     }
-    um = {"units": "um"}
-    return xr.Dataset(data, coords={"thickness": ("thickness", x, um), "marked": ("marked", marks, um)}, attrs=attrs)
+    coords = {name: (name, um, {"units": "um"}) for name, um in (("thickness", x), ("marked", marks))}
+    return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
 def roughness_numbers(
-    limited: Array, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
+    limited: Floats, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
 ) -> RoughnessFacts:
     """Sa, Sq, Ssk, Sku, Sz and Sdq of what :func:`scale_limited` gives.
 
@@ -99,10 +97,10 @@ def roughness_numbers(
     CannotMeasure
         If it is empty or flat.
     """
-    known = np.isfinite(limited)
-    if np.count_nonzero(known) < 2:
+    is_finite = np.isfinite(limited)
+    if np.count_nonzero(is_finite) < 2:
         raise CannotMeasure("No height is known between the filters. Look at 'status', and at l_filter_um.")
-    h = limited[known] - limited[known].mean()
+    h = limited[is_finite] - limited[is_finite].mean()
     sq = float(np.sqrt(np.mean(h**2)))
     if sq == 0:
         raise CannotMeasure("The surface is exactly flat: it has no skewness. Check that it was measured.")
@@ -146,11 +144,11 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
         if not (f"{pair}_top" in maps and f"{pair}_bottom" in maps):
             continue
         top, bottom = (maps[f"{pair}_{side}"].values.astype(np.float64) for side in ("top", "bottom"))
-        known = np.isfinite(top) & np.isfinite(bottom)
-        if np.count_nonzero(known) < 3:
+        is_finite = np.isfinite(top) & np.isfinite(bottom)
+        if np.count_nonzero(is_finite) < 3:
             continue
-        a: Array = top[known]
-        b: Array = bottom[known]
+        a: Floats = top[is_finite]
+        b: Floats = bottom[is_finite]
         sd = float(a.std()), float(b.std())
         out[f"{pair}_difference_um"] = float(a.mean() - b.mean())
         out[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else float("nan")
@@ -185,11 +183,11 @@ def sheet_numbers(
     profiled = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
     if profiled and volume is not None:
-        found = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
-        values: dict[str, tuple[float | None, ...]] = {
-            name: tuple(float(v) for v in found[name].values) for name in profiled
+        depth_shares = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
+        shares: dict[str, tuple[float | None, ...]] = {
+            name: tuple(float(v) for v in depth_shares[name].values) for name in profiled
         }
-        profiles = ProfileFacts(depth=tuple(float(v) for v in found["depth"].values), values=values)
+        profiles = ProfileFacts(depth=tuple(float(v) for v in depth_shares["depth"].values), values=shares)
     thin: dict[Side, ThinFacts] = {}
     for side in SIDES:
         if (facts := _thin(measured, side)) is not None:
@@ -208,12 +206,12 @@ def _thin(measured: xr.Dataset, side: Side) -> ThinFacts | None:
     if not np.isfinite(coating.values).any():
         return None
     support = float(np.sqrt(np.prod(pitch(measured))))
-    found = thin_fraction(coating.assign_attrs(support_um=support))
+    fractions = thin_fraction(coating.assign_attrs(support_um=support))
     return ThinFacts(
-        thinner_than_um=tuple(float(v) for v in found["marked"].values),
-        share=tuple(float(v) for v in found["marked_share"].values),
+        thinner_than_um=tuple(float(v) for v in fractions["marked"].values),
+        share=tuple(float(v) for v in fractions["marked_share"].values),
         support_um=support,
-        warning=found.attrs.get("warning"),
+        warning=fractions.attrs.get("warning"),
     )
 
 

@@ -15,12 +15,13 @@ from numpy.typing import NDArray
 
 from planish.core.options import Params, option
 from planish.core.transform import axial_angle
+from planish.core.typing import Floats
 from planish.measure.phases import void_level
 from planish.measure.registry import Property, ray_property
 
 if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
-    from planish.measure.rays import Array, Rays
+    from planish.measure.rays import Rays
 
 Grey3 = NDArray[np.float32]
 
@@ -56,8 +57,8 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     from scipy import ndimage
 
     def work() -> tuple[Grey3, Grey3, slice]:
-        some = rays.samples_within(*rays.core)
-        grey = rays.grey[..., some]
+        samples = rays.samples_within(*rays.core)
+        grey = rays.grey[..., samples]
         grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
         taps = [_taps(rays.params.orientation_sigma_um or p, p) for p in rays.pitch_um]
 
@@ -65,12 +66,12 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
             calm = ndimage.correlate1d(grey, taps[1 - axis][0], 1 - axis, mode="nearest")
             return ndimage.correlate1d(calm, taps[axis][1], axis, mode="nearest")
 
-        return along(0), along(1), some
+        return along(0), along(1), samples
 
-    return rays.once("gradients", work)
+    return rays.cached("gradients", work)
 
 
-def _taps(sigma_um: float, pitch_um: float) -> tuple[Array, Array]:
+def _taps(sigma_um: float, pitch_um: float) -> tuple[Floats, Floats]:
     """Gaussian of ``sigma_um``, at least half a pitch, and its derivative per um."""
     sigma = max(sigma_um / pitch_um, 0.5)
     x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
@@ -80,7 +81,7 @@ def _taps(sigma_um: float, pitch_um: float) -> tuple[Array, Array]:
     return bell / bell.sum(), slope
 
 
-def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Array]:
+def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
     """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base.
 
     With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
@@ -88,30 +89,30 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Array, Array, Ar
     """
     from scipy import ndimage
 
-    def work() -> tuple[Array, Array, Array]:
-        by_row, by_col, some = _gradients(rays)
+    def work() -> tuple[Floats, Floats, Floats]:
+        by_row, by_col, samples = _gradients(rays)
         bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
         lower, upper = rays.core
-        inside = rays.s_um[some] >= np.maximum(lower, bottom + lowest * thick)[..., None]
-        inside &= rays.s_um[some] < np.minimum(upper, bottom + highest * thick)[..., None]
-        inside &= rays.greys.polarity * (rays.grey[..., some] - void_level(rays.greys, rays.params)) > 0
-        across, down, both = (
+        inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * thick)[..., None]
+        inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * thick)[..., None]
+        inside &= rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
+        across, down, mixed = (
             np.einsum("ijk,ijk,ijk->ij", a, b, inside, dtype=np.float64)
             for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
         )
-        xx, yy, xy = _in_tangent_plane(across, down, both, rays.slope)
-        known = (rays.status == 0) & np.isfinite(xx)
+        xx, yy, xy = _in_tangent_plane(across, down, mixed, rays.slope)
+        is_valid = (rays.status == 0) & np.isfinite(xx)
         sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
         gathered = [
-            ndimage.gaussian_filter(np.where(known, v, 0.0), sigma, mode="constant", truncate=_CUT)
+            ndimage.gaussian_filter(np.where(is_valid, v, 0.0), sigma, mode="constant", truncate=_CUT)
             for v in (xx + yy, xx - yy, 2 * xy)
         ]
         return gathered[0], gathered[1], gathered[2]
 
-    return rays.once(f"tensor {lowest} {highest}", work)
+    return rays.cached(f"tensor {lowest} {highest}", work)
 
 
-def _in_tangent_plane(xx: Array, yy: Array, xy: Array, slope: Array) -> tuple[Array, Array, Array]:
+def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
     """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2).
 
     G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
@@ -129,7 +130,7 @@ def _in_tangent_plane(xx: Array, yy: Array, xy: Array, slope: Array) -> tuple[Ar
     )
 
 
-def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Array, Array]:
+def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[Floats, Floats]:
     """Anisotropy times cos and sin of twice the fibre's angle."""
     trace, cosine, sine = _tensor(rays, lowest, highest)
     turn = -1.0 if rays.mirrored else 1.0
@@ -138,28 +139,28 @@ def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[
         return np.where(trace > 0, -cosine / trace, np.nan), np.where(trace > 0, -turn * sine / trace, np.nan)
 
 
-def _angle(rays: Rays, **depth: float) -> Array:
+def _angle(rays: Rays, **depth: float) -> Floats:
     return axial_angle(*_components(rays, **depth))
 
 
-def _anisotropy(rays: Rays, **depth: float) -> Array:
+def _anisotropy(rays: Rays, **depth: float) -> Floats:
     return np.hypot(*_components(rays, **depth))
 
 
 @ray_property("fibre_cos2", units="1", long_name="Fibre direction, cosine part", halo_um=_halo, support_um=_width)
-def fibre_cos2(rays: Rays) -> Array:
+def fibre_cos2(rays: Rays) -> Floats:
     """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
     return _components(rays)[0]
 
 
 @ray_property("fibre_sin2", units="1", long_name="Fibre direction, sine part", halo_um=_halo, support_um=_width)
-def fibre_sin2(rays: Rays) -> Array:
+def fibre_sin2(rays: Rays) -> Floats:
     """Anisotropy times sin(2 angle)."""
     return _components(rays)[1]
 
 
 @ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width, together=_PARTS)
-def fibre_angle(rays: Rays) -> Array:
+def fibre_angle(rays: Rays) -> Floats:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
 
     Axial statistics: of doubled angles, each gradient with its square. No standard error: the directions of one
@@ -169,7 +170,7 @@ def fibre_angle(rays: Rays) -> Array:
 
 
 @ray_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width)
-def fibre_anisotropy(rays: Rays) -> Array:
+def fibre_anisotropy(rays: Rays) -> Floats:
     """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues: 0 where no direction prevails, 1 where all are one.
 
     Noise adds to both eigenvalues and makes it smaller.
@@ -186,14 +187,14 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
         ``fibre_angle_layer_k`` and ``fibre_anisotropy_layer_k``, k = 1 to count; to be given to
         :func:`~planish.measure.measure_along_rays` among its names.
     """
-    made: list[Property] = []
+    layers: list[Property] = []
     for k in range(count):
         depth = {"lowest": k / count, "highest": (k + 1) / count}
         for name, units, title, function in (
             ("angle", "deg", "Fibre angle", _angle), ("anisotropy", "1", "Fibre anisotropy", _anisotropy),
         ):  # fmt: skip
-            made.append(
+            layers.append(
                 Property(name=f"fibre_{name}_layer_{k + 1}", units=units, kind="rays", halo_um=_halo, support_um=_width,
                          long_name=f"{title}, layer {k + 1} of {count}", function=partial(function, **depth))
             )  # fmt: skip
-    return tuple(made)
+    return tuple(layers)

@@ -9,6 +9,7 @@ import numpy as np
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
+from planish.core.typing import Floats
 from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
 
 if TYPE_CHECKING:
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from planish.core.tiles import Engine
     from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
-    from planish.measure.rays import Array, Rays
+    from planish.measure.rays import Rays
 
 
 class Options(Params):
@@ -64,7 +65,7 @@ def porosity(rays: Rays) -> Measured:
     return _share_of_void(rays, *rays.core)
 
 
-def _share_of_void(rays: Rays, lower: Array, upper: Array) -> Measured:
+def _share_of_void(rays: Rays, lower: Floats, upper: Floats) -> Measured:
     greys, solid = rays.greys, rays.params.solid_grey
     if solid is None:
         matter = _share_beyond(rays, lower, upper, void_level(greys, rays.params), greys.base - greys.air)
@@ -72,12 +73,12 @@ def _share_of_void(rays: Rays, lower: Array, upper: Array) -> Measured:
     length, contrast = upper - lower, solid - greys.air
     long = length >= rays.step_um
     with np.errstate(divide="ignore", invalid="ignore"):
-        values = 1 - rays.integral(lower, upper) / length / contrast
+        void = 1 - rays.integral(lower, upper) / length / contrast
         se = rays.integral_se(length) / length / abs(contrast)
-    return Measured(values=np.where(long, values, np.nan), se=np.where(long, se, np.nan))
+    return Measured(values=np.where(long, void, np.nan), se=np.where(long, se, np.nan))
 
 
-def _share_beyond(rays: Rays, lower: Array, upper: Array, level: float, contrast: float) -> Measured:
+def _share_beyond(rays: Rays, lower: Floats, upper: Floats, level: float, contrast: float) -> Measured:
     """Share of what lies beyond a level between two places of each ray; NaN where they are less than a step apart."""
     beyond, ends = rays.beyond(lower, upper, level)
     length = upper - lower
@@ -113,15 +114,15 @@ def filler(rays: Rays) -> Measured:
     beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
     within = rays.between(lower, upper)
     dark = within & ~beyond
-    some = dark.any(axis=-1)
+    has_dark = dark.any(axis=-1)
     first, last = np.argmax(dark, axis=-1), dark.shape[-1] - 1 - np.argmax(dark[..., ::-1], axis=-1)
     # An end that is dark already stays where it is, between two samples.
     start = np.where(np.argmax(within, axis=-1) == first, lower, rays.s_um[first])
     stop = np.where(dark.shape[-1] - 1 - np.argmax(within[..., ::-1], axis=-1) == last, upper, rays.s_um[last])
-    return _share_of_filler(rays, np.where(some, start, lower), np.where(some, stop, lower))
+    return _share_of_filler(rays, np.where(has_dark, start, lower), np.where(has_dark, stop, lower))
 
 
-def _share_of_filler(rays: Rays, lower: Array, upper: Array) -> Measured:
+def _share_of_filler(rays: Rays, lower: Floats, upper: Floats) -> Measured:
     level = _filler_level(rays.params, rays.greys)
     return _share_beyond(rays, lower, upper, level, 2 * (level - rays.greys.base))
 
@@ -141,7 +142,7 @@ def filler_weight(sheet: Sheet) -> Measured:
     return Measured(values=share.values * mass, se=share.se * mass)
 
 
-_SHARES: dict[str, tuple[Callable[[Rays, Array, Array], Measured], str]] = {
+_SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
     "porosity": (_share_of_void, "Porosity of the base"),
     "filler": (_share_of_filler, "Filler in the base"),
 }
@@ -188,19 +189,8 @@ def depth_profiles(
         _filler_level(frame.params, frame.greys)
     edges = np.linspace(0.0, 1.0, bins + 1)
 
-    def work(tile: Rays, own: slice, _at: slice) -> Array:
-        tile = tile.rows(own)
-        thick = tile.interface_top - tile.interface_bottom
-        # Sums of every row for itself: they are then added in the same order, however the rows were cut.
-        sums = np.zeros((len(names), bins, 3, tile.status.shape[0]))
-        for a, name in enumerate(names):
-            for b in range(bins):
-                lower, upper = (tile.interface_bottom + edges[k] * thick for k in (b, b + 1))
-                share = _SHARES[name][0](tile, lower, upper).values
-                known = np.isfinite(share) & (tile.status == 0)
-                share = np.where(known, share, 0.0)
-                sums[a, b] = [known.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
-        return sums
+    def work(tile: Rays, inner: slice, _rows: slice) -> Floats:
+        return _layer_sums(tile.rows(inner), names, edges)
 
     parts = each_tile(volume, frame, work, rows=rows_per_tile, engine=engine)
     count, total, squares = np.moveaxis(np.concatenate(parts, axis=-1).sum(axis=-1), -1, 0)
@@ -209,20 +199,36 @@ def depth_profiles(
             f"The base is too thin for {bins} layers: none is as thick as a step of the rays ({frame.step_um:g} um). "
             "Ask for fewer bins."
         )
-    middle = 0.5 * (edges[1:] + edges[:-1])
-    layer = frame.faces["interface_top"] - frame.faces["interface_bottom"]
-    thick = float(np.nanmedian(np.where(frame.status == 0, layer, np.nan)))
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(count > 0, total / count, np.nan)
         sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
-    data: dict[str, tuple[str, Array, dict[str, object]]] = {}
+    variables: dict[str, tuple[str, Floats, dict[str, object]]] = {}
     for a, name in enumerate(names):
         title = _SHARES[name][1]
-        data[name] = ("depth", mean[a], {"units": "1", "long_name": title})
-        data[f"{name}_sd"] = ("depth", sd[a], {"units": "1", "long_name": f"{title}, standard deviation of rays"})
-        data[f"{name}_n"] = ("depth", count[a], {"long_name": "Rays"})
-    blurred = (np.minimum(middle, 1 - middle) < 2 * frame.greys.blur_um / thick).astype(np.float64)
-    data["blurred"] = ("depth", blurred, {"long_name": "Within two blurs of an interface"})
-    about = {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"}
-    attrs = {"base_um": thick, "rays": frame.params.rays}
-    return xr.Dataset(data, coords={"depth": ("depth", middle, about)}, attrs=attrs)
+        variables[name] = ("depth", mean[a], {"units": "1", "long_name": title})
+        variables[f"{name}_sd"] = ("depth", sd[a], {"units": "1", "long_name": f"{title}, standard deviation of rays"})
+        variables[f"{name}_n"] = ("depth", count[a], {"long_name": "Rays"})
+    layer = frame.faces["interface_top"] - frame.faces["interface_bottom"]
+    base_um = float(np.nanmedian(np.where(frame.status == 0, layer, np.nan)))
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    blurred = (np.minimum(middle, 1 - middle) < 2 * frame.greys.blur_um / base_um).astype(np.float64)
+    variables["blurred"] = ("depth", blurred, {"long_name": "Within two blurs of an interface"})
+    depth = ("depth", middle, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
+    return xr.Dataset(variables, coords={"depth": depth}, attrs={"base_um": base_um, "rays": frame.params.rays})
+
+
+def _layer_sums(rays: Rays, names: Sequence[str], edges: Floats) -> Floats:
+    """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows).
+
+    Rows are summed by themselves, then added in the same order however they were cut.
+    """
+    thick = rays.interface_top - rays.interface_bottom
+    sums = np.zeros((len(names), edges.size - 1, 3, rays.status.shape[0]))
+    for a, name in enumerate(names):
+        for b in range(edges.size - 1):
+            lower, upper = (rays.interface_bottom + edges[k] * thick for k in (b, b + 1))
+            share = _SHARES[name][0](rays, lower, upper).values
+            is_valid = np.isfinite(share) & (rays.status == 0)
+            share = np.where(is_valid, share, 0.0)
+            sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+    return sums

@@ -13,12 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.options import Params, option
+from planish.core.typing import Floats
 from planish.measure.phases import void_level
 from planish.measure.registry import ray_property
 
 if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
-    from planish.measure.rays import Array, Rays
+    from planish.measure.rays import Rays
 
 
 class Options(Params):
@@ -32,12 +33,12 @@ def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
 
     def work() -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
         # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
-        some = rays.samples_within(*rays.core, more=1)
-        beyond = rays.greys.polarity * (rays.grey[..., some] - np.float32(void_level(rays.greys, rays.params)))
-        void = ((beyond < 0) & rays.between(*rays.core)[..., some]).astype(np.uint8)
+        samples = rays.samples_within(*rays.core, more=1)
+        beyond = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
+        void = ((beyond < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
         return void, void.sum(axis=-1, dtype=np.int64)
 
-    return rays.once("voids", work)
+    return rays.cached("voids", work)
 
 
 def _reach(params: MeasureParams) -> float:
@@ -60,7 +61,7 @@ def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
 
 
 @ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_reach, support_um=_reach)
-def pore_chord(rays: Rays) -> Array:
+def pore_chord(rays: Rays) -> Floats:
     """Mean in-plane length of the voids on the ray: of the runs through each void sample, along rows and columns.
 
     Lengths are those in the centre surface. A run counts ``pore_limit_um`` to each side and no further. Longer runs
@@ -86,7 +87,7 @@ def distances(void: NDArray[np.uint8], step: tuple[float, float, float], most: f
 
 @ray_property("pore_diameter", units="um", long_name="Pore diameter", support_um=_reach,
               halo_um=lambda params: 1.5 * params.pore_limit_um)  # fmt: skip
-def pore_diameter(rays: Rays) -> Array:
+def pore_diameter(rays: Rays) -> Floats:
     """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
 
     Each void sample takes the largest sphere that holds it. The distance to the nearest solid sample is half a sample

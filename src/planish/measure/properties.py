@@ -13,11 +13,11 @@ from planish.core.grid import pitch
 from planish.core.options import params_of
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine
+from planish.core.typing import Floats
 from planish.measure.along_rays import measure_along_rays
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
 from planish.measure.ray_frame import meet
-from planish.measure.rays import Array
 from planish.measure.registry import PROPERTIES, SIDES, Side, chosen
 from planish.measure.uncertainty import Shared, common_errors, thickness_errors
 
@@ -80,62 +80,62 @@ def measure_properties(
             "or leave them out."
         )
     faces = _measure_faces(surfaces)
-    found = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
+    measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
     if "from_labels" in surfaces.attrs:
         if params.maps:
             raise InputError(
                 "Further maps are measured in grey values; a volume of labels has none. Leave --property out."
             )
-        return _with_errors(found)
+        return _with_errors(measured)
     if volume is None:
-        return _with_errors(found)
+        return _with_errors(measured)
     names = [name for name in chosen(params, Greys.of(surfaces)) if name not in PROPERTIES]
     if not names:
-        return _with_errors(found)
-    further = measure_along_rays(volume, found, names=names, params=params, engine=engine)
-    found = found.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
-    return _with_errors(found, float(further.attrs["ray_noise_um"]))
+        return _with_errors(measured)
+    further = measure_along_rays(volume, measured, names=names, params=params, engine=engine)
+    measured = measured.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
+    return _with_errors(measured, float(further.attrs["ray_noise_um"]))
 
 
 def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
     """The surfaces that :func:`measure_properties` was given, of what it gave."""
-    own = {*PROPERTIES, *further_maps(measured)}
-    own |= {name for name in measured.data_vars if str(name).removesuffix("_se") in own}
-    surfaces = measured.drop_vars(own)
+    names = {*PROPERTIES, *further_maps(measured)}
+    names |= {name for name in measured.data_vars if str(name).removesuffix("_se") in names}
+    surfaces = measured.drop_vars(names)
     status = surfaces["status"]
-    found = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(status.dtype)
-    return surfaces.assign(status=status.copy(data=found))
+    status_before = np.where(status.values == Status.NORMAL_LEAVES_SHEET, 0, status.values).astype(status.dtype)
+    return surfaces.assign(status=status.copy(data=status_before))
 
 
 def further_maps(measured: xr.Dataset) -> list[str]:
     """Names of the maps in a dataset beside the six of the faces, and of their standard errors where there are any."""
-    maps = [str(name) for name, data in measured.data_vars.items() if "support_um" in data.attrs]
+    maps = [str(name) for name, variable in measured.data_vars.items() if "support_um" in variable.attrs]
     errors = [f"{name}_se" for name in maps if f"{name}_se" in measured]
     return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
 
 
-def _with_errors(found: xr.Dataset, noise_um: float = float("nan")) -> xr.Dataset:
+def _with_errors(measured: xr.Dataset, noise_um: float = float("nan")) -> xr.Dataset:
     """Add the standard error of each thickness; nothing where the surfaces do not say how they were found.
 
     ``noise_um``: as from :func:`planish.measure.uncertainty.ray_noise`; NaN for white noise.
     """
-    attrs, frame, steps = found.attrs, Frame.of(found), pitch(found)
+    attrs, frame, steps = measured.attrs, Frame.of(measured), pitch(measured)
     if "voxel_um" not in attrs:
-        return found
+        return measured
     voxel = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
     through = voxel[frame.through]
     if "from_labels" in attrs:
         # A face lies anywhere within a voxel: the difference of two has the variance of two uniform distributions.
         common, patch = common_errors(through), steps[0] * steps[1]
-        errors: dict[str, Array] = {
-            name: np.full(found[name].shape, np.hypot(through / np.sqrt(6), common[name])) for name in THICKNESSES
+        errors: dict[str, Floats] = {
+            name: np.full(measured[name].shape, np.hypot(through / np.sqrt(6), common[name])) for name in THICKNESSES
         }
     elif "grey_noise" in attrs:
-        greys = Greys.of(found)
+        greys = Greys.of(measured)
         wide = float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))
         shared = Shared.of(greys, voxel_um=through, pitch_um=steps, wide=wide, noise_um=noise_um)
-        slopes = np.gradient(found["centre"].values, *steps)
-        layers: dict[Side, Array] = {side: found[f"coating_{side}"].values for side in SIDES}
+        slopes = np.gradient(measured["centre"].values, *steps)
+        layers: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
         errors = thickness_errors(layers, greys, shared, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2))
         if attrs.get("method") == "paper":
             # A crossing of half the step uses one place of the edge, a fit all of it.
@@ -143,26 +143,26 @@ def _with_errors(found: xr.Dataset, noise_um: float = float("nan")) -> xr.Datase
             errors = {name: se * crossing for name, se in errors.items()}
         common, patch = dict(shared.common_um), shared.patch_um2
     else:
-        return found
+        return measured
     for side in SIDES:
-        if (drawn := found.get(f"correction_{side}_error")) is not None:
+        if (drawn := measured.get(f"correction_{side}_error")) is not None:
             more_um = np.nan_to_num(drawn.values.astype(np.float64))
             errors |= {name: np.hypot(errors[name], more_um) for name in (f"coating_{side}", *_OF_BOTH)}
     more: dict[str, tuple[tuple[str, str], NDArray[np.float32], dict[str, object]]] = {}
     for name in THICKNESSES:
         title = f"Standard error of {PROPERTIES[name][0].lower()}{PROPERTIES[name][1:]}"
         about: dict[str, object] = {"units": "um", "long_name": title, "common_um": common[name], "patch_um2": patch}
-        se = np.where(np.isfinite(found[name].values), errors[name], np.nan).astype(np.float32)
+        se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
             more[f"{name}_se"] = (("y", "x"), se, about)
-    return found.assign(more)
+    return measured.assign(more)
 
 
 def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
     """Thicknesses and topographies along the true 3D normals of the centre surface."""
     met = meet(surfaces, "normal")
     place = met.faces
-    values = {
+    lengths = {
         "coating_top": place["top"] - place["interface_top"],
         "coating_bottom": place["interface_bottom"] - place["bottom"],
         "base_thickness": place["interface_top"] - place["interface_bottom"],
@@ -172,26 +172,22 @@ def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
     }
     status = surfaces["status"].values.copy()
     # A column counts as measured when everything that the sheet has was measured there.
-    whole = np.isfinite(values["thickness"])
+    whole = np.isfinite(lengths["thickness"])
     for side, coated in met.coated.items():
         if not coated:
-            values[f"coating_{side}"] = np.full(whole.shape, np.nan)
-        elif np.isfinite(values[f"coating_{side}"]).any():
-            whole &= np.isfinite(values[f"coating_{side}"])
+            lengths[f"coating_{side}"] = np.full(whole.shape, np.nan)
+        elif np.isfinite(lengths[f"coating_{side}"]).any():
+            whole &= np.isfinite(lengths[f"coating_{side}"])
     status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
     valid = status == 0
     if not valid.any():
         raise CannotMeasure(
             "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
         )
-    data = {
-        name: (
-            ("y", "x"),
-            np.where(valid, v, np.nan),
-            {"units": "um", "long_name": PROPERTIES[name], "role": "property"},
-        )
-        for name, v in values.items()
+    dims = ("y", "x")
+    variables: dict[str, tuple[tuple[str, str], Floats, dict[str, object]]] = {
+        name: (dims, np.where(valid, um, np.nan), {"units": "um", "long_name": PROPERTIES[name], "role": "property"})
+        for name, um in lengths.items()
     }
-    return xr.Dataset(
-        {**data, "status": (("y", "x"), status, status_flags())}, coords=surfaces.coords, attrs=dict(surfaces.attrs)
-    )
+    measured = xr.Dataset(variables, coords=surfaces.coords, attrs=dict(surfaces.attrs))
+    return measured.assign(status=(dims, status, status_flags()))

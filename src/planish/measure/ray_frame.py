@@ -13,10 +13,11 @@ from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
+from planish.core.typing import Bools, Floats
 from planish.measure import _ray_kernels
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
-from planish.measure.rays import FACES, Array, Direction, Grey, Rays
+from planish.measure.rays import FACES, Direction, Grey, Rays
 from planish.measure.registry import SIDES, Side
 
 if TYPE_CHECKING:
@@ -33,8 +34,8 @@ class Met(NamedTuple):
     step of one um along rows and columns, measured in the centre surface.
     """
 
-    heights: dict[str, Array]
-    faces: dict[str, Array]
+    heights: dict[str, Floats]
+    faces: dict[str, Floats]
     coated: dict[Side, bool]
     stretch: tuple[float, float]
 
@@ -57,11 +58,11 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
         raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
     step = pitch(surfaces)
     slope = slopes_of(heights["centre"], step)
-    known = np.isfinite(slope).all(axis=-1)
-    stretch = np.sqrt(1 + slope[known] ** 2).mean(axis=0) if known.any() else np.zeros(2)
+    is_finite = np.isfinite(slope).all(axis=-1)
+    stretch = np.sqrt(1 + slope[is_finite] ** 2).mean(axis=0) if is_finite.any() else np.zeros(2)
     unit = directions(slope, rays)
     along_r, along_c, along_h = (np.ascontiguousarray(unit[..., k]) for k in range(3))
-    faces: dict[str, Array] = {}
+    faces: dict[str, Floats] = {}
     for name in FACES:
         if name.startswith("interface") and not np.isfinite(heights[name]).any():
             faces[name] = faces[name.removeprefix("interface_")]
@@ -84,8 +85,8 @@ class RayFrame:
     """
 
     frame: Frame
-    heights: dict[str, Array]
-    faces: dict[str, Array]
+    heights: dict[str, Floats]
+    faces: dict[str, Floats]
     status: NDArray[np.uint8]
     pitch_um: tuple[float, float]
     voxel_um: float
@@ -137,11 +138,11 @@ class RayFrame:
         """Samples of a ray."""
         return self.high - self.low + 1
 
-    def slopes(self, rows: slice) -> Array:
+    def slopes(self, rows: slice) -> Floats:
         """Slope of the centre surface along rows and columns (rows, cols, 2)."""
         return _slopes(self.heights["centre"], self.pitch_um, rows)
 
-    def oblique(self, slope: Array) -> Array:
+    def oblique(self, slope: Floats) -> Floats:
         """Length of ray for one um along the normal (rows, cols)."""
         if self.params.rays == "normal":
             return np.ones(slope.shape[:-1])
@@ -156,7 +157,7 @@ class RayFrame:
         status = self.status[rows].copy()
         grey = self._grey(volume, rows, normals, status == 0)
         faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
-        samples: Array = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
+        samples: Floats = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
         tile = Rays(
             grey=grey, s_um=samples, top=faces["top"], bottom=faces["bottom"],
             interface_top=faces["interface_top"], interface_bottom=faces["interface_bottom"], normals=normals,
@@ -172,7 +173,7 @@ class RayFrame:
         status[(status == 0) & faint] = Status.LOW_CONTRAST
         return tile
 
-    def _grey(self, volume: xr.DataArray, rows: slice, normals: Array, wanted: NDArray[np.bool_]) -> Grey:
+    def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, wanted: Bools) -> Grey:
         f = self.frame
         through = volume.coords[f.through].values
         size = float(through[1] - through[0])
@@ -188,8 +189,8 @@ class RayFrame:
         down = k * np.arange(rows.start, rows.stop)[:, None] + middle
         starts = np.broadcast_to(down, wanted.shape), k * np.arange(wanted.shape[1]) + middle
         ends = [
-            np.stack([(at + end * self.step_um * step)[wanted] for end in (self.low, self.high)])
-            for at, step in zip((*starts, depth), steps, strict=True)
+            np.stack([(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)])
+            for start, step in zip((*starts, depth), steps, strict=True)
         ]
         sizes = volume.sizes[f.rows], volume.sizes[f.cols], volume.sizes[f.through]
         box = [
@@ -219,11 +220,11 @@ def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
             f"The volume has {have[0]} x {have[1]} columns and the surfaces have {want[0]} x {want[1]}: they do not "
             "belong together. Find the surfaces in this volume."
         )
-    values = volume.coords[frame.through].values
-    return abs(float(values[1] - values[0])), wide
+    heights = volume.coords[frame.through].values
+    return abs(float(heights[1] - heights[0])), wide
 
 
-def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> Array:
+def _slopes(centre: Floats, pitch: tuple[float, float], rows: slice) -> Floats:
     """Central differences of some rows along rows and columns (rows, cols, 2), the same as those of the whole field."""
     lo, hi = max(rows.start - 1, 0), min(rows.stop + 1, centre.shape[0])
     while hi - lo < 2:
@@ -232,12 +233,12 @@ def _slopes(centre: Array, pitch: tuple[float, float], rows: slice) -> Array:
     return np.stack(along, axis=-1)[rows.start - lo : rows.stop - lo]
 
 
-def slopes_of(heights: Array, pitch: tuple[float, float]) -> Array:
+def slopes_of(heights: Floats, pitch: tuple[float, float]) -> Floats:
     """Slope of a whole surface along rows and columns (rows, cols, 2)."""
     return _slopes(heights, pitch, slice(0, heights.shape[0]))
 
 
-def directions(slope: Array, rays: Direction) -> Array:
+def directions(slope: Floats, rays: Direction) -> Floats:
     """Unit vectors of the rays along rows, columns and height (rows, cols, 3), pointing up; NaN without a slope."""
     if rays == "vertical":
         return np.where(np.isfinite(slope).all(axis=-1, keepdims=True), [0.0, 0.0, 1.0], np.nan)

@@ -9,10 +9,10 @@ from typing import Any, Literal, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.typing import Bools, Floats
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
 
-Array = NDArray[np.float64]
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
 T = TypeVar("T")
@@ -56,15 +56,15 @@ class Rays:
     """
 
     grey: Grey
-    s_um: Array
-    top: Array
-    bottom: Array
-    interface_top: Array
-    interface_bottom: Array
-    normals: Array
-    stretch: Array
-    slope: Array
-    oblique: Array
+    s_um: Floats
+    top: Floats
+    bottom: Floats
+    interface_top: Floats
+    interface_bottom: Floats
+    normals: Floats
+    stretch: Floats
+    slope: Floats
+    oblique: Floats
     status: NDArray[np.uint8]
     pitch_um: tuple[float, float]
     voxel_um: float
@@ -73,7 +73,7 @@ class Rays:
     noise_um: float
     mirrored: bool
     mean_stretch: tuple[float, float]
-    _kept: dict[str, object] = field(default_factory=lambda: {})
+    _cache: dict[str, object] = field(default_factory=lambda: {})
 
     @property
     def step_um(self) -> float:
@@ -81,56 +81,58 @@ class Rays:
         return float(self.s_um[1] - self.s_um[0])
 
     @property
-    def edge_um(self) -> Array:
-        """What is left out of the base at both ends, along the ray (rows, cols)."""
+    def edge_um(self) -> Floats:
+        """Length left out of the base at both ends, along the ray (rows, cols)."""
         return self.oblique * (2 * self.greys.blur_um if self.params.edge_um is None else self.params.edge_um)
 
     @property
-    def core(self) -> tuple[Array, Array]:
+    def core(self) -> tuple[Floats, Floats]:
         """Lower and upper end of the base without its edges."""
         return self.interface_bottom + self.edge_um, self.interface_top - self.edge_um
 
-    def between(self, lower: Array, upper: Array) -> NDArray[np.bool_]:
-        """Which samples lie between two places on each ray; (rows, cols, s)."""
+    def between(self, lower: Floats, upper: Floats) -> Bools:
+        """Mark the samples that lie between two places on each ray; (rows, cols, s)."""
         return (self.s_um >= lower[..., None]) & (self.s_um <= upper[..., None])
 
-    def samples_within(self, lower: Array, upper: Array, *, more: int = 0) -> slice:
+    def samples_within(self, lower: Floats, upper: Floats, *, more: int = 0) -> slice:
         """Samples that lie between two places on any of the rays, and ``more`` on both sides."""
-        known = np.isfinite(lower) & np.isfinite(upper)
-        if not known.any():
+        is_finite = np.isfinite(lower) & np.isfinite(upper)
+        if not is_finite.any():
             return slice(0, 1 + more)
-        first = int(np.searchsorted(self.s_um, lower[known].min(), side="left")) - more
-        last = int(np.searchsorted(self.s_um, upper[known].max(), side="right")) + more
+        first = int(np.searchsorted(self.s_um, lower[is_finite].min(), side="left")) - more
+        last = int(np.searchsorted(self.s_um, upper[is_finite].max(), side="right")) + more
         return slice(max(first, 0), max(min(last, self.s_um.size), max(first, 0) + 1))
 
-    def integral(self, lower: Array, upper: Array) -> Array:
+    def integral(self, lower: Floats, upper: Floats) -> Floats:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
         return self._pieces(lower, upper, 0.0, 0.0)[0] - self.greys.air * np.maximum(upper - lower, 0.0)
 
-    def mean(self, lower: Array, upper: Array) -> Array:
+    def mean(self, lower: Floats, upper: Floats) -> Floats:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
         length = upper - lower
         with np.errstate(divide="ignore", invalid="ignore"):
             return np.where(length >= self.step_um, self.integral(lower, upper) / length, np.nan)
 
-    def length(self, lower: Array, upper: Array, *, least: float, most: float) -> tuple[Array, NDArray[np.int32]]:
+    def length(self, lower: Floats, upper: Floats, *, least: float, most: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
         _, length, ends = self._pieces(lower, upper, least, most)
         return length, ends
 
-    def _pieces(self, lower: Array, upper: Array, least: float, most: float) -> tuple[Array, Array, NDArray[np.int32]]:
+    def _pieces(
+        self, lower: Floats, upper: Floats, least: float, most: float
+    ) -> tuple[Floats, Floats, NDArray[np.int32]]:
         from planish.measure import _ray_kernels
 
         return _ray_kernels.pieces(
             self.grey, float(self.s_um[0]), self.step_um, lower, upper, float(least), float(most)
         )
 
-    def beyond(self, lower: Array, upper: Array, level: float) -> tuple[Array, NDArray[np.int32]]:
+    def beyond(self, lower: Floats, upper: Floats, level: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
         least, most = (level, np.inf) if self.greys.polarity > 0 else (-np.inf, level)
         return self.length(lower, upper, least=least, most=most)
 
-    def crossing_se(self, contrast: float) -> Array:
+    def crossing_se(self, contrast: float) -> Floats:
         """Standard error in um of one crossing of a blurred step (rows, cols): ``sqrt(2 pi) w sigma / |contrast|``.
 
         A step of height C blurred with a Gaussian of standard deviation w has the slope C / (sqrt(2 pi) w) where it is
@@ -139,18 +141,18 @@ class Rays:
         blur = max(self.greys.blur_um, 0.5 * self.voxel_um)
         return self.oblique * (np.sqrt(2 * np.pi) * blur * self.greys.noise / max(abs(contrast), 1e-12))
 
-    def integral_se(self, length: Array | float) -> Array:
+    def integral_se(self, length: Floats | float) -> Floats:
         """Standard error of an integral over ``length`` um: sqrt(noise_um * length)."""
         return np.sqrt(self.noise_um * np.maximum(np.asarray(length, dtype=np.float64), 0.0))
 
-    def once(self, key: str, work: Callable[[], T]) -> T:
-        """Return what ``work`` gives, worked out once for these rays: for properties that share an inner result."""
-        if key not in self._kept:
-            self._kept[key] = work()
-        return self._kept[key]  # type: ignore[return-value]
+    def cached(self, key: str, work: Callable[[], T]) -> T:
+        """Return the outcome of ``work``, worked out once for these rays: for properties that share an inner step."""
+        if key not in self._cache:
+            self._cache[key] = work()
+        return self._cache[key]  # type: ignore[return-value]
 
     def rows(self, part: slice) -> Rays:
         """Return some of the rows."""
         arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
         cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
-        return replace(self, **cut, _kept={})
+        return replace(self, **cut, _cache={})

@@ -25,12 +25,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
+from planish.core.typing import Bools, Floats
 
 if TYPE_CHECKING:
     from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
     from planish.measure.ray_frame import RayFrame
-    from planish.measure.rays import Array
 
 Side = Literal["top", "bottom"]
 SIDES: tuple[Side, Side] = ("top", "bottom")
@@ -61,8 +61,8 @@ class Measured:
         1, 2, ... for the property's own reasons where ``values`` is NaN.
     """
 
-    values: Array
-    se: Array | float = np.nan
+    values: Floats
+    se: Floats | float = np.nan
     reason: NDArray[np.uint8] | int = 0
 
     def times(self, factor: float) -> Measured:
@@ -91,11 +91,11 @@ class Sheet:
         return self.frame.params
 
     @property
-    def valid(self) -> NDArray[np.bool_]:
+    def valid(self) -> Bools:
         """Rays that meet both faces."""
         return self.frame.status == 0
 
-    def mean(self, values: Array) -> float:
+    def mean(self, values: Floats) -> float:
         """Mean over the valid rays."""
         return float(np.mean(values[self.valid & np.isfinite(values)], dtype=np.float64))
 
@@ -104,7 +104,7 @@ Length = float | Callable[["MeasureParams"], float]
 After = tuple[str, ...] | Callable[..., tuple[str, ...]]
 Check = Callable[..., object]
 When = Callable[["MeasureParams", "Greys"], bool] | Callable[["MeasureParams", "Greys", Side], bool]
-Answer = Callable[..., "Array | Measured"]
+Answer = Callable[..., "Floats | Measured"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -151,7 +151,7 @@ _REGISTERED: dict[str, Property] = {}
 
 
 def _registers(kind: Literal["rays", "sheet"]):
-    def words(
+    def register(
         name: str, *, units: str, long_name: str, support_um: Length | None = None, check: Check | None = None,
         when: When | None = None, halo_um: Length = 0.0, **more: Any,
     ) -> Callable[[Answer], Property]:  # fmt: skip
@@ -167,7 +167,7 @@ def _registers(kind: Literal["rays", "sheet"]):
                      check=check, when=when, halo_um=halo_um, **more)
         )  # fmt: skip
 
-    return words
+    return register
 
 
 ray_property, sheet_property = _registers("rays"), _registers("sheet")
@@ -188,14 +188,13 @@ def _add(new: Property) -> Property:
     return new
 
 
-def _of_side(both: Property, side: Side) -> Property:
-    def given(function: Any) -> Any:
+def _of_side(template: Property, side: Side) -> Property:
+    def with_side(function: Any) -> Any:
         return update_wrapper(partial(function, side=side), function) if callable(function) else function
 
-    return replace(
-        both, name=both.name.format(side=side), long_name=both.long_name.format(side=side),
-        function=given(both.function), after=given(both.after), check=given(both.check), when=given(both.when),
-    )  # fmt: skip
+    names = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
+    functions = {key: with_side(getattr(template, key)) for key in ("function", "after", "check", "when")}
+    return replace(template, **names, **functions)
 
 
 def registered() -> dict[str, Property]:
@@ -231,9 +230,9 @@ def check_maps(params: MeasureParams) -> None:
         faults: list[CannotMeasure] = []
         for greys in _coated_and_bare():
             try:
-                for one in in_order([name], params, greys):
-                    if one.check is not None:
-                        one.check(params, greys)
+                for prop in in_order([name], params, greys):
+                    if prop.check is not None:
+                        prop.check(params, greys)
             except CannotMeasure as fault:
                 faults.append(fault)
         if len(faults) == 2:
@@ -257,9 +256,9 @@ def _coated_and_bare() -> tuple[Greys, Greys]:
 
 def chosen(params: MeasureParams, greys: Greys) -> list[str]:
     """Names of the maps to measure: those that cost nothing, those whose numbers are given, those asked for."""
-    names = [one.name for one in registered().values() if one.when is not None and one.when(params, greys)]
+    names = [prop.name for prop in registered().values() if prop.when is not None and prop.when(params, greys)]
     names += params.maps
-    names += [other for name in params.maps for other in find_property(name).together]
+    names += [companion for name in params.maps for companion in find_property(name).together]
     return list(dict.fromkeys(names))
 
 
@@ -267,12 +266,12 @@ def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Grey
     """Return the properties and all that they are made from, each after what it needs."""
     done: dict[str, Property] = {}
 
-    def visit(one: Property, under: tuple[str, ...]) -> None:
-        if one.name in under:
-            raise CannotMeasure(f"The property '{one.name}' is made from itself: {' > '.join((*under, one.name))}.")
-        for needed in one.after(params, greys) if callable(one.after) else one.after:
-            visit(find_property(needed), (*under, one.name))
-        done.setdefault(one.name, one)
+    def visit(prop: Property, under: tuple[str, ...]) -> None:
+        if prop.name in under:
+            raise CannotMeasure(f"The property '{prop.name}' is made from itself: {' > '.join((*under, prop.name))}.")
+        for needed in prop.after(params, greys) if callable(prop.after) else prop.after:
+            visit(find_property(needed), (*under, prop.name))
+        done.setdefault(prop.name, prop)
 
     for name in names:
         visit(find_property(name), ())

@@ -16,11 +16,10 @@ from planish.core.grid import Grid, bilinear, pitch
 from planish.core.lazy import LazyArray, Where, held
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
+from planish.core.typing import Floats
 from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
 from planish.measure.ray_frame import RayFrame, directions, slopes_of
-
-Array = NDArray[np.float64]
 
 _AT_ONCE = 1_000_000  # samples that a thread works on
 _WIDE = 256  # pixels along the width of a part: its box of voxels has to be small where the sheet is steep
@@ -70,27 +69,27 @@ def straightened(
             f"{most:.0f} um."
         )
     first, last = int(np.floor(low / frame.voxel_um)), int(np.ceil(high / frame.voxel_um))
-    depths: Array = np.arange(first, last + 1).astype(np.float64) * frame.voxel_um
+    depths: Floats = np.arange(first, last + 1).astype(np.float64) * frame.voxel_um
     grid = Grid.of(maps)
-    values = _Straightened(volume, surfaces, maps, depths, frame)
+    straight = _Straightened(volume, surfaces, maps, depths, frame)
     places = {"z": depths, "y": grid.y_um, "x": grid.x_um}
     coords = {axis: (axis, at, {"units": "um"}) for axis, at in places.items()}
-    found = xr.DataArray(xr.Variable(("z", "y", "x"), held(values)), coords=coords, name="grey")
-    return found.assign_attrs(voxel_um=(frame.voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
+    volume_along = xr.DataArray(xr.Variable(("z", "y", "x"), held(straight)), coords=coords, name="grey")
+    return volume_along.assign_attrs(voxel_um=(frame.voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
 
 
 class _Straightened(LazyArray):
     """The straightened volume, of which parts are worked out."""
 
     def __init__(
-        self, volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, depths: Array, frame: RayFrame
+        self, volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, depths: Floats, frame: RayFrame
     ) -> None:
         self._volume, self._depths = volume, depths
         self._places = {axis: maps[f"volume_{axis}"] for axis in ("z", "y", "x")}
         self._frame, self._pitch = Frame.of(surfaces), pitch(surfaces)
         self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
         slope = slopes_of(frame.heights["centre"], self._pitch)
-        self._slopes: Sequence[Array] = (np.ascontiguousarray(slope[..., 0]), np.ascontiguousarray(slope[..., 1]))
+        self._slopes: Sequence[Floats] = (np.ascontiguousarray(slope[..., 0]), np.ascontiguousarray(slope[..., 1]))
         self._padding = Greys.of(surfaces).padding
         self.shape = (depths.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
@@ -106,30 +105,30 @@ class _Straightened(LazyArray):
         map_threads(partial(self._fill, out, depths, (rows, cols)), tiles)
         return out
 
-    def _fill(self, out: NDArray[np.float32], depths: Array, where: tuple[slice, slice], tile: Tile) -> None:
+    def _fill(self, out: NDArray[np.float32], depths: Floats, where: tuple[slice, slice], tile: Tile) -> None:
         from scipy import ndimage
 
         part = out[:, tile.rows, tile.cols]
         part[:] = np.nan
-        at = {axis: np.asarray(self._part(axis, where, tile)) for axis in ("z", "y", "x")}
+        place = {axis: np.asarray(self._part(axis, where, tile)) for axis in ("z", "y", "x")}
         f = self._frame
         row, col = (
-            (at[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
+            (place[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
         )
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
-        normal: dict[str, Array] = dict(
+        normal: dict[str, Floats] = dict(
             zip((f.rows, f.cols, f.through), np.moveaxis(directions(slope, "normal"), -1, 0), strict=True)
         )
         normal[f.through] = f.sign * normal[f.through]
-        known = np.all([np.isfinite(at[axis]) & np.isfinite(normal[axis]) for axis in at], axis=0)
-        if not known.any():
+        is_inside = np.all([np.isfinite(place[axis]) & np.isfinite(normal[axis]) for axis in place], axis=0)
+        if not is_inside.any():
             return
-        places: list[Array] = []
+        places: list[Floats] = []
         box: list[slice] = []
         for axis in map(str, self._volume.dims):
             coords = self._volume[axis].values
             size = float(coords[1] - coords[0])
-            index = (at[axis][known] + depths[:, None] * normal[axis][known] - float(coords[0])) / size
+            index = (place[axis][is_inside] + depths[:, None] * normal[axis][is_inside] - float(coords[0])) / size
             start = int(np.clip(np.floor(index.min()), 0, coords.size - 1))
             stop = int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size))
             places.append(index - start)
@@ -139,7 +138,7 @@ class _Straightened(LazyArray):
             block = block.astype(np.float32)
         if np.isfinite(self._padding):
             block[block == np.float32(self._padding)] = np.nan
-        part[:, known] = ndimage.map_coordinates(
+        part[:, is_inside] = ndimage.map_coordinates(
             block, places, output=np.float32, order=1, mode="constant", cval=np.nan, prefilter=False
         )
 

@@ -7,12 +7,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planish.core.options import Params, option
+from planish.core.typing import Floats
 from planish.measure.registry import PROPERTIES, SIDES, Measured, Sheet, Side, ray_property, sheet_property
 
 if TYPE_CHECKING:
     from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
-    from planish.measure.rays import Array, Rays
+    from planish.measure.rays import Rays
 
 
 class Options(Params):
@@ -24,7 +25,7 @@ class Options(Params):
     )
 
 
-def errors(sheet: Sheet, name: str) -> Array:
+def errors(sheet: Sheet, name: str) -> Floats:
     """Standard errors of a thickness along the sheet's rays."""
     from planish.measure.uncertainty import thickness_errors
 
@@ -32,7 +33,7 @@ def errors(sheet: Sheet, name: str) -> Array:
     slope = f.slopes(slice(0, f.status.shape[0]))
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
-    layers: dict[Side, Array] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
+    layers: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
     cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
     return thickness_errors(layers, f.greys, f.shared, cosine=cosine)[name] * oblique
 
@@ -53,7 +54,7 @@ def coating(sheet: Sheet, side: Side) -> Measured:
     )
 
 
-def _both(_params: MeasureParams, greys: Greys) -> None:
+def _needs_both_coatings(_params: MeasureParams, greys: Greys) -> None:
     for side in SIDES:
         greys.need_coating(side, "The difference of both coatings")
 
@@ -64,7 +65,7 @@ def difference(sheet: Sheet, name: str) -> Measured:
     return Measured(values=top.values - bottom.values, se=np.hypot(top.se, bottom.se))
 
 
-@sheet_property("coating_difference", units="um", long_name="Coating, top less bottom", check=_both,
+@sheet_property("coating_difference", units="um", long_name="Coating, top less bottom", check=_needs_both_coatings,
                 after=("coating_top", "coating_bottom"))  # fmt: skip
 def coating_difference(sheet: Sheet) -> Measured:
     """P-14: t_T - t_B on the same ray; SE: the root of the summed squares of both."""
@@ -104,12 +105,12 @@ def thickness_envelope(sheet: Sheet) -> Measured:
     return Measured(values=top + bottom)
 
 
-def _layer(rays: Rays, side: Side) -> tuple[Array, Array, Array]:
+def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
     """Return t_sum, t_env and the standard error of both of the coating of one side."""
     from planish.measure import _ray_kernels
     from planish.measure.uncertainty import layer_errors
 
-    def work() -> tuple[Array, Array, Array]:
+    def work() -> tuple[Floats, Floats, Floats]:
         greys = rays.greys
         coat = greys.coating(side)
         face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
@@ -122,7 +123,7 @@ def _layer(rays: Rays, side: Side) -> tuple[Array, Array, Array]:
         se = np.hypot(of_face, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coat - greys.base))
         return summed, outer, se
 
-    return rays.once(f"layer_{side}", work)
+    return rays.cached(f"layer_{side}", work)
 
 
 @ray_property("coating_{side}_sum", units="um", long_name="Coating on the ray, {side} side", check=_has_coating)

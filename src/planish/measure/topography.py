@@ -2,17 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import numpy as np
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
+from planish.core.typing import Floats
 from planish.measure.registry import PROPERTIES, Measured, Sheet, Side, sheet_property
 from planish.measure.thickness import difference, errors
-
-if TYPE_CHECKING:
-    from planish.measure.rays import Array
 
 _ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
 _PER_MM = 1000.0
@@ -45,15 +41,15 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     height = np.where(sheet.valid, sign * f.faces[side], np.nan)
     limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
     sigma = _sigma(p.s_filter_um)
-    left = np.prod([min(1.0, np.sqrt(q / (2 * np.sqrt(np.pi) * sigma))) for q in f.pitch_um])
-    return Measured(values=limited, se=errors(sheet, f"topography_{side}") * float(left))
+    noise_share = np.prod([min(1.0, np.sqrt(q / (2 * np.sqrt(np.pi) * sigma))) for q in f.pitch_um])
+    return Measured(values=limited, se=errors(sheet, f"topography_{side}") * float(noise_share))
 
 
 def _sigma(cutoff_um: float) -> float:
     return cutoff_um * _ALPHA / np.sqrt(2 * np.pi)
 
 
-def smoothed(values: Array, pitch_um: tuple[float, float], sigma_um: float) -> Array:
+def smoothed(values: Floats, pitch_um: tuple[float, float], sigma_um: float) -> Floats:
     """Gaussian mean of the known values (rows, cols); NaN where too few lie in reach.
 
     The filter is normalised by the weight of what is known, and does not look beyond the border.
@@ -61,17 +57,17 @@ def smoothed(values: Array, pitch_um: tuple[float, float], sigma_um: float) -> A
     from scipy import ndimage
 
     sigma = [sigma_um / p for p in pitch_um]
-    known = np.isfinite(values)
-    total = ndimage.gaussian_filter(np.where(known, values, 0.0), sigma, mode="constant", truncate=3.5)
-    weight = ndimage.gaussian_filter(known.astype(np.float64), sigma, mode="constant", truncate=3.5)
+    is_finite = np.isfinite(values)
+    total = ndimage.gaussian_filter(np.where(is_finite, values, 0.0), sigma, mode="constant", truncate=3.5)
+    weight = ndimage.gaussian_filter(is_finite.astype(np.float64), sigma, mode="constant", truncate=3.5)
     full = ndimage.gaussian_filter(np.ones(values.shape), sigma, mode="constant", truncate=3.5)
     with np.errstate(divide="ignore", invalid="ignore"):
         return np.where(weight > _LEAST_WEIGHT * full, total / weight, np.nan)
 
 
 def scale_limited(
-    height: Array, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
-) -> Array:  # fmt: skip
+    height: Floats, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
+) -> Floats:  # fmt: skip
     """Roughness between two Gaussian filters; half of the longer cut-off is discarded along the outline.
 
     Parameters
@@ -100,12 +96,12 @@ def scale_limited(
             f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g} um). Change "
             "s_filter_um or l_filter_um."
         )
-    known = np.isfinite(height)
+    is_finite = np.isfinite(height)
     # Holes are no edge: the masked filter bridges them.
-    outside = np.pad(~ndimage.binary_fill_holes(known), 1, constant_values=True)
+    outside = np.pad(~ndimage.binary_fill_holes(is_finite), 1, constant_values=True)
     away = ndimage.distance_transform_edt(~outside, sampling=pitch_um)
     inside = np.asarray(away)[1:-1, 1:-1] >= 0.5 * l_filter_um
-    if not (inside & known).any():
+    if not (inside & is_finite).any():
         size = " x ".join(f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True))
         raise CannotMeasure(
             f"The sheet is {size} mm large; with an L-filter of {l_filter_um / 1000:g} mm, half of which is discarded "
@@ -113,7 +109,7 @@ def scale_limited(
         )
     fine = smoothed(height, pitch_um, _sigma(s_filter_um)) if s_filter_um >= 2 * max(pitch_um) else height
     coarse = smoothed(height, pitch_um, _sigma(l_filter_um))
-    return np.where(inside & known, fine - coarse, np.nan)
+    return np.where(inside & is_finite, fine - coarse, np.nan)
 
 
 @sheet_property("topography_difference", units="um", long_name="Topography, top less bottom",
@@ -132,26 +128,26 @@ def topography_difference(sheet: Sheet) -> Measured:
 
 
 @sheet_property("warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True)
-def warp(sheet: Sheet) -> Array:
+def warp(sheet: Sheet) -> Floats:
     """Height of the centre surface above the plane that fits it best, up towards the top."""
     height = sheet.frame.heights["centre"]
     y, x = (np.arange(n) * p for n, p in zip(height.shape, sheet.frame.pitch_um, strict=True))
     yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
-    known = np.isfinite(height) & sheet.valid
-    terms = np.stack([np.ones(int(known.sum())), yy[known], xx[known]], axis=1)
-    level, by_y, by_x = np.linalg.lstsq(terms, height[known], rcond=None)[0]
+    is_finite = np.isfinite(height) & sheet.valid
+    terms = np.stack([np.ones(int(is_finite.sum())), yy[is_finite], xx[is_finite]], axis=1)
+    level, by_y, by_x = np.linalg.lstsq(terms, height[is_finite], rcond=None)[0]
     return height - (level + by_y * yy + by_x * xx)
 
 
 @sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=lambda _params, _greys: True)
-def tilt(sheet: Sheet) -> Array:
+def tilt(sheet: Sheet) -> Floats:
     """Angle between the normal and the axis through the sheet."""
     slope = sheet.frame.slopes(slice(0, sheet.frame.status.shape[0]))
     return np.rad2deg(np.arctan(np.hypot(slope[..., 0], slope[..., 1])))
 
 
 @sheet_property("mean_curvature", units="1/mm", long_name="Mean curvature", support_um=400.0)
-def mean_curvature(sheet: Sheet) -> Array:
+def mean_curvature(sheet: Sheet) -> Floats:
     """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)); positive where the sheet is a bowl.
 
     p, q are the slopes, r, s, t the second derivatives of the centre surface's height.
@@ -162,13 +158,13 @@ def mean_curvature(sheet: Sheet) -> Array:
 
 
 @sheet_property("gaussian_curvature", units="1/mm2", long_name="Gaussian curvature", support_um=400.0)
-def gaussian_curvature(sheet: Sheet) -> Array:
+def gaussian_curvature(sheet: Sheet) -> Floats:
     """K = (r t - s^2) / (1 + p^2 + q^2)^2; 0 where the sheet can be laid flat without strain."""
     p, q, r, s, t = _derivatives(sheet)
     return _PER_MM**2 * (r * t - s * s) / (1 + p * p + q * q) ** 2
 
 
-def _derivatives(sheet: Sheet) -> tuple[Array, Array, Array, Array, Array]:
+def _derivatives(sheet: Sheet) -> tuple[Floats, Floats, Floats, Floats, Floats]:
     """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
     centre = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um

@@ -13,12 +13,11 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from scipy import special
 
+from planish.core.typing import Floats
 from planish.measure.greys import Greys
 from planish.measure.ray_frame import RayFrame
-from planish.measure.rays import Array
 from planish.measure.registry import Side
 
 _ROWS = 6  # of the sheet, from which the noise is read
@@ -41,23 +40,23 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     white = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
     picked = rows[np.unique(np.linspace(0, rows.size - 1, min(_ROWS, rows.size)).astype(int))]
-    beside = 3 * frame.greys.blur_um + frame.voxel_um
-    found: list[Array] = []
+    margin = 3 * frame.greys.blur_um + frame.voxel_um
+    samples: list[Floats] = []
     length = 0.0
     for row in picked:
         rays = frame.tile(volume, slice(int(row), int(row) + 1))
         room = min(float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0])) \
             if (rays.status == 0).any() else 0.0  # fmt: skip
-        if room - beside < 3 * frame.voxel_um:
+        if room - margin < 3 * frame.voxel_um:
             continue
         length = 3.0 * frame.voxel_um
-        for lower in (rays.top + beside, rays.bottom - beside - length):
+        for lower in (rays.top + margin, rays.bottom - margin - length):
             means = rays.mean(lower, lower + length)
-            found.append(means[np.isfinite(means)])
-    if not found or sum(f.size for f in found) < 200:
+            samples.append(means[np.isfinite(means)])
+    if not samples or sum(f.size for f in samples) < 200:
         return white
     # Each side and row about its own median: shading of the air is no noise.
-    steps = np.concatenate([np.abs(f - np.median(f)) for f in found if f.size])
+    steps = np.concatenate([np.abs(f - np.median(f)) for f in samples if f.size])
     return max(white, float((1.4826 * np.median(steps)) ** 2) * length)
 
 
@@ -114,8 +113,8 @@ class Shared:
 
 
 def thickness_errors(
-    coatings: Mapping[Side, Array], greys: Greys, shared: Shared, *, cosine: Array | float = 1.0
-) -> dict[str, Array]:  # fmt: skip
+    coatings: Mapping[Side, Floats], greys: Greys, shared: Shared, *, cosine: Floats | float = 1.0
+) -> dict[str, Floats]:  # fmt: skip
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 
     ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the sheet's tilt against
@@ -124,25 +123,25 @@ def thickness_errors(
     root = np.sqrt(cosine)
     sides = {k: [root * e for e in layer_errors(t, greys, shared.noise_um, k)] for k, t in coatings.items()}
     top, bottom = sides["top"], sides["bottom"]
-    found = {
+    errors = {
         "coating_top": top[1], "coating_bottom": bottom[1], "base_thickness": np.hypot(top[2], bottom[2]),
         "thickness": np.hypot(top[0], bottom[0]),
     }  # fmt: skip
-    found |= {f"topography_{k}": of[0] for k, of in sides.items()}
-    return {name: np.hypot(se, shared.place_um[name]) for name, se in found.items()}
+    errors |= {f"topography_{k}": of[0] for k, of in sides.items()}
+    return {name: np.hypot(se, shared.place_um[name]) for name, se in errors.items()}
 
 
 def common_errors(unit_um: float) -> dict[str, float]:
     """What averaging over columns does not lessen, of each thickness and topography, in um; ``unit_um``: a voxel."""
     face, inner = (unit_um * COMMON[k] for k in ("face", "interface"))
-    coating, both = float(np.hypot(face, inner)), float(np.sqrt(2))
+    coating, base, sheet = float(np.hypot(face, inner)), float(np.sqrt(2)) * inner, float(np.sqrt(2)) * face
     return {
-        "coating_top": coating, "coating_bottom": coating, "base_thickness": both * inner, "thickness": both * face,
+        "coating_top": coating, "coating_bottom": coating, "base_thickness": base, "thickness": sheet,
         "topography_top": face, "topography_bottom": face,
     }  # fmt: skip
 
 
-def layer_errors(thickness: Array, greys: Greys, noise_um: float, side: str) -> tuple[Array, Array, Array]:
+def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: str) -> tuple[Floats, Floats, Floats]:
     """Standard errors of a fitted staircase air-coating-base: of its face, its thickness and its interface, um.
 
     The least variance that an unbiased fit can have, the inverse of the Fisher matrix of the blurred staircase
@@ -174,17 +173,17 @@ def layer_errors(thickness: Array, greys: Greys, noise_um: float, side: str) -> 
     nodes = np.linspace(0.02, _LARGEST, _NODES) * blur
     table = np.array([_one_layer(t, blur, coat - greys.air, base - greys.air, noise_um) for t in nodes])
     table[:] = table[np.maximum(np.arange(_NODES), int(np.argmax(table[:, 1] <= nodes)))]
-    at = np.clip(thickness, 0.0, nodes[-1])
-    face, own, inner = (np.interp(at, nodes, table[:, k]) for k in range(3))
+    layer = np.clip(thickness, 0.0, nodes[-1])
+    face, thickness_se, inner = (np.interp(layer, nodes, table[:, k]) for k in range(3))
     missing = ~np.isfinite(thickness)
-    return tuple(np.where(missing, np.nan, v) for v in (face, own, inner))  # type: ignore[return-value]
+    return tuple(np.where(missing, np.nan, v) for v in (face, thickness_se, inner))  # type: ignore[return-value]
 
 
 def _one_layer(t: float, w: float, c: float, b: float, noise_um: float) -> tuple[float, float, float]:
     step = 0.05 * w
-    s: NDArray[np.float64] = np.arange(-6 * w, t + 20 * w, step)
+    s: Floats = np.arange(-6 * w, t + 20 * w, step)
 
-    def bell(x: Array) -> Array:
+    def bell(x: Floats) -> Floats:
         return np.exp(-0.5 * (x / w) ** 2) / (w * np.sqrt(2 * np.pi))
 
     outer, inner = special.ndtr(s / w), special.ndtr((s - t) / w)
