@@ -125,11 +125,7 @@ def _refined(oriented: NDArray[np.float32], threshold: float, block: int, choice
 
 
 def _chosen(
-    oriented: NDArray[np.float32],
-    sharp: NDArray[np.float32],
-    threshold: float,
-    block: int,
-    choice: Choice,
+    oriented: NDArray[np.float32], sharp: NDArray[np.float32], threshold: float, block: int, choice: Choice
 ) -> tuple[CoarseSheet, bool]:
     """Find the sheet at the seed, and tell whether what lies beside it is other material and not air.
 

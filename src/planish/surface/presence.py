@@ -13,11 +13,7 @@ from planish.surface.columns import Columns
 _FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, and places between; the bottom's layer mirrors the top's
 _INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to the second place of either neighbour
 
-LAYERS = {
-    "presence": (_FROM, _TO),
-    "presence_centre": (-_INNER, _INNER),
-    "presence_bottom": (-_TO, -_FROM),
-}
+LAYERS = {"presence": (_FROM, _TO), "presence_centre": (-_INNER, _INNER), "presence_bottom": (-_TO, -_FROM)}
 """First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
 
 TITLES = {
