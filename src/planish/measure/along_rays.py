@@ -66,9 +66,6 @@ def measure_along_rays(
     if not wanted:
         raise CannotMeasure("No property was named. Name one or more.")
     asked = {name if isinstance(name, str) else name.name for name in names}
-    for prop in wanted:
-        if prop.check is not None:
-            prop.check(params, greys)
     frame = ray_frame(volume, surfaces, params)
     of_rays = [prop for prop in wanted if prop.kind == "rays"]
     maps = {prop.name: _blank(frame.status.shape) for prop in of_rays}

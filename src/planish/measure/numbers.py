@@ -147,8 +147,7 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
         is_finite = np.isfinite(top) & np.isfinite(bottom)
         if np.count_nonzero(is_finite) < 3:
             continue
-        a: Floats = top[is_finite]
-        b: Floats = bottom[is_finite]
+        a, b = top[is_finite], bottom[is_finite]
         sd = float(a.std()), float(b.std())
         out[f"{pair}_difference_um"] = float(a.mean() - b.mean())
         out[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else float("nan")
@@ -183,17 +182,11 @@ def sheet_numbers(
     profiled = [name for name in ("porosity", "filler") if name in measured]
     profiles = None
     if profiled and volume is not None:
-        depth_shares = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
-        shares: dict[str, tuple[float | None, ...]] = {
-            name: tuple(float(v) for v in depth_shares[name].values) for name in profiled
-        }
-        profiles = ProfileFacts(depth=tuple(float(v) for v in depth_shares["depth"].values), values=shares)
-    thin: dict[Side, ThinFacts] = {}
-    for side in SIDES:
-        if (facts := _thin(measured, side)) is not None:
-            thin[side] = facts
+        layers = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
+        shares: dict[str, tuple[float | None, ...]] = {name: tuple(layers[name].values.tolist()) for name in profiled}
+        profiles = ProfileFacts(depth=tuple(layers["depth"].values.tolist()), values=shares)
     return SheetNumbers(
-        thin=thin,
+        thin={side: facts for side in SIDES if (facts := _thin(measured, side)) is not None},
         roughness={side: _roughness(measured, params, side) for side in SIDES},
         two_sides=TwoSidesFacts.model_validate(two_sidedness(measured)),
         profiles=profiles,
@@ -208,11 +201,10 @@ def _thin(measured: xr.Dataset, side: Side) -> ThinFacts | None:
     support = float(np.sqrt(np.prod(pitch(measured))))
     fractions = thin_fraction(coating.assign_attrs(support_um=support))
     return ThinFacts(
-        thinner_than_um=tuple(float(v) for v in fractions["marked"].values),
-        share=tuple(float(v) for v in fractions["marked_share"].values),
-        support_um=support,
-        warning=fractions.attrs.get("warning"),
-    )
+        thinner_than_um=tuple(fractions["marked"].values.tolist()),
+        share=tuple(fractions["marked_share"].values.tolist()),
+        support_um=support, warning=fractions.attrs.get("warning"),
+    )  # fmt: skip
 
 
 def _roughness(measured: xr.Dataset, params: MeasureParams, side: Side) -> RoughnessFacts:

@@ -126,7 +126,7 @@ class RayFrame:
 
     @property
     def shared(self) -> Shared:
-        """What the errors of the columns have in common."""
+        """Give what the errors of the columns have in common."""
         from planish.measure.uncertainty import Shared
 
         return Shared.of(
@@ -138,9 +138,9 @@ class RayFrame:
         """Samples of a ray."""
         return self.high - self.low + 1
 
-    def slopes(self, rows: slice) -> Floats:
+    def slopes(self, rows: slice = slice(None)) -> Floats:
         """Slope of the centre surface along rows and columns (rows, cols, 2)."""
-        return _slopes(self.heights["centre"], self.pitch_um, rows)
+        return slopes_of(self.heights["centre"], self.pitch_um, rows)
 
     def oblique(self, slope: Floats) -> Floats:
         """Length of ray for one um along the normal (rows, cols)."""
@@ -224,18 +224,14 @@ def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
     return abs(float(heights[1] - heights[0])), wide
 
 
-def _slopes(centre: Floats, pitch: tuple[float, float], rows: slice) -> Floats:
-    """Central differences of some rows along rows and columns (rows, cols, 2), the same as those of the whole field."""
-    lo, hi = max(rows.start - 1, 0), min(rows.stop + 1, centre.shape[0])
+def slopes_of(heights: Floats, pitch: tuple[float, float], rows: slice = slice(None)) -> Floats:
+    """Slope of a surface along rows and columns (rows, cols, 2); of some rows the same as of the whole surface."""
+    start, stop, _ = rows.indices(heights.shape[0])
+    lo, hi = max(start - 1, 0), min(stop + 1, heights.shape[0])
     while hi - lo < 2:
-        lo, hi = max(lo - 1, 0), min(hi + 1, centre.shape[0])
-    along = [np.gradient(centre[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
-    return np.stack(along, axis=-1)[rows.start - lo : rows.stop - lo]
-
-
-def slopes_of(heights: Floats, pitch: tuple[float, float]) -> Floats:
-    """Slope of a whole surface along rows and columns (rows, cols, 2)."""
-    return _slopes(heights, pitch, slice(0, heights.shape[0]))
+        lo, hi = max(lo - 1, 0), min(hi + 1, heights.shape[0])
+    along = [np.gradient(heights[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
+    return np.stack(along, axis=-1)[start - lo : stop - lo]
 
 
 def directions(slope: Floats, rays: Direction) -> Floats:

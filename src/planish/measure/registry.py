@@ -230,9 +230,7 @@ def check_maps(params: MeasureParams) -> None:
         faults: list[CannotMeasure] = []
         for greys in _coated_and_bare():
             try:
-                for prop in in_order([name], params, greys):
-                    if prop.check is not None:
-                        prop.check(params, greys)
+                in_order([name], params, greys)
             except CannotMeasure as fault:
                 faults.append(fault)
         if len(faults) == 2:
@@ -263,7 +261,13 @@ def chosen(params: MeasureParams, greys: Greys) -> list[str]:
 
 
 def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Greys) -> list[Property]:
-    """Return the properties and all that they are made from, each after what it needs."""
+    """Return the properties and all that they are made from, each after what it needs.
+
+    Raises
+    ------
+    CannotMeasure
+        If one is unknown, made from itself, or needs a number that is not given.
+    """
     done: dict[str, Property] = {}
 
     def visit(prop: Property, under: tuple[str, ...]) -> None:
@@ -275,6 +279,9 @@ def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Grey
 
     for name in names:
         visit(find_property(name), ())
+    for prop in done.values():
+        if prop.check is not None:
+            prop.check(params, greys)
     return list(done.values())
 
 

@@ -30,7 +30,7 @@ def errors(sheet: Sheet, name: str) -> Floats:
     from planish.measure.uncertainty import thickness_errors
 
     f = sheet.frame
-    slope = f.slopes(slice(0, f.status.shape[0]))
+    slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
     layers: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}

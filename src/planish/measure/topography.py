@@ -142,7 +142,7 @@ def warp(sheet: Sheet) -> Floats:
 @sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=lambda _params, _greys: True)
 def tilt(sheet: Sheet) -> Floats:
     """Angle between the normal and the axis through the sheet."""
-    slope = sheet.frame.slopes(slice(0, sheet.frame.status.shape[0]))
+    slope = sheet.frame.slopes()
     return np.rad2deg(np.arctan(np.hypot(slope[..., 0], slope[..., 1])))
 
 

@@ -9,6 +9,9 @@ passes by half, is the same 400 um that a Gaussian of 75 um has.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Literal
+
 import numpy as np
 from scipy import ndimage
 
@@ -45,13 +48,18 @@ def gaussian_regression(height: Floats, pitch_um: tuple[float, float], *, cutoff
         np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad, 0, m - 1)
         for n, b, m in zip(height.shape, block, coarse.shape, strict=True)
     ]
-    is_finite = np.isfinite(coarse)
+    return interpolate(coarse, grid_lines, order=3)
+
+
+def interpolate(field: Floats, lines: Sequence[Floats], *, order: Literal[1, 3]) -> Floats:
+    """Interpolate a field where lines, row and column numbers, cross; NaN where the nearest node is NaN."""
+    is_finite = np.isfinite(field)
+    positions = np.meshgrid(*lines, indexing="ij")
     if not is_finite.any():
-        return np.full(height.shape, np.nan)
-    positions = np.meshgrid(*grid_lines, indexing="ij")
-    fine = ndimage.map_coordinates(filled(coarse), positions, order=3, mode="nearest")
-    is_supported = ndimage.map_coordinates(is_finite.astype(np.uint8), positions, order=0, mode="nearest")
-    return np.where(is_supported > 0, fine, np.nan)
+        return np.full(positions[0].shape, np.nan)
+    smooth = ndimage.map_coordinates(filled(field), positions, order=order, mode="nearest")
+    is_near_finite = ndimage.map_coordinates(is_finite.astype(np.uint8), positions, order=0, mode="nearest")
+    return np.where(is_near_finite > 0, smooth, np.nan)
 
 
 def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floats:

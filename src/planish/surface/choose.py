@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis
 from planish.core.typing import Bools, Floats
-from planish.surface.coarse import CORE, Choice, CoarseSheet, coarse_sheet, followed_sheet
+from planish.surface.coarse import CORE, Choice, CoarseSheet, followed_sheet, search_sheet
 from planish.surface.columns import Columns, voxel_pitch
 from planish.surface.levels import material
 from planish.surface.params import SurfaceParams
@@ -71,13 +71,11 @@ def choose_sheet(
     """Find the sheet in the block means; return it, what lies beside it, and its polarity."""
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
-        inside = (blocks >= low) & (blocks <= high)
+        grey = blocks if choice.seed is None else sharp
         polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
         edge = (low if polarity > 0 else high) - air
-        if choice.seed is not None:
-            inside = (sharp >= low) & (sharp <= high)
-            return followed_sheet(polarity * (sharp - air), inside, abs(edge), block, choice), "material", polarity
-        return coarse_sheet(polarity * (blocks - air), inside, abs(edge), block, choice), "air", polarity
+        sheet = search_sheet(polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge), block, choice)
+        return sheet, "air" if choice.seed is None else "material", polarity
     polarity, threshold, least = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)
     if choice.seed is not None:
@@ -86,13 +84,15 @@ def choose_sheet(
         alone: CoarseSheet | None = None
         with suppress(VolumeError):
             alone = _refined(oriented, threshold, block, Choice(describe=choice.describe))
+        if alone is not None and not _holds(alone, choice.seed):
+            alone = None
         try:
             sheet, is_embedded = _chosen(oriented, above, threshold, block, choice)
         except VolumeError:
-            if alone is None or not _holds(alone, choice.seed):
+            if alone is None:
                 raise
             return alone, "air", polarity
-        if alone is not None and _holds(alone, choice.seed) and _shows_as_much(alone, sheet):
+        if alone is not None and _shows_as_much(alone, sheet):
             return alone, "air", polarity
         far = not is_embedded and _stands_apart(oriented > sheet.threshold, sheet)
         return sheet, "material" if is_embedded else "air" if far else "others", polarity
@@ -116,12 +116,11 @@ def _above_air(blocks: NDArray[np.float32], air: float, polarity: float) -> NDAr
 
 def _refined(oriented: NDArray[np.float32], threshold: float, block: int, choice: Choice) -> CoarseSheet:
     """Find the sheet with a threshold, and once more with a better one."""
-    search = coarse_sheet if choice.seed is None else followed_sheet
-    sheet = search(oriented, oriented > threshold, threshold, block, choice)
+    sheet = search_sheet(oriented, oriented > threshold, threshold, block, choice)
     # The core tells the base's level, and that a better threshold: half way between air and base.
     base = float(np.median(_core(oriented, sheet)))
     threshold = max(threshold * 0.7, 0.5 * base)
-    return search(oriented, oriented > threshold, threshold, block, choice)
+    return search_sheet(oriented, oriented > threshold, threshold, block, choice)
 
 
 def _chosen(
@@ -164,13 +163,13 @@ def _chosen(
 
 
 def _holds(sheet: CoarseSheet, seed: tuple[int, int, int]) -> bool:
-    """Whether the seed lies inside a sheet."""
+    """Tell if the seed lies inside a sheet."""
     row, col, depth = seed
     return bool(sheet.low[row, col] - 0.5 <= depth <= sheet.high[row, col] + 0.5)
 
 
 def _shows_as_much(alone: CoarseSheet, sheet: CoarseSheet) -> bool:
-    """Whether a sheet that was found without the seed is the one at the seed, in as many columns.
+    """Tell if a sheet that was found without the seed is the one at the seed, in as many columns.
 
     Then nothing lies beside it, and its faces need not be told from those of others, which takes sheets of few voxels
     for their own blur.
@@ -182,7 +181,7 @@ def _shows_as_much(alone: CoarseSheet, sheet: CoarseSheet) -> bool:
 
 
 def _stands_apart(material: Bools, sheet: CoarseSheet) -> bool:
-    """Whether so much air lies beside a sheet that no search for its faces meets another object."""
+    """Tell if so much air lies beside a sheet that no search for its faces meets another object."""
     least_gap = max(_LEAST_GAP, 4 + 3 * sheet.block)
     depth = np.arange(material.shape[2])
     near = 0

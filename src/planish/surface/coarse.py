@@ -10,9 +10,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
-from planish.core.grid import filled
 from planish.core.typing import Bools, Floats
 from planish.surface import _kernels
+from planish.surface.centre import interpolate
 
 CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
 _SECOND_SHEET = 0.25  # share of the largest piece's area above which a second piece counts as another sheet
@@ -50,6 +50,14 @@ class Choice:
     seed: tuple[int, int, int] | None = None
 
 
+def search_sheet(
+    blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
+) -> CoarseSheet:
+    """Find the sheet at the seed point, or the only one where no seed is given."""
+    search = coarse_sheet if choice.seed is None else followed_sheet
+    return search(blocks, inside, threshold, block, choice)
+
+
 def coarse_sheet(
     blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
 ) -> CoarseSheet:
@@ -83,14 +91,12 @@ def coarse_sheet(
             f"Points in them: {points}."
         )
     mask = labels == largest
-    touches_low, touches_high = mask[..., 0].mean() / area, mask[..., -1].mean() / area
-    if max(touches_low, touches_high) > _LEAVES:
-        end = "low" if touches_low >= touches_high else "high"
+    touching = {end: mask[..., k].mean() / area for end, k in (("low", 0), ("high", -1))}
+    end = max(touching, key=lambda k: touching[k])
+    if touching[end] > _LEAVES:
         raise VolumeError(
-            f"Material reaches the {end} end of the axis through the sheet in "
-            f"{100 * max(touches_low, touches_high):.0f} % of the columns: the sheet leaves the volume "
-            f"there, or several "
-            f"sheets lie behind each other. {_CHOOSE}"
+            f"Material reaches the {end} end of the axis through the sheet in {100 * touching[end]:.0f} % of the "
+            f"columns: the sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
         )
     counts = mask.sum(axis=-1)
     first = np.argmax(mask, axis=-1)
@@ -99,9 +105,9 @@ def coarse_sheet(
     gappy = np.median(counts[is_sheet] / (last - first + 1)[is_sheet])
     if gappy < 0.4:
         raise VolumeError(
-            f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
-            f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each "
-            f"other. {_CHOOSE}"
+            "Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
+            f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each other. "
+            f"{_CHOOSE}"
         )
     low, high = _extent(blocks, np.where(is_sheet, first, -1), np.where(is_sheet, last, -1), threshold)
     return CoarseSheet(
@@ -142,18 +148,15 @@ def followed_sheet(
             f"{100 * is_sheet.mean():.2g} % of the columns only. Check --through (the axis that runs "
             "through the sheet) and --seed-um."
         )
-    last = inside.shape[2] - 1
-    leaves = is_sheet & ((low == 0) | (high == last))
+    leaves = is_sheet & ((low == 0) | (high == inside.shape[2] - 1))
     if np.mean(leaves[is_sheet]) > _LEAVES:
         raise VolumeError(
             f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x) reaches an end of the "
             f"axis through the sheet in {100 * np.mean(leaves[is_sheet]):.0f} % of its columns. Check --through and "
             "--seed-um."
         )
-    first_at, last_at = _extent(blocks, low, high, threshold)
-    return CoarseSheet(
-        low=first_at, high=last_at, block=block, leaves=leaves, threshold=threshold, touching=merged
-    )  # fmt: skip
+    first, last = _extent(blocks, low, high, threshold)
+    return CoarseSheet(low=first, high=last, block=block, leaves=leaves, threshold=threshold, touching=merged)
 
 
 def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
@@ -164,14 +167,10 @@ def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
 
 def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
     """Interpolate a block map to single columns; NaN where the nearest block is NaN."""
-    is_finite = np.isfinite(field)
-    if not is_finite.any():
-        return np.full(shape, np.nan)
-    r, c = ((np.arange(n) - 0.5 * (block - 1)) / block for n in shape)
-    grid = np.meshgrid(np.clip(r, 0, field.shape[0] - 1), np.clip(c, 0, field.shape[1] - 1), indexing="ij")
-    interpolated = ndimage.map_coordinates(filled(field), grid, order=1, mode="nearest")
-    is_near_finite = ndimage.map_coordinates(is_finite.astype(np.uint8), grid, order=0, mode="nearest")
-    return np.where(is_near_finite > 0, interpolated, np.nan)
+    lines = [
+        np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1) for n, m in zip(shape, field.shape, strict=True)
+    ]
+    return interpolate(field, lines, order=1)
 
 
 def _seed_block(inside: Bools, choice: Choice) -> tuple[int, int, int]:

@@ -5,7 +5,7 @@ For the fit columns are oriented: the air at 0, the sheet above it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -58,10 +58,6 @@ class Columns:
             voxels = np.asarray(self.volume.coords[axis].values, dtype=np.float64)[: count * self.step]
             coordinates.append(voxels.reshape(count, self.step).mean(axis=1) if self.step > 1 else voxels)
         return coordinates[0], coordinates[1]
-
-    def padded(self, value: float | None) -> Columns:
-        """Return the same columns with the voxels of this value left out."""
-        return replace(self, padding=value)
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
         """Voxels of a tile as they are stored, (rows * step, cols * step, depth), or of a part of their depth."""

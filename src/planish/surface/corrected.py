@@ -119,27 +119,23 @@ def preview_faces(
         Window of the columns that was drawn, which holds all that changes in ``part``; None where nothing does.
     """
     frame, steps = Frame.of(surfaces), pitch(surfaces)
-    boxes: list[tuple[slice, slice]] = []
-    chosen: list[Stretch] = []
-    for stretch in corrections.stretches:
-        box = _box(stretch, surfaces, frame, steps)
-        if all(
-            drawn_side.start < asked_side.stop and drawn_side.stop > asked_side.start
-            for drawn_side, asked_side in zip(box, part, strict=True)
-        ):
-            chosen.append(stretch)
-            boxes.append(box)
-    if not chosen:
+    boxes = [(stretch, _box(stretch, surfaces, frame, steps)) for stretch in corrections.stretches]
+    near_part = [
+        (stretch, box) for stretch, box in boxes
+        if all(side.start < asked.stop and side.stop > asked.start for side, asked in zip(box, part, strict=True))
+    ]  # fmt: skip
+    if not near_part:
         return None
-    rows, cols = (slice(min(b[k].start for b in boxes), max(b[k].stop for b in boxes)) for k in (0, 1))
+    rows, cols = (
+        slice(min(box[k].start for _, box in near_part), max(box[k].stop for _, box in near_part)) for k in (0, 1)
+    )
     step = columns_step(surfaces)
     near = uncorrected(surfaces.isel(y=rows, x=cols).load())
-    voxels = {
-        frame.rows: slice(rows.start * step, rows.stop * step),
-        frame.cols: slice(cols.start * step, cols.stop * step),
-    }
+    sides = (frame.rows, rows), (frame.cols, cols)
+    voxels = {axis: slice(side.start * step, side.stop * step) for axis, side in sides}
     columns = Columns(volume=volume.isel(voxels), frame=frame, step=step, padding=near.attrs.get("padding"))
-    drawn = draw_faces(near, columns, corrections.model_copy(update={"stretches": tuple(chosen)}), Engine(threads=1))
+    chosen = corrections.model_copy(update={"stretches": tuple(stretch for stretch, _ in near_part)})
+    drawn = draw_faces(near, columns, chosen, Engine(threads=1))
     faces: dict[Face, Floats] = {face: drawn.heights[face] for face in FACES}
     crossed = frame.sign * (faces["top"] - faces["bottom"]) <= 0
     return (rows, cols), {face: np.where(crossed, near[face].values, faces[face]) for face in FACES}

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -123,7 +125,7 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     columns = Columns(volume=volume, frame=frame, step=step)
     survey = take_survey(columns, params, engine)
     check_axis(columns, survey, params, engine)
-    columns = columns.padded(survey.padding)
+    columns = replace(columns, padding=survey.padding)
     guide = make_guide(survey.coarse, columns)
     priors = learn_priors(columns, guide, survey, params)
     air = priors.scale.air

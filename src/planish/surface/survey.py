@@ -15,7 +15,7 @@ from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface._kernels import block_sums
 from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
-from planish.surface.coarse import CoarseSheet, coarse_sheet, followed_sheet
+from planish.surface.coarse import CoarseSheet, search_sheet
 from planish.surface.columns import Columns
 from planish.surface.levels import mode, padding_value, spread, voxel_noise
 from planish.surface.params import SurfaceParams
@@ -54,7 +54,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     block, stride = _block(columns)
     flat = _sampled(columns, stride, engine).reshape(-1, depth)
     padding = padding_value(flat)
-    columns = columns.padded(padding)
+    columns = replace(columns, padding=padding)
     blocks, sharp, missing = _blocks(columns, block, engine)
     if params.seed_um is None:
         sharp = blocks  # only a seed needs both
@@ -90,8 +90,8 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tu
     block = _block(columns)[0]
     _, shares, _ = _blocks(columns, block, engine)
     choice = make_choice(columns, block, shares.shape, params)
-    search = coarse_sheet if choice.seed is None else followed_sheet
-    return search(shares, shares > 0.5, 0.5, block, choice), float(1.0 - (shares > 0).any(axis=2).mean())
+    sheet = search_sheet(shares, shares > 0.5, 0.5, block, choice)
+    return sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
 def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
