@@ -115,7 +115,7 @@ MUTANTS = [
     Mutant("synthetic/draws.py", "rng.integers(limits[0], limits[1] + 1)", "rng.integers(limits[0], limits[1])", "synthetic/test_specimen.py -k drawn"),
     Mutant("synthetic/_kernels.py", "s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)", "s = dx * nx + dy * ny + dz * nz", "synthetic/test_specimen.py -k inverse"),
     Mutant("validate/volume_errors.py", "100.0 * (1.0 / similar.transform.scale - 1.0)", "100.0 * (similar.transform.scale - 1.0)", "validate/test_ledger.py -k too_large"),
-    Mutant("validate/truth.py", "return np.hypot(self.found[..., 0] - u, self.found[..., 1] - v)", "return np.abs(self.found[..., 0] - u)", "validate/test_ledger.py -k shift_of"),
+    Mutant("validate/truth.py", "return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)", "return np.abs(self.linked_material[..., 0] - u)", "validate/test_ledger.py -k shift_of"),
 ]  # fmt: skip
 
 

@@ -33,7 +33,7 @@ _OF_A_LINK = (
 )  # fmt: skip
 
 
-def make_ledger(both: Comparison) -> Values:
+def make_ledger(comparison: Comparison) -> Values:
     """Measure the errors of a run against the truth of its specimen; the stages of a map only where it has no image.
 
     Returns
@@ -43,8 +43,8 @@ def make_ledger(both: Comparison) -> Values:
         Units and sentences are in :data:`planish.validate.figures.FIGURES`.
     """
     values: Values = {}
-    for errors in (*_OF_A_MAP, *(_OF_A_LINK if "linked" in both.groups else ())):
-        values |= errors(both)
+    for errors in (*_OF_A_MAP, *(_OF_A_LINK if "linked" in comparison.groups else ())):
+        values |= errors(comparison)
     return in_order(values)
 
 
@@ -74,26 +74,26 @@ class Line:
     limit: Limit | None
 
     @property
-    def known(self) -> list[float]:
+    def measured(self) -> list[float]:
         """Values of the specimens that have the figure."""
         return [value for value in self.values if value is not None]
 
     @property
     def mean(self) -> float | None:
         """Mean; None where no specimen has the figure."""
-        return float(np.mean(self.known)) if self.known else None
+        return float(np.mean(self.measured)) if self.measured else None
 
     @property
     def sd(self) -> float | None:
         """Standard deviation; None for less than two specimens."""
-        return float(np.std(self.known, ddof=1)) if len(self.known) > 1 else None
+        return float(np.std(self.measured, ddof=1)) if len(self.measured) > 1 else None
 
     @property
     def worst(self) -> float | None:
         """The value nearest to missing the limit; without one, the least of what ought to be large, or the largest."""
         large = self.figure.better != "small" and "ratio" not in self.figure.name
         limit = self.limit or (Limit(least=0.0) if large else Limit(limit=0.0))
-        return limit.worst(self.known) if self.known else None
+        return limit.worst(self.measured) if self.measured else None
 
     @property
     def met(self) -> bool | None:
@@ -173,10 +173,10 @@ def run_specimen(
     with tempfile.TemporaryDirectory(prefix="planish-validate-", ignore_cleanup_errors=True) as name:
         folder = Path(name)
         try:
-            made = _make(scenario, params, seed, folder)
+            specimens = _make_specimens(scenario, params, seed, folder)
         except ValueError as error:
             raise InputError(f"The specimen of {scenario.name} cannot be made: {error}") from error
-        study = scenario.study_of([(files.volume, files.through) for _, files in made], made[0][1].image)
+        study = scenario.study_of([(files.volume, files.through) for _, files in specimens], specimens[0][1].image)
         try:
             run = run_study(study, folder / "run", progress=progress, compute=compute)
         except ResourceError:
@@ -188,13 +188,15 @@ def run_specimen(
         failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("fail"))
         looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("look"))
         if scenario.second is not None:
-            return Entry(seed=seed, values=in_order(image_errors.pair_errors(made, run)), failed=failed, looks=looks)
-        both = Comparison(*made[0], run)
-        pictures = tuple(draw_example(both, seed)) if draw and "linked" in run.groups else ()
-        return Entry(seed=seed, values=make_ledger(both), failed=failed, looks=looks, pictures=pictures)
+            return Entry(
+                seed=seed, values=in_order(image_errors.pair_errors(specimens, run)), failed=failed, looks=looks
+            )
+        comparison = Comparison(*specimens[0], run)
+        pictures = tuple(draw_example(comparison, seed)) if draw and "linked" in run.groups else ()
+        return Entry(seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures)
 
 
-def _make(
+def _make_specimens(
     scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
 ) -> list[tuple[Specimen, InstrumentFiles]]:  # fmt: skip
     """Make the specimen as each instrument has it, and write their files."""

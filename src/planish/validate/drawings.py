@@ -21,24 +21,25 @@ _DOTS = (150.0, 16.0)  # CSS pixels of a row of dots
 _DOT_MARGIN = 6.0
 
 
-def draw_example(both: Comparison, seed: int) -> list[Picture]:
+def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
     """Draw what the image of a linked run showed, what was measured, and the errors of place and thickness."""
-    name, rows, cols = _NAMES[both.headline], both.linked["y"].values, both.linked["x"].values
-    image, found = both.linked["image"].values.astype(np.float64), both.linked_values(both.headline)
-    error = found - both.pixel_thickness(both.headline, *both.true_uv)
-    worst = percentile(both.away_um, 99.9) or 1.0
-    valid = image[both.valid] if both.valid.any() else image
+    name, rows, cols = _NAMES[comparison.headline], comparison.linked["y"].values, comparison.linked["x"].values
+    image = comparison.linked["image"].values.astype(np.float64)
+    measured = comparison.linked_values(comparison.headline)
+    error = measured - comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
+    worst = percentile(comparison.away_um, 99.9) or 1.0
+    valid = image[comparison.valid] if comparison.valid.any() else image
     panels: list[tuple[Array, Scale, str, str, str]] = [
         (
             image, limits(valid, GREYS, percent=0.2), "", "The image of one specimen",
-            f"Seed {seed}; pixels of {plain(round(pitch(both.linked)[1], 4))}.",
+            f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.",
         ),
         (
-            found, limits(found), "µm", f"Measured {name}",
+            measured, limits(measured), "µm", f"Measured {name}",
             "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
         ),
         (
-            both.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "µm", "Error of place",
+            comparison.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "µm", "Error of place",
             "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
             f"99.9 % of the pixels are below {length(worst)}.",
         ),
@@ -55,8 +56,8 @@ def draw_example(both: Comparison, seed: int) -> list[Picture]:
 
 def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     """Draw the true error of registration over the one that each run expects; None without a pair of them."""
-    found = [(entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries]
-    pairs = np.array([pair for pair in found if None not in pair], dtype=np.float64).reshape(-1, 2)
+    errors = [(entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries]
+    pairs = np.array([pair for pair in errors if None not in pair], dtype=np.float64).reshape(-1, 2)
     if not pairs.size:
         return None
     high = 1.15 * float(pairs.max())
@@ -76,19 +77,19 @@ def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     )
 
 
-def dots(known: Sequence[float], bound: float | None) -> str:
+def dots(seed_values: Sequence[float], bound: float | None) -> str:
     """Return a row of dots as SVG: one a seed, a long tick at 0 and a red one at the limit; empty without a value."""
-    if not known:
+    if not seed_values:
         return ""
     width, height = _DOTS
-    ends = [] if bound is None else [bound, -bound] if min(known) < 0 and bound else [bound]
-    low, high = min(0.0, *known, *ends), max(0.0, *known, *ends)
+    ends = [] if bound is None else [bound, -bound] if min(seed_values) < 0 and bound else [bound]
+    low, high = min(0.0, *seed_values, *ends), max(0.0, *seed_values, *ends)
     span = (high - low) or 1.0
 
     def tick(value: float, top: float, style: str) -> str:
-        return f'<line x1="{at(value)}" x2="{at(value)}" y1="{top:g}" y2="{height - top:g}" {style}/>'
+        return f'<line x1="{x_of(value)}" x2="{x_of(value)}" y1="{top:g}" y2="{height - top:g}" {style}/>'
 
-    def at(value: float) -> str:
+    def x_of(value: float) -> str:
         return f"{_DOT_MARGIN + (value - low) / span * (width - 2 * _DOT_MARGIN):.1f}"
 
     middle = height / 2
@@ -96,7 +97,7 @@ def dots(known: Sequence[float], bound: float | None) -> str:
         f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}" stroke="{FAINT}"/>',
         tick(0.0, 3, f'stroke="{SOFT}"'),
         *(tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in ends),
-        *(f'<circle cx="{at(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>' for v in known),
+        *(f'<circle cx="{x_of(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>' for v in seed_values),
     ]
     size = f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}"'
-    return f'<svg {size} role="img" aria-label="{len(known)} specimens">{"".join(parts)}</svg>'
+    return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(parts)}</svg>'

@@ -27,9 +27,9 @@ class Figure(NamedTuple):
 
 
 def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
-    for stem, (what, sentence) in table.get("errors", {}).items():
+    for stem, (quantity, sentence) in table.get("errors", {}).items():
         for kind, title, mean in _KINDS:
-            yield Figure(f"{stem}_{kind}", stage, "um", f"{what}, {title}", f"{mean} of {sentence}")
+            yield Figure(f"{stem}_{kind}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}")
     for name, row in table.get("figures", {}).items():
         yield Figure(name, stage, *row)
 

@@ -7,17 +7,15 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.typing import Floats
 from planish.marks import find_holes
 from planish.pipeline import Run, open_run
 from planish.synthetic import SIZES_UM, SpecimenParams
 from planish.validate.scenario import Scenario
-
-Array = NDArray[np.float64]
 
 _FWHM = 2.3548  # of a Gaussian, in standard deviations: 2 sqrt(2 ln 2)
 _LEAST_UM = (1200.0, 900.0)  # lateral extent that holds enough holes
@@ -25,7 +23,7 @@ _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distanc
 _SPECK_UM = 300.0  # the slopes of the warp are those of the centre surface over such lengths
 
 
-def like_run(folder: Path) -> Like:
+def like_run(folder: Path) -> SpecimenTemplate:
     """Read a run folder and find the parameters of specimens that are like it.
 
     Parameters
@@ -35,7 +33,7 @@ def like_run(folder: Path) -> Like:
 
     Returns
     -------
-    Like
+    SpecimenTemplate
 
     Raises
     ------
@@ -50,16 +48,18 @@ def like_run(folder: Path) -> Like:
         raise InputError(f"{folder} does not hold the map of one volume. Give a run of planish map, or of one volume.")
     tables = {"surface": volumes[0].surface, "flatten": volumes[0].flatten, "holes": run.study.holes}
     tables |= {"registration": run.study.registration, "correlate": run.study.correlate}
-    own = {"marks", "design", "sheet_grey", "seed_um", "labels"}
-    found = Like(run)
-    found.study = {k: model.model_dump(mode="json", exclude_none=True, exclude=own) for k, model in tables.items()}
-    for read in (found.scan, found.paper, found.warp, found.camera, found.holes):
+    excluded = {"marks", "design", "sheet_grey", "seed_um", "labels"}
+    template = SpecimenTemplate(run)
+    template.study = {
+        k: model.model_dump(mode="json", exclude_none=True, exclude=excluded) for k, model in tables.items()
+    }
+    for read in (template.scan, template.paper, template.warp, template.camera, template.holes):
         read()
-    found.assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
-    return found
+    template.assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
+    return template
 
 
-class Like:
+class SpecimenTemplate:
     """Specimens like a real run: parameters, and where each of them comes from.
 
     Attributes
@@ -67,21 +67,21 @@ class Like:
     params : SpecimenParams
     study : dict
         Options of the run that do not belong to its files, for the runs on the specimens.
-    taken, assumed : list of str
+    derived, assumed : list of str
         Sentences.
     """
 
     def __init__(self, run: Run) -> None:
         self.run, self.params = run, SpecimenParams()
         self.study: dict[str, dict[str, Any]] = {}
-        self.taken: list[str] = []
+        self.derived: list[str] = []
         self.assumed: list[str] = []
         self.layer, self.sheet = next((layer, layer.sheet) for layer in run.results.layers if layer.sheet is not None)
 
     @property
     def notes(self) -> tuple[str, ...]:
         """What was taken from the run, and what was assumed."""
-        return (*(f"Taken: {note}" for note in self.taken), *(f"Assumed: {note}" for note in self.assumed))
+        return (*(f"Taken: {note}" for note in self.derived), *(f"Assumed: {note}" for note in self.assumed))
 
     def scenario(self, base: Scenario) -> Scenario:
         """The scenario with this paper and these instruments in place of its own; limits and seeds stay."""
@@ -106,42 +106,44 @@ class Like:
             float(np.clip(s, low, most)) for s, low, most in zip(field, _LEAST_UM, SIZES_UM["T1"], strict=True)
         )
         self.params = replace(self.params, size_um=(wide, high))
-        self.taken.append(f"Voxels of {size:.3g} um.")
+        self.derived.append(f"Voxels of {size:.3g} um.")
         if max(voxel) > 1.05 * min(voxel):
             stated = " x ".join(f"{v:.3g}" for v in voxel)
             self.assumed.append(f"The voxels are {stated} um; cubes of the same volume are made.")
         if (wide, high) != field:
-            found, made = (f"{a / 1000:.2g} x {b / 1000:.2g} mm" for a, b in (field, (wide, high)))
-            self.assumed.append(f"The field is {found}; specimens of {made} are made.")
+            run_field, specimen_field = (f"{a / 1000:.2g} x {b / 1000:.2g} mm" for a, b in (field, (wide, high)))
+            self.assumed.append(f"The field is {run_field}; specimens of {specimen_field} are made.")
         self.change("scanner", voxel_um=size)
         if surfaces.blur_um:
             self.change("scanner", fwhm_um=_FWHM * surfaces.blur_um)
-            self.taken.append(f"Blur of {surfaces.blur_um:.2g} um (standard deviation), learnt by the surface search.")
+            self.derived.append(
+                f"Blur of {surfaces.blur_um:.2g} um (standard deviation), learnt by the surface search."
+            )
         air, base, noise, coating = (getattr(surfaces, f"grey_{k}") for k in ("air", "base", "noise", "coating_top"))
         coating = surfaces.grey_coating_bottom if coating is None else coating
         bright = base if coating is None else coating
         if None in (air, base, noise) or bright == air:
             return
         self.change("scanner", noise=noise / abs(bright - air))
-        self.taken.append(f"Noise of {100 * self.params.scanner.noise:.2g} % of the contrast to air.")
+        self.derived.append(f"Noise of {100 * self.params.scanner.noise:.2g} % of the contrast to air.")
         if coating is not None:
             dark, _, light = self.params.scanner.grey
             share = float(np.clip((base - air) / (coating - air), 0.05, 0.95))
             self.change("scanner", grey=(dark, dark + share * (light - dark), light))
-            self.taken.append(f"The base paper is {share:.2g} times as bright as the coating.")
+            self.derived.append(f"The base paper is {share:.2g} times as bright as the coating.")
 
     def paper(self) -> None:
         """Thicknesses of the layers."""
-        found = self.sheet.properties
-        if any(p.mean is None for p in found.values()):
+        thicknesses = self.sheet.properties
+        if any(p.mean is None for p in thicknesses.values()):
             raise InputError("The run withholds its thicknesses, because a check failed. Mend what it names first.")
         for side in ("top", "bottom"):
-            layer = found.get(f"coating_{side}")
+            layer = thicknesses.get(f"coating_{side}")
             self.change("paper", **{f"coating_{side}_um": layer.mean if layer else 0.0})
-            self.taken.append(f"Coating on the {side} side: {f'{layer.mean:.3g} um' if layer else 'none'}.")
-        top, base = found.get("coating_top"), found.get("base_thickness") or found["thickness"]
+            self.derived.append(f"Coating on the {side} side: {f'{layer.mean:.3g} um' if layer else 'none'}.")
+        top, base = thicknesses.get("coating_top"), thicknesses.get("base_thickness") or thicknesses["thickness"]
         self.change("paper", coating_sd_um=top.sd if top else 0.0, base_um=base.mean)
-        self.taken.append(f"Base paper of {base.mean:.3g} um.")
+        self.derived.append(f"Base paper of {base.mean:.3g} um.")
         self.assumed.append("The coating's spread holds its error of measurement: specimens are a little too uneven.")
         self.assumed.append("Roughness, formation and densities are those of a wood-free coated paper.")
 
@@ -154,12 +156,12 @@ class Like:
         if min(centre.shape) < 3:
             raise InputError("The field of the run is too small to measure how the sheet is bent. Give a larger one.")
         down, across = (np.gradient(centre, e * p, axis=i) for i, (e, p) in enumerate(zip(every, steps, strict=True)))
-        known = np.isfinite(down) & np.isfinite(across)
-        if np.count_nonzero(known) < 10:
+        is_finite = np.isfinite(down) & np.isfinite(across)
+        if np.count_nonzero(is_finite) < 10:
             raise InputError(
                 "The run holds almost no centre surface. Check its report before making specimens like it."
             )
-        slopes = np.stack([across[known], down[known]], axis=1)
+        slopes = np.stack([across[is_finite], down[is_finite]], axis=1)
         slopes -= slopes.mean(axis=0)  # a tilt of the whole sheet makes it no harder to flatten
         _, directions = np.linalg.eigh(slopes.T @ slopes)
         along, aside = slopes @ directions[:, 1], slopes @ directions[:, 0]
@@ -170,15 +172,15 @@ class Like:
         ruling = (ruling + 90.0) % 180.0 - 90.0
         waves = _wavelength(centre, every, steps, slope)
         self.change("warp", slope=slope, wavelength_um=waves, ruling_deg=ruling)
-        self.taken.append(
+        self.derived.append(
             f"Slopes of up to {slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves of {waves:.0f} um."
         )
         share = float(np.sqrt(np.mean(aside**2) / max(float(np.mean(along**2)), 1e-12)))
         self.assumed.append(
             f"The sheet is bent in one direction only; across it the slopes are {share:.2g} times as large."
         )
-        longer = [float(np.ptp(_known(flat[a].values)) - np.ptp(_known(flat[f"projected_{a}"].values))) for a in "uv"]
-        self.taken.append(
+        longer = [float(np.ptp(_finite(flat[a].values)) - np.ptp(_finite(flat[f"projected_{a}"].values))) for a in "uv"]
+        self.derived.append(
             f"For comparison: flattening made the run's sheet longer by {longer[0]:.0f} x {longer[1]:.0f} um."
         )
 
@@ -190,7 +192,7 @@ class Like:
             self.assumed.append(f"The run has no image: one with pixels of {self.params.camera.pixel_um:g} um is made.")
             return
         pixel, turn = float(np.sqrt(np.prod(results.reference.source.size_um))), registration.rotation_deg
-        self.taken.append(f"Image pixels of {pixel:.3g} um, turned by {turn:.1f} degrees.")
+        self.derived.append(f"Image pixels of {pixel:.3g} um, turned by {turn:.1f} degrees.")
         self.change(
             "camera", pixel_um=pixel, turn_deg=turn, turn_range_deg=0.0, scale_range=abs(registration.scale - 1.0)
         )
@@ -198,7 +200,7 @@ class Like:
         r2 = next((row.r2 for row in rows), None)
         if r2 is not None and 0.01 < r2 < 0.99:
             self.change("camera", oracle_r2=r2)
-            self.taken.append(f"The image follows the coating with r2 = {r2:.2g} at larger points.")
+            self.derived.append(f"The image follows the coating with r2 = {r2:.2g} at larger points.")
             self.assumed.append("That r2 is taken as the true one; measuring errors make it a little too low.")
 
     def holes(self) -> None:
@@ -212,7 +214,7 @@ class Like:
             sizes = np.asarray(holes["diameter"].values, dtype=np.float64)
         if sizes.size > 1:
             self.change("holes", diameter_um=float(np.median(sizes)), diameter_sd_um=float(sizes.std(ddof=1)))
-            self.taken.append(f"{sizes.size} holes of {np.median(sizes):.0f} um, as the image shows them.")
+            self.derived.append(f"{sizes.size} holes of {np.median(sizes):.0f} um, as the image shows them.")
         else:
             self.assumed.append(f"Holes of {self.params.holes.diameter_um:.3g} um: the image of the run shows none.")
         count = min(max(_LEAST_HOLES, sizes.size if sizes.size > 1 else 0), room)
@@ -220,17 +222,17 @@ class Like:
         self.assumed.append(f"{count} holes are scattered over each specimen, and not where they are in the run.")
 
 
-def _wavelength(centre: Array, every: list[int], steps: tuple[float, float], slope: float) -> float:
+def _wavelength(centre: Floats, every: list[int], steps: tuple[float, float], slope: float) -> float:
     """Wavelength of a sine with this steepest slope and the height of the centre surface: 2 pi A / slope."""
-    known = _known(centre)
+    heights = _finite(centre)
     y, x = np.indices(centre.shape)[:, np.isfinite(centre)]
-    plane = np.stack([np.ones(known.size), y.astype(np.float64), x.astype(np.float64)], axis=1)
-    height = known - plane @ np.linalg.lstsq(plane, known, rcond=None)[0]
+    plane = np.stack([np.ones(heights.size), y.astype(np.float64), x.astype(np.float64)], axis=1)
+    height = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
     span = max(n * e * p for n, e, p in zip(centre.shape, every, steps, strict=True))
     amplitude = float(np.sqrt(2.0) * height.std())
     # Shorter waves than the surface search passes cannot be in its result; longer ones than the field look like a tilt.
     return float(np.clip(2 * np.pi * amplitude / max(slope, 1e-6), 800.0, 4 * span))
 
 
-def _known(values: Array) -> Array:
+def _finite(values: Floats) -> Floats:
     return values[np.isfinite(values)]

@@ -5,14 +5,12 @@ from __future__ import annotations
 import time
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.outcome import Outcome
+from planish.core.typing import Floats
 from planish.flatten import relax_grid
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 from planish.validate.truth import Values
-
-Array = NDArray[np.float64]
 
 ROWS, COLS = 24, 32
 _RADIUS = 186.20878876922393  # of an arc that is longer by 2.6 pitches than its chord: 2 R asin(63.5 / R) = 129.6
@@ -30,16 +28,16 @@ def mesh_values(seed: int, *, once: bool) -> Values:
         relax_dynamically(start, rest, params=RelaxationParams(most_steps=1))
     values: Values = {}
     begin = time.perf_counter()
-    found = relax_dynamically(start, rest)
+    relaxed = relax_dynamically(start, rest)
     values["mesh_seconds"] = time.perf_counter() - begin
-    values["mesh_inverted"] = float(found.inverted)
-    rested = found.outcome is Outcome.RESTED
+    values["mesh_inverted"] = float(relaxed.inverted)
+    rested = relaxed.outcome is Outcome.RESTED
     fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
-    for name, one, two in zip(
-        ("width", "height", "aspect"), size_errors(found.uv, flat), size_errors(fine.uv, flat), strict=True
+    for name, error, fine_error in zip(
+        ("width", "height", "aspect"), size_errors(relaxed.uv, flat), size_errors(fine.uv, flat), strict=True
     ):
-        values[f"mesh_{name}"] = 100.0 * float(one) if rested else None
-        values[f"mesh_{name}_fine"] = 100.0 * float(two) if fine.outcome is Outcome.RESTED else None
+        values[f"mesh_{name}"] = 100.0 * float(error) if rested else None
+        values[f"mesh_{name}_fine"] = 100.0 * float(fine_error) if fine.outcome is Outcome.RESTED else None
     first = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
     values["mesh_first"] = 100.0 * float(np.abs(size_errors(first.uv, flat)).max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
@@ -54,7 +52,7 @@ def _once() -> Values:
     """The cylinder, and both solvers' minimum on a dome, which has no flat state without strain."""
     flat, points = cylinder()
     begin = time.perf_counter()
-    found = relax_dynamically(flat, rest_lengths(points))
+    relaxed = relax_dynamically(flat, rest_lengths(points))
     seconds = time.perf_counter() - begin
     mesh = grid(ROWS, COLS)
     away = np.sum((mesh - mesh.mean(axis=(0, 1))) ** 2, axis=-1)
@@ -63,19 +61,19 @@ def _once() -> Values:
         relax_grid(dome, method=method, rest="chord").uv for method in ("multigrid", RelaxationParams(mean_speed=1e-4))
     )
     return {
-        "mesh_cylinder": node_error(found.uv, unrolled(flat)),
+        "mesh_cylinder": node_error(relaxed.uv, unrolled(flat)),
         "mesh_cylinder_seconds": seconds,
         "mesh_minimum": node_error(solved, moved),
     }
 
 
-def grid(rows: int, cols: int) -> Array:
+def grid(rows: int, cols: int) -> Floats:
     """Nodes (rows, cols, 2) of a flat mesh of pitch 1."""
     y, x = np.mgrid[0:rows, 0:cols].astype(np.float64)
     return np.stack([x, y], axis=-1)
 
 
-def rest_lengths(points: Array) -> Array:
+def rest_lengths(points: Floats) -> Floats:
     """Rest lengths (4, rows, cols): right, down, and both diagonals; NaN where there is no spring."""
     rest = np.full((4, *points.shape[:2]), np.nan)
     rest[0, :, :-1] = np.linalg.norm(points[:, 1:] - points[:, :-1], axis=-1)
@@ -85,7 +83,7 @@ def rest_lengths(points: Array) -> Array:
     return rest
 
 
-def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Array, Array]:
+def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Floats, Floats]:
     """Start (rows, cols, 2) and rest lengths after Fig. 5.
 
     A flat mesh is scaled by 0.85 and 1.10 and sheared by 0.15; whole rows are displaced by a standard deviation of 0.3
@@ -98,22 +96,22 @@ def deformed(seed: int, rows: int = ROWS, cols: int = COLS) -> tuple[Array, Arra
     return start + rng.normal(0, 0.15, start.shape), rest_lengths(flat)
 
 
-def cylinder(rows: int = 96, cols: int = 128) -> tuple[Array, Array]:
+def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
     """Projection (rows, cols, 2) and places (rows, cols, 3) of nodes that are equally spaced in x on an arc."""
     flat = grid(rows, cols)
     flat[..., 0] -= (cols - 1) / 2
     return flat, np.concatenate([flat, np.sqrt(_RADIUS**2 - flat[..., :1] ** 2)], axis=-1)
 
 
-def unrolled(flat: Array) -> Array:
+def unrolled(flat: Floats) -> Floats:
     """Where the nodes (rows, cols, 2) of the cylinder's projection lie when it is flat."""
     return np.stack([_RADIUS * np.arcsin(flat[..., 0] / _RADIUS), flat[..., 1]], axis=-1)
 
 
-def size_errors(uv: Array, flat: Array) -> Array:
+def size_errors(uv: Floats, flat: Floats) -> Floats:
     """Relative errors of width, height and aspect; a size is the mean distance between opposite edges' nodes."""
 
-    def size(nodes: Array) -> Array:
+    def size(nodes: Floats) -> Floats:
         width = np.linalg.norm(nodes[:, -1] - nodes[:, 0], axis=-1).mean()
         height = np.linalg.norm(nodes[-1] - nodes[0], axis=-1).mean()
         return np.array([width, height, width / height])
@@ -121,7 +119,7 @@ def size_errors(uv: Array, flat: Array) -> Array:
     return size(uv) / size(flat) - 1
 
 
-def node_error(uv: Array, flat: Array) -> float:
+def node_error(uv: Floats, flat: Floats) -> float:
     """Largest distance of a node from its place after the best turn and shift, in pitches."""
     a, b = (places[..., 0] + 1j * places[..., 1] for places in (uv, flat))
     a, b = a - a.mean(), b - b.mean()

@@ -58,7 +58,7 @@ class Limit(Table):
     source: str = Field(default="", alias="from")
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _check_one_bound(self) -> Self:
         if (self.limit is None) == (self.least is None):
             raise ValueError("give either limit or least")
         return self
@@ -111,11 +111,11 @@ class Scenario(Table):
 
     @field_validator(*_KNOWN)
     @classmethod
-    def _has_known_names(cls, value: Any, info: ValidationInfo) -> Any:
-        known, what = _KNOWN[str(info.field_name)]
+    def _check_names(cls, value: Any, info: ValidationInfo) -> Any:
+        names, kind = _KNOWN[str(info.field_name)]
         for name in () if value in (ALL, NONE) else (value,) if isinstance(value, str) else value:
-            if name not in known:
-                raise ValueError(f"there is no {what} {name!r}; known are {', '.join(sorted(known))}")
+            if name not in names:
+                raise ValueError(f"there is no {kind} {name!r}; known are {', '.join(sorted(names))}")
         return value
 
     @model_validator(mode="after")

@@ -71,28 +71,28 @@ def sensitivity(
     if not names:
         raise InputError(f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as small.")
 
-    def measure(what: str, chosen: str | tuple[str, ...]) -> tuple[Values, str | None]:
+    def measure(label: str, chosen: str | tuple[str, ...]) -> tuple[Values, str | None]:
         """Return the rms of each figure over the seeds, and the first refusal."""
         entries: list[Entry] = []
         for seed in numbers:
-            progress("sensitivity", f"{what}, seed {seed}")
+            progress("sensitivity", f"{label}, seed {seed}")
             entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed, compute=compute))
-        found = {
+        figures = {
             name: rms(np.array([entry.values.get(name) for entry in entries], dtype=np.float64))
             for name in {name for entry in entries for name in entry.values}
         }
-        return found, next((entry.refusal for entry in entries if entry.refusal is not None), None)
+        return figures, next((entry.refusal for entry in entries if entry.refusal is not None), None)
 
     base, refusal = measure("no nuisance", NONE)
     if refusal is not None:
         raise InputError(f"The scenario {scenario.name} does not even come through without nuisances: {refusal}")
-    known = {stage: [name for name in names if base.get(name) is not None] for stage, names in KEYS.items()}
-    keys = {stage: names[0] for stage, names in known.items() if names}
+    candidates = {stage: [name for name in names if base.get(name) is not None] for stage, names in KEYS.items()}
+    keys = {stage: names[0] for stage, names in candidates.items() if names}
     quiet = {stage: value for stage, name in keys.items() if (value := base[name]) is not None}
     rows = [make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,))) for name in names]
     # All that are on: scenario.nuisances may be a list.
-    found, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
-    loud = {stage: found.get(name) for stage, name in keys.items()}
+    all_on, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
+    loud = {stage: all_on.get(name) for stage, name in keys.items()}
     ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
     off = [stage for stage, value in ratio.items() if value is not None and not 1 / _AGREES <= value <= _AGREES]
     together: dict[str, tuple[str, ...]] = {}
@@ -112,21 +112,22 @@ def sensitivity(
     )
 
 
-def make_row(name: str, keys: dict[str, str], quiet: dict[str, float], found: Values, refusal: str | None) -> Row:
+def make_row(name: str, keys: dict[str, str], quiet: dict[str, float], figures: Values, refusal: str | None) -> Row:
     """What a nuisance adds to every stage, and the stage where it comes in.
 
     Errors are carried along the line: the stage that suffers is the first one that grows at least half as much,
     relative to its own baseline, as the one that grows most.
     """
-    added = {stage: added_error(found.get(key), quiet[stage]) for stage, key in keys.items()}
-    known = {
+    added = {stage: added_error(figures.get(key), quiet[stage]) for stage, key in keys.items()}
+    growth = {
         stage: value / max(quiet[stage], _FLOOR[FIGURES[keys[stage]].unit])
         for stage, value in added.items()
         if value is not None
     }
-    most = max(known.values(), default=0.0)
-    suffers = next((stage for stage, value in known.items() if value >= _CARRIED * most), None)
-    return Row(nuisance=name, added=added, growth=known, suffers=suffers if most >= _NOTICED else None, refusal=refusal)
+    most = max(growth.values(), default=0.0)
+    suffers = next((stage for stage, value in growth.items() if value >= _CARRIED * most), None)
+    suffers = suffers if most >= _NOTICED else None
+    return Row(nuisance=name, added=added, growth=growth, suffers=suffers, refusal=refusal)
 
 
 def added_error(error: float | None, base: float) -> float | None:

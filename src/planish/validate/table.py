@@ -71,8 +71,8 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
 
     rows = [("no nuisance", *write(dict(table.quiet)), "")]
     for row in table.rows:
-        found = ["refused"] * len(table.keys) if row.refusal else write(row.added)
-        rows.append((NUISANCES[row.nuisance].title, *found, STAGES[row.suffers] if row.suffers else NONE))
+        added = ["refused"] * len(table.keys) if row.refusal else write(row.added)
+        rows.append((NUISANCES[row.nuisance].title, *added, STAGES[row.suffers] if row.suffers else NONE))
     rows.append(("all together", *write(table.loud), ""))
     rows.append(("sum / all", *(number(table.ratio[s], 2) for s in table.keys), ""))
     head = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
@@ -93,8 +93,8 @@ def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
         for k, line in enumerate(group):
             *row, limit, state = cells(line)
             source = f" ({line.limit.source})" if line.limit and line.limit.source else ""
-            found = ("" if k else stage, *row, limit + source, f"**{state}**" if line.met is False else state)
-            text.append(f"| {' | '.join(found)} |")
+            columns = ("" if k else stage, *row, limit + source, f"**{state}**" if line.met is False else state)
+            text.append(f"| {' | '.join(columns)} |")
     if table is not None:
         head, rows = sensitivity_rows(table)
         text += ["", "What each nuisance alone adds to the key figure of each stage, in squares:", ""]
@@ -117,9 +117,9 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
         "notes": list(certificate.notes),
         "figures": {
             name: {key: getattr(line.figure, key) for key in ("stage", "unit", "title", "sentence")}
-            | {"mean": line.mean, "sd": line.sd or 0.0, "worst": line.worst, "n": len(line.known)}
+            | {"mean": line.mean, "sd": line.sd or 0.0, "worst": line.worst, "n": len(line.measured)}
             for name, line in lines.items()
-            if line.known
+            if line.measured
         },
         "limits": [
             {"name": name, "value": lines[name].worst, "met": lines[name].met, **limit.model_dump(**options)}
@@ -147,7 +147,8 @@ def verdict(certificate: Certificate) -> str:
     """What a user may expect, in one or two sentences."""
     means = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
-        worst = [abs(line.worst or 0.0) for name, line in certificate.lines().items() if name in _SIZES and line.known]
+        lines = certificate.lines()
+        worst = [abs(lines[name].worst or 0.0) for name in _SIZES if name in lines and lines[name].measured]
         if not worst:
             return "The mesh came to no rest."
         return (
@@ -156,13 +157,13 @@ def verdict(certificate: Certificate) -> str:
         )
     if not means:
         return "The program gave no result on specimens like these."
-    said: list[str] = []
+    sentences: list[str] = []
     if {"tre_median", "pair_median"} & means.keys():
-        said.append(_VERDICTS[certificate.scenario.kind].format_map({k: length(v, 2) for k, v in means.items()}))
+        sentences.append(_VERDICTS[certificate.scenario.kind].format_map({k: length(v, 2) for k, v in means.items()}))
     parts = [f"{what} by {length(means[name], 2)}" for name, what in _THICKNESSES.items() if name in means]
     if parts:
-        said.append(f"At a pixel {', '.join(parts)} (rms).".replace(" by ", " is off by ", 1))
-    return " ".join(said) or "The maps of specimens like these were made, but not linked to an image."
+        sentences.append(f"At a pixel {', '.join(parts)} (rms).".replace(" by ", " is off by ", 1))
+    return " ".join(sentences) or "The maps of specimens like these were made, but not linked to an image."
 
 
 def summary(certificate: Certificate) -> str:
@@ -171,17 +172,17 @@ def summary(certificate: Certificate) -> str:
     met = [line.met for line in certificate.lines().values() if line.met is not None]
     word = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
     refused, failed = (sum(map(bool, found)) for found in ([e.refusal for e in entries], [e.failed for e in entries]))
-    said = [f"On {refused} of {n} {word}s the program gave no result."] if refused else []
-    said += [f"On {failed} of {n} {word}s a check of the run failed."] if failed else []
+    sentences = [f"On {refused} of {n} {word}s the program gave no result."] if refused else []
+    sentences += [f"On {failed} of {n} {word}s a check of the run failed."] if failed else []
     missed = met.count(False)
     if not met:
-        said.append("The scenario sets no limits.")
+        sentences.append("The scenario sets no limits.")
     elif missed:
-        said.append(f"{missed} of {len(met)} limits {'is' if missed == 1 else 'are'} missed.")
+        sentences.append(f"{missed} of {len(met)} limits {'is' if missed == 1 else 'are'} missed.")
     else:
         of = f"the {word}s with a result" if refused else f"the one {word}" if n == 1 else f"all {n} {word}s"
-        said.append(f"All {len(met)} limits are met by {of}.")
-    return " ".join(said)
+        sentences.append(f"All {len(met)} limits are met by {of}.")
+    return " ".join(sentences)
 
 
 def limit_sentence(line: Line) -> str:

@@ -13,13 +13,12 @@ from numpy.typing import NDArray
 
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.typing import Bools, Floats
 from planish.pipeline import Run
 from planish.register import FittedTransform
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
 from planish.validate.figures import Values
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
 Index = NDArray[np.intp]
 
 FACES = ("top", "interface_top", "interface_bottom", "bottom")
@@ -63,22 +62,22 @@ class Comparison:
         down, across = pitch(self.groups["surfaces"])
         return step * down, step * across
 
-    def take(self, values: NDArray[Any]) -> Array:
+    def take(self, values: NDArray[Any]) -> Floats:
         """Values (y, x) of the run at the chosen columns, as float64."""
         return np.asarray(values[np.ix_(*self.columns)], dtype=np.float64)
 
     @cached_property
-    def material(self) -> Array:
+    def material(self) -> Floats:
         """True material (rows, cols, 3) of the points of the centre surface that the run found."""
         heights = self.groups["surfaces"]["centre"].values[np.ix_(*self.columns)]
         return self.material_at(self.places(heights, *self.columns))
 
     @cached_property
-    def measured(self) -> Mask:
+    def measured(self) -> Bools:
         """Whether the run measured the column."""
         return self.take(self.groups["surfaces"]["status"].values) == 0
 
-    def places(self, heights: Array, rows: Index, cols: Index) -> Array:
+    def places(self, heights: Floats, rows: Index, cols: Index) -> Floats:
         """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
         surfaces = self.groups["surfaces"]
         frame = Frame.of(surfaces)
@@ -89,14 +88,14 @@ class Comparison:
         }
         return np.stack([np.broadcast_to(along[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
 
-    def physical_at(self, places: Array) -> Array:
+    def physical_at(self, places: Floats) -> Floats:
         """Places (..., 3) in space of places in the file."""
         sections = self.groups.get("sections")
-        return _where_known(lambda known: self.files.to_physical(known, sections), places)
+        return _where_finite(lambda finite: self.files.to_physical(finite, sections), places)
 
-    def material_at(self, places: Array) -> Array:
+    def material_at(self, places: Floats) -> Floats:
         """Material of places (..., 3) in the file."""
-        return _where_known(self.specimen.warp.material, self.physical_at(places))
+        return _where_finite(self.specimen.warp.material, self.physical_at(places))
 
     @property
     def headline(self) -> str:
@@ -114,33 +113,33 @@ class Comparison:
         return self.groups["linked"]
 
     @cached_property
-    def valid(self) -> Mask:
+    def valid(self) -> Bools:
         """Valid pixels (y, x) of the image."""
         return self.linked["valid"].values.astype(bool)
 
     @cached_property
-    def true_uv(self) -> tuple[Array, Array]:
+    def true_uv(self) -> tuple[Floats, Floats]:
         """True material (u, v) of the pixels."""
         truth = self.specimen.truth
         return np.asarray(truth["u"].values, np.float64), np.asarray(truth["v"].values, np.float64)
 
     @cached_property
-    def found(self) -> Array:
+    def linked_material(self) -> Floats:
         """Material (y, x, 3) at the place in the volume that the run gives for each valid pixel."""
         places = np.stack([self.linked[f"volume_{axis}"].values for axis in ("x", "y", "z")], axis=-1)
         return self.material_at(np.where(self.valid[..., None], places, np.nan))
 
     @cached_property
-    def away_um(self) -> Array:
+    def away_um(self) -> Floats:
         """Error of each pixel: distance in the sheet between the material it shows and the one it was given."""
         u, v = self.true_uv
-        return np.hypot(self.found[..., 0] - u, self.found[..., 1] - v)
+        return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)
 
-    def linked_values(self, name: str) -> Array:
+    def linked_values(self, name: str) -> Floats:
         """A property as it was linked; NaN where a pixel is not valid."""
         return np.where(self.valid, np.asarray(self.linked[name].values, dtype=np.float64), np.nan)
 
-    def pixel_thickness(self, name: str, u: Array, v: Array) -> Array:
+    def pixel_thickness(self, name: str, u: Floats, v: Floats) -> Floats:
         """True thickness in um as the mean over a pixel's area around the material (u, v)."""
         total = np.zeros(u.shape)
         for du, dv in self._offsets:
@@ -148,7 +147,7 @@ class Comparison:
         return total / len(self._offsets)
 
     @cached_property
-    def _offsets(self) -> Array:
+    def _offsets(self) -> Floats:
         """Offsets (k, 2) in (u, v) from the middle of a pixel to the points that its mean is taken over.
 
         A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is taken as a point.
@@ -162,47 +161,47 @@ class Comparison:
         return np.asarray(inverse(middle + around) - inverse(middle[None]), dtype=np.float64)
 
 
-def _where_known(function: Callable[[Array], Array], points: Array) -> Array:
+def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Floats:
     """Apply a function of (n, 3) to the points (..., 3) that are known."""
-    known = np.isfinite(points).all(axis=-1)
-    found = np.full(points.shape, np.nan)
-    if known.any():
-        found[known] = function(points[known])
-    return found
+    is_finite = np.isfinite(points).all(axis=-1)
+    mapped = np.full(points.shape, np.nan)
+    if is_finite.any():
+        mapped[is_finite] = function(points[is_finite])
+    return mapped
 
 
-def true_thickness(sheet: Sheet, name: str, u: Array, v: Array) -> Array:
+def true_thickness(sheet: Sheet, name: str, u: Floats, v: Floats) -> Floats:
     """True thickness in um at material (u, v); ``name`` as the run calls it. NaN where (u, v) is."""
     outer, inner = THICKNESSES[name]
     return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 
 
-def field_at(sheet: Sheet, field: NDArray[np.float32], u: Array, v: Array) -> Array:
+def field_at(sheet: Sheet, field: NDArray[np.float32], u: Floats, v: Floats) -> Floats:
     """Value of a field of the sheet at material (u, v); NaN where that is."""
-    known = np.isfinite(u) & np.isfinite(v)
-    found = np.full(u.shape, np.nan)
-    found[known] = sheet.at(field, u[known], v[known])
-    return found
+    is_finite = np.isfinite(u) & np.isfinite(v)
+    sampled = np.full(u.shape, np.nan)
+    sampled[is_finite] = sheet.at(field, u[is_finite], v[is_finite])
+    return sampled
 
 
-def rms(errors: Array) -> float | None:
+def rms(errors: Floats) -> float | None:
     """Root mean square of what is finite; None where nothing is."""
-    known = errors[np.isfinite(errors)]
-    return float(np.sqrt(np.mean(known**2))) if known.size else None
+    finite = errors[np.isfinite(errors)]
+    return float(np.sqrt(np.mean(finite**2))) if finite.size else None
 
 
-def percentile(errors: Array, percent: float) -> float | None:
+def percentile(errors: Floats, percent: float) -> float | None:
     """Percentile of the absolute value of what is finite; None where nothing is."""
-    known = np.abs(errors[np.isfinite(errors)])
-    return float(np.percentile(known, percent)) if known.size else None
+    finite = np.abs(errors[np.isfinite(errors)])
+    return float(np.percentile(finite, percent)) if finite.size else None
 
 
-def mean_of(errors: Array) -> float | None:
+def mean_of(errors: Floats) -> float | None:
     """Mean of what is finite; None where nothing is."""
-    known = errors[np.isfinite(errors)]
-    return float(known.mean()) if known.size else None
+    finite = errors[np.isfinite(errors)]
+    return float(finite.mean()) if finite.size else None
 
 
-def three(stem: str, errors: Array) -> Values:
+def bias_rmse_p95(stem: str, errors: Floats) -> Values:
     """``stem_bias``, ``stem_rmse`` and ``stem_p95`` of what is finite."""
     return {f"{stem}_bias": mean_of(errors), f"{stem}_rmse": rms(errors), f"{stem}_p95": percentile(errors, 95)}
