@@ -11,13 +11,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.area import area_mean
+from planish.core.typing import Floats
 from planish.synthetic.fields import PITCH_UM, noise
 from planish.synthetic.optics import BASE_S_M2_PER_KG, sheet_reflectance
 from planish.synthetic.params import CameraParams, PrintParams
 from planish.synthetic.pose import CameraPose
 from planish.synthetic.sheet import Sheet
 
-Array = NDArray[np.float64]
 Field = NDArray[np.float32]
 
 _HOLE = 0.04  # reflectance of a hole with nothing in it
@@ -54,21 +54,21 @@ def photograph(
     u, v = image_material(pose, shape, pixel)
     top, coating, rim, hole, image = (np.empty(shape, dtype=np.float32) for _ in range(5))
     for rows in _blocks(shape[0]):
-        at = (u[rows], v[rows])
-        faces = [sheet.at(face, *at) for face in sheet.faces]
+        uv = (u[rows], v[rows])
+        faces = [sheet.at(face, *uv) for face in sheet.faces]
         top[rows] = faces[0]
         coating[rows] = np.maximum(faces[0] - faces[1], 0)
-        rim[rows] = sheet.at(sheet.rim_um[0], *at)
-        below = np.clip(sheet.at(sheet.rim_um[1], *at) / pixel + 0.5, 0, 1)
+        rim[rows] = sheet.at(sheet.rim_um[0], *uv)
+        below = np.clip(sheet.at(sheet.rim_um[1], *uv) / pixel + 0.5, 0, 1)
         hole[rows] = _HOLE + (_CHAR_GREY - _HOLE) * below
         image[rows] = sheet_reflectance(
             sheet.params,
             camera.backing,
             coating_top_um=coating[rows],
             coating_bottom_um=np.maximum(faces[2] - faces[3], 0),
-            coating_density=sheet.at(sheet.coating_density, *at),
-            base_mass=sheet.at(sheet.base_mass, *at),
-            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *at), 0),
+            coating_density=sheet.at(sheet.coating_density, *uv),
+            base_mass=sheet.at(sheet.base_mass, *uv),
+            base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *uv), 0),
         )
     nuisance, gain = _coarse(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
     if camera.oracle_r2 is not None:
@@ -77,12 +77,12 @@ def photograph(
     tone, screen = _coarse(sheet, _TONE_UM, for_tone), camera.screen or PrintParams()
     first, radius_um = _dots(sheet, screen, tone) if printed else ((0, 0), np.empty(0))
     for rows in _blocks(shape[0]):
-        at = (u[rows], v[rows])
-        paper = image[rows] + gain * _sampled(sheet, nuisance, *at)
+        uv = (u[rows], v[rows])
+        paper = image[rows] + gain * _sampled(sheet, nuisance, *uv)
         if printed:
-            cover = _inked(*at, screen, first, radius_um, pixel)
+            cover = _inked(*uv, screen, first, radius_um, pixel)
             paper = paper * (1 - cover) + screen.ink * cover  # Murray and Davies
-        image[rows] = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *at)))
+        image[rows] = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
     solid = np.clip(rim / pixel + 0.5, 0, 1)
     image = np.asarray(hole + (image - hole) * solid, dtype=np.float32)
 
@@ -102,7 +102,7 @@ def photograph(
     return (np.rint(np.clip(image, 0, 1) * steps) / steps).astype(np.float32)
 
 
-def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Array, Array]:
+def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) -> tuple[Floats, Floats]:
     """Material coordinates (u, v) in um shown by each pixel of an image of ``shape`` (rows, cols)."""
     u, v = np.empty(shape), np.empty(shape)
     y, x = (np.arange(n) * pixel_um for n in shape)
@@ -112,7 +112,7 @@ def image_material(pose: CameraPose, shape: tuple[int, int], pixel_um: float) ->
     return u, v
 
 
-def _oracle_gain(maps: tuple[Field, Field, Array], away: NDArray[np.bool_], pixel_um: float, target: float) -> float:
+def _oracle_gain(maps: tuple[Field, Field, Floats], away: NDArray[np.bool_], pixel_um: float, target: float) -> float:
     """Size of the nuisance, the third map, that brings r2 of thickness and reflectance, both true, to ``target``.
 
     Over points of 100 um away from the holes, the covariances of ``R + g N`` with the thickness and with itself are
@@ -120,14 +120,14 @@ def _oracle_gain(maps: tuple[Field, Field, Array], away: NDArray[np.bool_], pixe
     """
     side = (_ORACLE_UM / pixel_um, _ORACLE_UM / pixel_um)
     means = [area_mean(np.where(away, m, np.nan), side, least=1.0) for m in maps]
-    known = np.isfinite(means[0])
-    count = int(known.sum())
+    is_finite = np.isfinite(means[0])
+    count = int(is_finite.sum())
     if count < _FEWEST:
         raise ValueError(
             f"oracle_r2 asks for {_FEWEST} points of {_ORACLE_UM:g} um away from the holes and the image has {count}; "
             "take a larger image or fewer holes, or set nuisance_sd instead."
         )
-    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[known] for m in means])
+    (tt, tr, tn), (_, rr, rn), (_, _, nn) = np.cov([m[is_finite] for m in means])
     now = float(tr * tr / (tt * rr)) if tt > 0 and tr > 0 else 0.0
     if not 0 < target <= now:
         raise ValueError(
@@ -145,7 +145,7 @@ def _oracle_gain(maps: tuple[Field, Field, Array], away: NDArray[np.bool_], pixe
     return float(min(gains))
 
 
-def _dots(sheet: Sheet, screen: PrintParams, tone: Array) -> tuple[tuple[int, int], Array]:
+def _dots(sheet: Sheet, screen: PrintParams, tone: Floats) -> tuple[tuple[int, int], Floats]:
     """Radii of the dots of the whole sheet, one to each cell of the turned screen, and the (row, col) of the first."""
     rows, cols = sheet.char.shape
     u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
@@ -169,8 +169,8 @@ def _dots(sheet: Sheet, screen: PrintParams, tone: Array) -> tuple[tuple[int, in
 
 
 def _inked(
-    u: Array, v: Array, screen: PrintParams, first: tuple[int, int], radius_um: Array, pixel_um: float
-) -> Array:  # fmt: skip
+    u: Floats, v: Floats, screen: PrintParams, first: tuple[int, int], radius_um: Floats, pixel_um: float
+) -> Floats:  # fmt: skip
     """Share of each pixel that is inked; the edge of a dot is one pixel wide."""
     a, b = _turned(u, v, screen)
     col, row = np.floor(a), np.floor(b)
@@ -180,20 +180,20 @@ def _inked(
     return np.clip((radius_um[i, j] - distance) / pixel_um + 0.5, 0, 1)
 
 
-def _turned(u: Array, v: Array, screen: PrintParams) -> tuple[Array, Array]:
+def _turned(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
     """Places along the rows and across them, in pitches of the screen."""
     pitch, angle = 1e4 / screen.screen_per_cm, np.deg2rad(screen.angle_deg)
     cos, sin = np.cos(angle) / pitch, np.sin(angle) / pitch
     return u * cos + v * sin, v * cos - u * sin
 
 
-def _coarse(sheet: Sheet, correlation_um: float, rng: np.random.Generator) -> Array:
+def _coarse(sheet: Sheet, correlation_um: float, rng: np.random.Generator) -> Floats:
     """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
     rows, cols = sheet.char.shape
     return noise((rows // _COARSE + 2, cols // _COARSE + 2), correlation_um / _COARSE, rng)
 
 
-def _sampled(sheet: Sheet, coarse: Array, u: Array, v: Array) -> Array:
+def _sampled(sheet: Sheet, coarse: Floats, u: Floats, v: Floats) -> Floats:
     """Bilinear value of a coarse field at material coordinates."""
     step = PITCH_UM * _COARSE
     places = np.stack([(v - sheet.origin[1]) / step, (u - sheet.origin[0]) / step])

@@ -38,15 +38,15 @@ def draw_params(params: Any) -> Any:
 
 def _draw(params: Any, rng: np.random.Generator) -> Any:
     changes: dict[str, Any] = {}
-    for one in fields(params):
-        if is_dataclass(getattr(params, one.name)):
-            changes[one.name] = _draw(getattr(params, one.name), rng)
-        elif "range" in one.metadata:
-            limits = one.metadata["range"]
-            if one.metadata["choice"]:
-                changes[one.name] = limits[int(rng.integers(len(limits)))]
+    for parameter in fields(params):
+        if is_dataclass(getattr(params, parameter.name)):
+            changes[parameter.name] = _draw(getattr(params, parameter.name), rng)
+        elif "range" in parameter.metadata:
+            limits = parameter.metadata["range"]
+            if parameter.metadata["choice"]:
+                changes[parameter.name] = limits[int(rng.integers(len(limits)))]
             elif all(isinstance(limit, int) for limit in limits):
-                changes[one.name] = int(rng.integers(limits[0], limits[1] + 1))
+                changes[parameter.name] = int(rng.integers(limits[0], limits[1] + 1))
             else:
-                changes[one.name] = float(rng.uniform(*limits))
+                changes[parameter.name] = float(rng.uniform(*limits))
     return replace(params, **changes)

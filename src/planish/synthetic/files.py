@@ -11,12 +11,11 @@ from typing import Any, Literal
 import numpy as np
 import tifffile
 import xarray as xr
-from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.synthetic.presets import SpecimenOptions
 from planish.synthetic.specimen import Specimen, make_specimen
 
-Array = NDArray[np.float64]
 Instrument = Literal["stack", "scanner", "sections"]
 COUNTER = "sections.csv"
 _PREFIX = "sheet_rec"
@@ -42,7 +41,7 @@ class InstrumentFiles:
     volume: Path
     voxel_um: tuple[float, float, float]
     through: Literal["z", "y"]
-    to_physical: Callable[..., Array]
+    to_physical: Callable[..., Floats]
     image: Path | None = None
 
 
@@ -67,7 +66,7 @@ def _write_stack(specimen: Specimen, folder: Path) -> InstrumentFiles:
     metadata = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
     tifffile.imwrite(path, specimen.volume.values, imagej=True, resolution=size, metadata=metadata)
 
-    def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
+    def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return points
 
     return InstrumentFiles(volume=path, voxel_um=(voxel, voxel, voxel), through="z", to_physical=to_physical)
@@ -86,7 +85,7 @@ def _write_scan(specimen: Specimen, folder: Path) -> InstrumentFiles:
     (place / f"{_PREFIX.removesuffix('_rec')}_rec.log").write_text(_rec_log(specimen), encoding="utf-8", newline="\n")
     last = (rows - 1) * voxel
 
-    def to_physical(points: Array, _sections: xr.Dataset | None = None) -> Array:
+    def to_physical(points: Floats, _sections: xr.Dataset | None = None) -> Floats:
         return np.stack([points[:, 0], last - points[:, 2], points[:, 1]], axis=1)
 
     return InstrumentFiles(volume=place, voxel_um=(voxel, voxel, voxel), through="y", to_physical=to_physical)
@@ -139,20 +138,20 @@ def _write_sections(specimen: Specimen, folder: Path) -> InstrumentFiles:
     (place / COUNTER).write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
     middle = 0.5 * (np.array(microtome.shape[::-1]) - 1) * p.pixel_um
 
-    def to_physical(points: Array, sections: xr.Dataset | None = None) -> Array:
+    def to_physical(points: Floats, sections: xr.Dataset | None = None) -> Floats:
         """Undo what the run took off each section, then put on what was truly there."""
-        x, z, at = points[:, 0], points[:, 1], points[:, 2]
+        x, z, position = points[:, 0], points[:, 1], points[:, 2]
         if sections is not None:
-            found = {name: np.interp(at, sections["position"].values, sections[name].values)
+            aligned = {name: np.interp(position, sections["position"].values, sections[name].values)
                      for name in ("shift_row", "shift_col", "rotation")}  # fmt: skip
             dx, dz = x - middle[0], z - middle[1]
-            x = x + found["shift_col"] - found["rotation"] * dz
-            z = z + found["shift_row"] + found["rotation"] * dx
-            at = at + float(sections.attrs["first_position_um"])
-        turn = np.interp(at, poses.counter_um, poses.turn_rad)
-        true_x = x + np.interp(at, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
-        true_z = z + np.interp(at, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
-        return np.stack([true_x, np.interp(at, poses.counter_um, poses.y_um), true_z], axis=1)
+            x = x + aligned["shift_col"] - aligned["rotation"] * dz
+            z = z + aligned["shift_row"] + aligned["rotation"] * dx
+            position = position + float(sections.attrs["first_position_um"])
+        turn = np.interp(position, poses.counter_um, poses.turn_rad)
+        true_x = x + np.interp(position, poses.counter_um, poses.shift_x_um) - turn * (z - middle[1])
+        true_z = z + np.interp(position, poses.counter_um, poses.shift_z_um) + turn * (x - middle[0])
+        return np.stack([true_x, np.interp(position, poses.counter_um, poses.y_um), true_z], axis=1)
 
     voxel = (p.section_um, p.pixel_um, p.pixel_um)
     return InstrumentFiles(volume=place, voxel_um=voxel, through="y", to_physical=to_physical)
@@ -212,9 +211,9 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
             metadata={"unit": "um", "axes": "YX"},
         )  # fmt: skip
     holes = specimen.sheet.holes
-    at, place = specimen.pose(holes), specimen.warp.points(holes[:, 0], holes[:, 1])
+    image_xy, volume_xyz = specimen.pose(holes), specimen.warp.points(holes[:, 0], holes[:, 1])
     names = ("u_um", "v_um", "image_x_um", "image_y_um", "x_um", "y_um", "z_um")
-    _table(folder / "holes.csv", names, np.concatenate([holes, at, place], axis=1))
+    _table(folder / "holes.csv", names, np.concatenate([holes, image_xy, volume_xyz], axis=1))
     poses = specimen.poses
     names = ("counter_um", "y_um", "shift_x_um", "shift_z_um", "turn_rad")
     _table(folder / "sections.csv", names, np.stack([getattr(poses, n) for n in names], axis=1))
@@ -222,5 +221,5 @@ def write_truth(specimen: Specimen, folder: Path) -> None:
     (folder / "parameters.json").write_text(json.dumps(data, indent=2) + "\n", encoding="utf-8", newline="\n")
 
 
-def _table(path: Path, names: tuple[str, ...], rows: Array) -> None:
+def _table(path: Path, names: tuple[str, ...], rows: Floats) -> None:
     np.savetxt(path, rows, "%.6f", ",", header=",".join(names), comments="")

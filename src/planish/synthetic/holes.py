@@ -5,11 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.synthetic.draws import generator
 from planish.synthetic.fields import PITCH_UM
 from planish.synthetic.params import HoleParams
-
-Array = NDArray[np.float64]
 
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
 _CORNER_UM = 520.0  # from one line to the first hole of the next
@@ -20,7 +19,7 @@ _ROUGH_UM = 30.0  # correlation length along the rim
 _ORDERS = np.arange(2, 25)  # of the waves around the rim, one after the other; order 1 would move the centre
 
 
-def hole_pattern(params: HoleParams, low: Array, high: Array, seed: int) -> Array:
+def hole_pattern(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floats:
     """Centres (n, 2) in um, in the flat rectangle from ``low`` to ``high`` (u, v), with the error of the laser's stage.
 
     ValueError if the field is too small for the pattern.
@@ -31,17 +30,17 @@ def hole_pattern(params: HoleParams, low: Array, high: Array, seed: int) -> Arra
     return designed + params.stage_um * generator(seed, "stage").standard_normal(designed.shape)
 
 
-def _coded(params: HoleParams, low: Array, high: Array) -> Array:
+def _coded(params: HoleParams, low: Floats, high: Floats) -> Floats:
     """Three lines: along the lower edge, and up the left and the right one."""
     per_line = -(-params.count // 3)
-    left, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + _CORNER_UM)
-    starts = (left, (left[0], rise), (high[0] - _BORDER_UM, rise))
-    found: list[Array] = []
+    corner, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + _CORNER_UM)
+    starts = (corner, (corner[0], rise), (high[0] - _BORDER_UM, rise))
+    lines: list[Floats] = []
     for pitches, start, direction in zip(_PITCHES_UM, starts, (0, 1, 1), strict=True):
         line = np.tile(start, (per_line, 1))
         line[:, direction] += np.concatenate([[0.0], np.cumsum(pitches)])[:per_line]
-        found.append(line[np.all(line <= high - _BORDER_UM + 1e-6, axis=1)])
-    holes = np.concatenate(found)[: params.count]
+        lines.append(line[np.all(line <= high - _BORDER_UM + 1e-6, axis=1)])
+    holes = np.concatenate(lines)[: params.count]
     if len(holes) < 4:
         size = " x ".join(f"{v:.0f}" for v in high - low)
         raise ValueError(
@@ -51,25 +50,25 @@ def _coded(params: HoleParams, low: Array, high: Array) -> Array:
     return holes
 
 
-def _scattered(params: HoleParams, low: Array, high: Array, seed: int) -> Array:
+def _scattered(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floats:
     rng = generator(seed, "pattern")
     border = min(_BORDER_UM, 0.2 * float((high - low).min()))
     inner = np.maximum(high - low - 2 * border, 0.0)
-    apart = min(_APART_UM, 0.7 * float(np.sqrt(inner.prod() / params.count)))
-    apart = max(apart, 1.4 * params.diameter_um)
-    found: list[Array] = []
+    spacing_um = min(_APART_UM, 0.7 * float(np.sqrt(inner.prod() / params.count)))
+    spacing_um = max(spacing_um, 1.4 * params.diameter_um)
+    centres: list[Floats] = []
     for _ in range(20_000):
-        if len(found) == params.count:
-            return np.array(found)
+        if len(centres) == params.count:
+            return np.array(centres)
         point = rng.uniform(low + border, high - border)
-        if all(np.hypot(*(point - other)) > apart for other in found):
-            found.append(point)
+        if all(np.hypot(*(point - other)) > spacing_um for other in centres):
+            centres.append(point)
     size = " x ".join(f"{v:.0f}" for v in high - low)
     raise ValueError(f"{params.count} holes of {params.diameter_um:g} um do not fit into {size} um.")
 
 
 def burn(
-    params: HoleParams, holes: Array, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
+    params: HoleParams, holes: Floats, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
     """Burn the holes into a sheet of the mean thickness ``depth_um``: ``rim_um`` and ``char`` of a :class:`Sheet`."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
@@ -92,8 +91,8 @@ def burn(
 
 
 def _hole(
-    params: HoleParams, x: Array, y: Array, depth_um: float, rng: np.random.Generator
-) -> tuple[Array, Array, float]:
+    params: HoleParams, x: Floats, y: Floats, depth_um: float, rng: np.random.Generator
+) -> tuple[Floats, Floats, float]:
     """Distances to one hole's rim at both faces, around its centre at the top face; width of the burnt rim."""
     # Everything is drawn, also what is off: then one switch does not move the others.
     radius = 0.5 * (params.diameter_um + params.diameter_sd_um * rng.standard_normal())
@@ -105,7 +104,7 @@ def _hole(
     burnt_um = max(params.char_um + params.char_sd_um * rng.standard_normal(), 0.0)
     closed = rng.random() < params.half_closed
 
-    def distance(x: Array, y: Array, radius: float) -> Array:
+    def distance(x: Floats, y: Floats, radius: float) -> Floats:
         # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
         spin: NDArray[np.complex128] = np.exp(1j * np.arctan2(y, x))
         wave, rough = spin, np.zeros(spin.shape)

@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
+from planish.core.typing import Floats
 from planish.synthetic.draws import generator
 from planish.synthetic.paint import Slab, gaussian_taps, painted, smooth
 from planish.synthetic.params import SectionsParams
 from planish.synthetic.sheet import Sheet
 from planish.synthetic.warp import Warp
-
-Array = NDArray[np.float64]
 
 _EPOCH = 40  # sections cut with one part of the knife's edge
 _MARKS_PER_MM = 1.5
@@ -35,11 +34,11 @@ class Poses:
     """
 
     index: NDArray[np.int64]
-    counter_um: Array
-    y_um: Array
-    shift_x_um: Array
-    shift_z_um: Array
-    turn_rad: Array
+    counter_um: Floats
+    y_um: Floats
+    shift_x_um: Floats
+    shift_z_um: Floats
+    turn_rad: Floats
 
 
 def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
@@ -53,16 +52,16 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
     place = rng.standard_normal(count)
     lost = _lost(params, count, generator(seed, "missing"))
     shift = params.jitter_um * white + params.walk_um * walk
-    kept = np.flatnonzero(~lost)
+    present = np.flatnonzero(~lost)
     counter = params.section_um * np.arange(count, dtype=np.float64)
     true = length_um - counter - params.thickness * params.section_um * place
     return Poses(
-        index=kept,
-        counter_um=counter[kept],
-        y_um=true[kept],
-        shift_x_um=shift[0, kept],
-        shift_z_um=shift[1, kept],
-        turn_rad=np.deg2rad(params.rotation_deg) * turn[kept],
+        index=present,
+        counter_um=counter[present],
+        y_um=true[present],
+        shift_x_um=shift[0, present],
+        shift_z_um=shift[1, present],
+        turn_rad=np.deg2rad(params.rotation_deg) * turn[present],
     )
 
 
@@ -95,8 +94,8 @@ class Microtome:
         _ = self.sheet.packed
         count, step = self.poses.index.size, 8 * count_threads()
         with thread_pool() as pool:
-            for at in range(0, count, step):
-                yield from pool.map(self.picture, range(at, min(at + step, count)))
+            for start in range(0, count, step):
+                yield from pool.map(self.picture, range(start, min(start + step, count)))
 
     def picture(self, k: int) -> NDArray[np.uint8]:
         """Render the k-th picture that was kept."""
@@ -118,11 +117,11 @@ class Microtome:
     ) -> NDArray[np.uint8]:
         p = self.params
         taps = gaussian_taps(p.defocus_um / p.pixel_um)
-        at = self.poses
+        poses = self.poses
         blocks = painted(
-            self.sheet, self.warp, at.y_um[k : k + 1], shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
+            self.sheet, self.warp, poses.y_um[k : k + 1], shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
             grey=(grey[0], grey[1], grey[2]), halo=taps.size - 1,
-            moved=np.stack([at.shift_x_um, at.shift_z_um, at.turn_rad])[:, k : k + 1],
+            moved=np.stack([poses.shift_x_um, poses.shift_z_um, poses.turn_rad])[:, k : k + 1],
         )  # fmt: skip
         picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
         for col, depth, block in blocks:
@@ -139,14 +138,14 @@ class Microtome:
         count = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
         x = np.arange(width, dtype=np.float32)[None, :]
         row = np.zeros((1, width), dtype=np.float32)
-        for at, size in zip(rng.uniform(0, width, count), rng.choice([-1.0, 1.0], count), strict=True):
-            row += np.float32(size) * np.exp(-0.5 * ((x - np.float32(at)) / np.float32(1.5)) ** 2)
+        for centre, size in zip(rng.uniform(0, width, count), rng.choice([-1.0, 1.0], count), strict=True):
+            row += np.float32(size) * np.exp(-0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2)
         return row
 
 
 def _between(knots: Slab, count: int) -> Slab:
     """Interpolate rows linearly between knots."""
-    at = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
-    k = at.astype(int)
-    f = (at - k)[:, None].astype(np.float32)
+    position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
+    k = position.astype(int)
+    f = (position - k)[:, None].astype(np.float32)
     return (knots[k] * (1 - f) + knots[k + 1] * f).astype(np.float32)

@@ -9,12 +9,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.light import layer_over
+from planish.core.typing import Floats
 from planish.synthetic.params import PaperParams
-
-Array = NDArray[np.float64]
 
 BASE_S_M2_PER_KG = 45.0
 BASE_K_M2_PER_KG = 1.2
@@ -27,14 +26,14 @@ _KG_PER_M2 = 1e-3  # of 1 um with a density of 1 g/cm3
 _SHEETS = 200  # of a pile that nothing shines through: 200 sheets of 10 g/m2
 
 
-def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Array:
+def base_weight(paper: PaperParams, base_mass: ArrayLike = 1.0) -> Floats:
     """Grammage of the base in kg/m2: mean thickness by density, times the relative grammage of the place."""
     return paper.base_um * paper.base_g_per_cm3 * _KG_PER_M2 * np.asarray(base_mass, dtype=np.float64)
 
 
 def coated(
     below: ArrayLike, coating_um: ArrayLike, density: ArrayLike, paper: PaperParams, *, outwards: bool = True
-) -> Array:
+) -> Floats:
     """Reflectance of the triple coating over what lies below it, which is the base unless ``outwards`` is false."""
     weight = paper.coating_g_per_cm3 * _KG_PER_M2 * np.asarray(coating_um, float) * np.asarray(density, float)
     layers = list(zip(COATING_S_M2_PER_KG, COATING_SHARES, strict=True))
@@ -53,7 +52,7 @@ def sheet_reflectance(
     coating_density: ArrayLike = 1.0,
     base_mass: ArrayLike = 1.0,
     base_s_m2_per_kg: ArrayLike = BASE_S_M2_PER_KG,
-) -> Array:
+) -> Floats:
     """Reflectance of the sheet's top side: bottom coating, base and top coating over a backing.
 
     The backing is a pile of the same paper or a black hollow. Density of the coatings and grammage of the base are

@@ -5,19 +5,19 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.synthetic import _kernels
 from planish.synthetic.fields import PITCH_UM
 from planish.synthetic.sheet import Sheet
 from planish.synthetic.warp import Warp
 
-Array = NDArray[np.float64]
 Slab = NDArray[np.float32]
 _BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
 
 
 def painted(
-    sheet: Sheet, warp: Warp, ys_um: Array, *, shape: tuple[int, int], step_um: float, grey: tuple[float, float, float],
-    halo: int, moved: Array,
+    sheet: Sheet, warp: Warp, ys_um: Floats, *, shape: tuple[int, int], step_um: float,
+    grey: tuple[float, float, float], halo: int, moved: Floats,
 ) -> list[tuple[int, int, Slab]]:  # fmt: skip
     """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is.
 

@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.transform import Similarity
+from planish.core.typing import Floats
 from planish.synthetic.params import CameraParams
-
-Array = NDArray[np.float64]
 
 _TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the volume shows
 _UPRIGHT_DEG = 15.0  # up to this turn the frame keeps those sides; beyond, it follows the field
@@ -35,7 +34,7 @@ class CameraPose:
     centre_um: tuple[float, float] = (0.0, 0.0)  # (x, y) of the frame's middle, which the lens leaves alone
     half_diagonal_um: float = 1.0  # unit of the radius
 
-    def __call__(self, points: ArrayLike) -> Array:
+    def __call__(self, points: ArrayLike) -> Floats:
         """Carry material points (..., 2), (u, v) in um, to the image: (x, y) in um; NaN stays NaN."""
         middle, centre = np.array(self.middle_um), np.array(self.centre_um)
         stretched = middle + (np.asarray(points, dtype=np.float64) - middle) * self._strain()
@@ -43,7 +42,7 @@ class CameraPose:
         square = np.sum(off * off, axis=-1, keepdims=True) / self.half_diagonal_um**2
         return centre + off * (1 + self.radial * square)
 
-    def inverse(self, points: ArrayLike) -> Array:
+    def inverse(self, points: ArrayLike) -> Floats:
         """Carry image points (..., 2), (x, y) in um, back to the sheet: (u, v) in um, exact to 1e-9 um.
 
         NaN where the lens (``radial`` below 0) shows no point of the sheet.
@@ -55,10 +54,10 @@ class CameraPose:
         stretched = self.similarity.inverse(off + centre)
         return middle + (stretched - middle) / self._strain()
 
-    def _strain(self) -> Array:
+    def _strain(self) -> Floats:
         return np.array([1 + self.stretch, 1 - self.stretch])
 
-    def _shrink(self, shown: Array) -> Array:
+    def _shrink(self, shown: Floats) -> Floats:
         """Radius on the sheet over the radius in the image, ``shown``: Newton's method on ``t + k t^3 = shown``.
 
         The cubic bends to one side only, and ``t = shown`` lies on the side from which Newton's steps never overshoot.
@@ -90,7 +89,7 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     size = float(1 + camera.scale_range * scale)
     grid = np.stack(np.meshgrid(*np.linspace(field[:2], field[2:], 101).T), axis=-1)
 
-    def posed(shape: tuple[int, int], shift: Array) -> CameraPose:
+    def posed(shape: tuple[int, int], shift: Floats) -> CameraPose:
         centre = 0.5 * camera.pixel_um * (np.array(shape[::-1]) - 1.0)
         linear = Similarity(scale=size, rotation_rad=rotation, mirrored=camera.mirrored)
         x, y = centre + shift - linear(middle)
@@ -103,7 +102,7 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
             half_diagonal_um=float(np.hypot(*centre)),
         )
 
-    def in_view(shape: tuple[int, int], shift: Array) -> float:
+    def in_view(shape: tuple[int, int], shift: Floats) -> float:
         pose = posed(shape, shift)
         points = pose(grid)
         return float(np.mean(np.all((points >= 0) & (points <= 2 * np.array(pose.centre_um)), axis=-1)))
@@ -123,7 +122,7 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     return shape, posed(shape, wanted)
 
 
-def _sides(field: Array, rotation: float) -> tuple[float, float]:
+def _sides(field: Floats, rotation: float) -> tuple[float, float]:
     """Width and height of the field as it lies under the camera; they change places with a quarter turn."""
     width, height = field[2:] - field[:2]
     off_upright = abs(np.remainder(np.rad2deg(rotation) + 90.0, 180.0) - 90.0)

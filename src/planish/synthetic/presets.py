@@ -151,14 +151,14 @@ class SpecimenOptions(Params):
 
     @field_validator("preset", "instrument", "nuisance")
     @classmethod
-    def _known(cls, value: Any, info: ValidationInfo) -> Any:
-        what, names = {
+    def _check_names(cls, value: Any, info: ValidationInfo) -> Any:
+        kind, names = {
             "preset": ("paper", (*PRESETS,)),
             "instrument": ("instrument", INSTRUMENTS),
             "nuisance": ("nuisance", (*NUISANCES, "none")),
         }[str(info.field_name)]
         if unknown := [name for name in ([value] if isinstance(value, str) else value or ()) if name not in names]:
-            raise ValueError(f"there is no {what} {', '.join(unknown)}; there are {', '.join(names)}")
+            raise ValueError(f"there is no {kind} {', '.join(unknown)}; there are {', '.join(names)}")
         return value
 
     def params(self) -> SpecimenParams:

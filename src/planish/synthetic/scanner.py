@@ -10,13 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.threads import count_threads, thread_pool
+from planish.core.typing import Floats
 from planish.synthetic.draws import generator
 from planish.synthetic.paint import Slab, gaussian_taps, painted, smooth, trimmed
 from planish.synthetic.params import ScannerParams
 from planish.synthetic.sheet import Sheet
 from planish.synthetic.warp import Warp
-
-Array = NDArray[np.float64]
 
 _TILE_VOXELS, _LEAST_ROWS = 1 << 23, 24  # of a tile; the rows around it are painted twice
 _FRINGE_PX = 1.5
@@ -50,8 +49,8 @@ class Scanner:
         tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
         starts, threads = range(0, self.shape[1], tile_rows), count_threads()
         with thread_pool() as pool:
-            for at in range(0, len(starts), threads):
-                part = starts[at : at + threads]
+            for begin in range(0, len(starts), threads):
+                part = starts[begin : begin + threads]
                 stops = [min(start + tile_rows, self.shape[1]) for start in part]
                 yield from zip(part, pool.map(self.rows, part, stops), strict=True)
 
@@ -104,7 +103,7 @@ class Scanner:
         gain = float(np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))) ** 3
         return smooth(white, taps, (0, 1, 2)) / np.float32(gain)
 
-    def _radius(self) -> Array:
+    def _radius(self) -> Floats:
         """Distance (x, z) from the axis of rotation in voxels."""
         x = np.arange(self.shape[2])[:, None] - 0.5 * (self.shape[2] - 1)
         z = np.arange(self.shape[0])[None, :] - 0.5 * (self.shape[0] - 1)
@@ -122,8 +121,8 @@ class Scanner:
         rng, radius = generator(self.seed, "rings"), self._radius()
         plane = np.zeros(radius.shape)
         for _ in range(self.params.rings):
-            at, sign = rng.uniform(0.05, 0.6) * radius.max(), rng.choice([-1.0, 1.0])
-            plane += sign * self.params.ring * np.exp(-0.5 * (radius - at) ** 2)
+            ring_radius, sign = rng.uniform(0.05, 0.6) * radius.max(), rng.choice([-1.0, 1.0])
+            plane += sign * self.params.ring * np.exp(-0.5 * (radius - ring_radius) ** 2)
         return plane.astype(np.float32)
 
     def _streaks(self, start: int, stop: int) -> Slab:
@@ -132,7 +131,7 @@ class Scanner:
         at_x = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
         taps = gaussian_taps(1.0)
 
-        def knot(row: int) -> Array:
+        def knot(row: int) -> Floats:
             rng = generator(self.seed, "streaks", str(row))
             white = rng.standard_normal((1, knots_x, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32)
             lines = smooth(white, taps, (2,))[0] / np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))

@@ -14,13 +14,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.grid import bilinear
+from planish.core.typing import Floats
 from planish.synthetic.draws import generator
 from planish.synthetic.fields import PITCH_UM, fibrous, lowpass, noise, streaks
 from planish.synthetic.holes import burn
 from planish.synthetic.params import HoleParams, PaperParams
 
 Field = NDArray[np.float32]
-Array = NDArray[np.float64]
 LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
 _FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
 _LOOSE_PER_MM2 = 6.0
@@ -54,15 +54,15 @@ class Sheet:
     char: Field
     coating_density: Field
     base_mass: Field
-    holes: Array
+    holes: Floats
 
-    def covers(self, low: Array, high: Array) -> bool:
+    def covers(self, low: Floats, high: Floats) -> bool:
         """Whether the fields reach from (u, v) = ``low`` to ``high``, in um."""
         rows, cols = self.faces.shape[1:]
         end = np.add(self.origin, PITCH_UM * np.array([cols - 1, rows - 1]))
         return bool(np.all(low >= self.origin) and np.all(high <= end))
 
-    def at(self, field: Field, u: Array, v: Array) -> Array:
+    def at(self, field: Field, u: Floats, v: Floats) -> Floats:
         """Bilinear value of one field at material coordinates; the same rule that the renderer uses."""
         x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)
         y = np.clip((v - self.origin[1]) / PITCH_UM, 0.0, field.shape[0] - 1.000001)
@@ -93,7 +93,7 @@ class Sheet:
 
 
 def make_sheet(
-    paper: PaperParams, holes: HoleParams, *, low: Array, high: Array, centres: Array, seed: int,
+    paper: PaperParams, holes: HoleParams, *, low: Floats, high: Floats, centres: Floats, seed: int,
     stiffness: float = 0.0,
 ) -> Sheet:  # fmt: skip
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
@@ -101,12 +101,12 @@ def make_sheet(
     ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths.
     """
     shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
-    thickness, own = _base(paper, shape, seed)
+    thickness, relief = _base(paper, shape, seed)
     mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
     mass /= mass.mean()
-    faces: list[Array] = []
+    faces: list[Floats] = []
     for side, sign, mean in (("top", 1.0, paper.coating_top_um), ("bottom", -1.0, paper.coating_bottom_um)):
-        inner = 0.5 * thickness + sign * own
+        inner = 0.5 * thickness + sign * relief
         coating = _coating(paper, inner, mean, side, seed)
         outer = inner + coating
         # A nip presses the outer face flat; the coating keeps its thickness and the base gives way.
@@ -140,7 +140,7 @@ def neutral_height(base_um: float, top_um: float, bottom_um: float, stiffness: f
     return 0.5 * stiffness * moment / (base_um + stiffness * (top_um + bottom_um))
 
 
-def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Array, Array]:
+def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Floats, Floats]:
     """Thickness of the base, and what bends both of its faces the same way: single fibres in the net."""
     thickness = np.full(shape, p.base_um)
     thickness += p.base_fibre_sd_um * fibrous(shape, p.anisotropy, generator(seed, "fibres"))
@@ -148,25 +148,25 @@ def _base(p: PaperParams, shape: tuple[int, int], seed: int) -> tuple[Array, Arr
     thickness += p.base_streak_sd_um * streaks(shape, _STREAK_UM, generator(seed, "streaks"))
     thickness = np.maximum(thickness, 0.3 * p.base_um)
     variance = p.base_fibre_sd_um**2 + p.base_floc_sd_um**2 + p.base_streak_sd_um**2
-    left = p.roughness_um**2 - 0.25 * variance
-    if left <= 0:
+    excess_variance = p.roughness_um**2 - 0.25 * variance
+    if excess_variance <= 0:
         return thickness, np.zeros(shape)
     # Few fibres lie on top of the others; they stand up and are what a coating leaves bare.
     rngs = (generator(seed, "face", side) for side in ("top", "bottom"))
     top, bottom = (fibrous(shape, p.anisotropy, rng, per_mm2=_LOOSE_PER_MM2) for rng in rngs)
-    return thickness, float(np.sqrt(0.5 * left)) * (top - bottom)
+    return thickness, float(np.sqrt(0.5 * excess_variance)) * (top - bottom)
 
 
-def _coating(p: PaperParams, inner: Array, mean_um: float, side: str, seed: int) -> Array:
+def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int) -> Floats:
     """Thickness of one coating layer over the base's face ``inner``, both outwards, in um."""
     shape = (inner.shape[0], inner.shape[1])
     if mean_um == 0:
         return np.zeros(shape)
     levelled = lowpass(inner, p.levelling_um) - inner
     levelled += p.coating_noise_sd_um * noise(shape, 20.0, generator(seed, "coater", side))
-    left = p.coating_sd_um**2 - float(levelled.var())
-    if left > 0:
+    excess_variance = p.coating_sd_um**2 - float(levelled.var())
+    if excess_variance > 0:
         # Skewed: a spot can lack more than another can carry too much.
         spots = np.exp(_SKEW * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
-        levelled -= np.sqrt(left) * (spots - spots.mean()) / spots.std()
+        levelled -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
     return np.maximum(mean_um + levelled, 0.0)

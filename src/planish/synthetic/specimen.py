@@ -27,7 +27,6 @@ from planish.synthetic.warp import Warp
 if TYPE_CHECKING:
     from planish.synthetic.files import InstrumentFiles
 
-Array = NDArray[np.float64]
 
 _MARGIN_UM = 60.0  # air above and below the sheet
 _BEYOND_UM = 150.0  # of the sheet around what the instruments see
@@ -228,17 +227,17 @@ def make_specimen(
         )  # fmt: skip
     elif not sheet.covers(spread[:2], spread[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
-    made = Specimen(
+    specimen = Specimen(
         params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(width, height, high_z - low_z),
         image_shape=image_shape
     )  # fmt: skip
     if folder is None:
-        return made
+        return specimen
     from planish.synthetic.files import write_instruments, write_truth
 
     place = Path(folder)
     if place.exists():
         raise FileError(f"{place} exists already. Name another folder for the specimen, or remove that one.")
-    files = write_instruments(made, place)
-    write_truth(made, place / "truth")
-    return replace(made, files=files)
+    files = write_instruments(specimen, place)
+    write_truth(specimen, place / "truth")
+    return replace(specimen, files=files)

@@ -6,11 +6,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
+from planish.core.typing import Floats
 from planish.synthetic.draws import Strict, drawn
-
-Array = NDArray[np.float64]
 
 _STEP_UM = 2.0
 _GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(5)
@@ -52,7 +50,7 @@ class Warp(Strict):
     shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
     reach_um: float = 8000.0
 
-    def packed(self) -> tuple[Array, Array]:
+    def packed(self) -> tuple[Floats, Floats]:
         """Return the parameters and the profile curve as the kernels take them."""
         return _packed(self)
 
@@ -61,28 +59,28 @@ class Warp(Strict):
         """Steepest slope of the profile, with the tilt."""
         return float(np.tan(abs(np.deg2rad(self.tilt_deg)) + np.arctan(abs(self.slope))))
 
-    def points(self, u: Array, v: Array) -> Array:
+    def points(self, u: Floats, v: Floats) -> Floats:
         """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
         return self._frames(u, v)[0]
 
-    def normals(self, u: Array, v: Array) -> Array:
+    def normals(self, u: Floats, v: Floats) -> Floats:
         """Return unit normals (..., 3), pointing to the top side (+z)."""
         return self._frames(u, v)[1]
 
-    def material(self, points: Array) -> Array:
+    def material(self, points: Floats) -> Floats:
         """Return ``(u, v, s)`` of points ``(..., 3)`` given as x, y, z: the exact inverse of ``m + s n``."""
         from planish.synthetic import _kernels
 
         flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
         return _kernels.materials(*self.packed(), flat).reshape(points.shape)
 
-    def columns(self, y_um: Array, x_um: Array) -> Array:
+    def columns(self, y_um: Floats, x_um: Floats) -> Floats:
         """Return ``(u, v, z)`` of the centre surface at the columns (y, x), shape (len(y), len(x), 3)."""
         from planish.synthetic import _kernels
 
         return _kernels.columns(*self.packed(), np.asarray(y_um, float), np.asarray(x_um, float))
 
-    def _frames(self, u: Array, v: Array) -> tuple[Array, Array]:
+    def _frames(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
         from planish.synthetic import _kernels
 
         u, v = np.broadcast_arrays(u, v)
@@ -91,7 +89,7 @@ class Warp(Strict):
 
 
 @lru_cache(maxsize=8)
-def _packed(warp: Warp) -> tuple[Array, Array]:
+def _packed(warp: Warp) -> tuple[Floats, Floats]:
     angle = np.deg2rad(warp.ruling_deg)
     psi, k, tilt = np.arctan(warp.slope), 2 * np.pi / warp.wavelength_um, np.deg2rad(warp.tilt_deg)
     count = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM)) + 1
