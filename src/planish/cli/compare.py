@@ -18,20 +18,20 @@ if TYPE_CHECKING:
 _CLOSE = 0.995  # r of two measurements of one quantity, of which more decimals are written
 
 
-def _margin(_context: click.Context, _parameter: click.Parameter, given: tuple[str, ...]) -> dict[str, float]:
+def _margin(_context: click.Context, _parameter: click.Parameter, assignments: tuple[str, ...]) -> dict[str, float]:
     """Margins of ``MAP=UM``."""
-    found: dict[str, float] = {}
-    for one in given:
-        name, sign, number = one.partition("=")
+    margins: dict[str, float] = {}
+    for assignment in assignments:
+        name, sign, number = assignment.partition("=")
         try:
-            found[name.strip()] = float(number)
+            margins[name.strip()] = float(number)
         except ValueError:
             sign = ""
-        if not sign or not name.strip() or not 0 < found[name.strip()] < float("inf"):
+        if not sign or not name.strip() or not 0 < margins[name.strip()] < float("inf"):
             raise click.BadParameter(
-                f"{one!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or r=NUMBER, above 0."
+                f"{assignment!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or r=NUMBER, above 0."
             )
-    return found
+    return margins
 
 
 @verb(
@@ -60,7 +60,7 @@ def compare(
     Without --table each run counts as a sheet of its own, and nothing but its figures and their mean is stated. Without
     RUNS, all those of the table are taken. Figures that a check doubts or refutes are marked and take part in nothing.
     """
-    from planish.cli.options import made
+    from planish.cli.options import build_params
     from planish.core.errors import InputError
     from planish.io.run_folder import new_folder
     from planish.series.gather import gather
@@ -68,17 +68,17 @@ def compare(
     from planish.series.pages import write_series
     from planish.series.summary import summary_of
 
-    declared = made(Declared, values, "declared", margin=margin)
+    declared = build_params(Declared, values, "declared", margin=margin)
     if declared.compare is not None and file is None:
         raise click.UsageError("--by compares the levels of a factor, which come from a table: give --table as well.")
     if file is None and len(runs) < 2:
         raise click.UsageError("Give two runs or more, or --table with a column run.")
     home = (Path.cwd() if out is None else out.absolute().parent).resolve()
     members = members_of(runs, home=home, table=file)
-    found = gather(members, home)
-    if not found.briefs:
-        raise InputError(f"None of {len(members)} runs can be read. {found.members[0].message}")
-    results = summary_of(found, declared)
+    gathered = gather(members, home)
+    if not gathered.briefs:
+        raise InputError(f"None of {len(members)} runs can be read. {gathered.members[0].message}")
+    results = summary_of(gathered, declared)
     if out is not None:
         with new_folder(out) as folder:
             results = write_series(members, home, declared, folder)
@@ -86,14 +86,14 @@ def compare(
         click.echo(results.to_json(), nl=False)
     else:
         _show(results)
-    for one in results.members:
-        if one.message:
-            sentence(f"planish: {one.name}: {one.state}: {one.message}", err=True)
+    for member in results.members:
+        if member.message:
+            sentence(f"planish: {member.name}: {member.state}: {member.message}", err=True)
     for caution in results.cautions:
         sentence(f"planish: {caution}", err=True)
     if out is not None:
         click.echo(f"report: {out / 'report.html'}", err=as_json)
-    return 0 if all(one.state == "whole" for one in results.members) else 4
+    return 0 if all(member.state == "whole" for member in results.members) else 4
 
 
 def _show(results: SeriesResults) -> None:
@@ -104,9 +104,9 @@ def _show(results: SeriesResults) -> None:
     names = [" ".join(filter(None, (q.layer, q.map, _short(q.what), q.other_layer))) for q in quantities]
     columns = ["", *results.factors, "checks", *names]
     rows = [
-        [one.member.name, *(one.member.factors.get(f, "") for f in results.factors), one.light or one.member.state,
-         *(_cell(one.cells[k], q.what) if one.cells else "-" for k, q in enumerate(quantities))]
-        for one in results.specimens
+        [row.member.name, *(row.member.factors.get(f, "") for f in results.factors), row.light or row.member.state,
+         *(_cell(row.cells[k], q.what) if row.cells else "-" for k, q in enumerate(quantities))]
+        for row in results.specimens
     ]  # fmt: skip
     table("Specimens (sd: standard deviation; *: takes part in no mean)", columns, rows)
     means = [
@@ -126,31 +126,31 @@ def _show(results: SeriesResults) -> None:
             for d in results.differences
         ]  # fmt: skip
         table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), lines)
-    for one in results.instruments:
-        limits = "-" if one.limits is None else _ends(one.limits, "mean")
+    for pair in results.instruments:
+        bias, limits = _number(pair.bias, "mean"), _ends(pair.limits, "mean") if pair.limits else "-"
         sentence(
-            f"{one.specimen}: {one.b} less {one.a}, {one.map}: bias {_number(one.bias, 'mean')} {one.unit}, limits "
-            f"{limits} {one.unit}. {one.sentence}".rstrip()
+            f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits {limits} "
+            f"{pair.unit}. {pair.sentence}".rstrip()
         )
     sentence(words.plain_words(words.lead(results)))
 
 
-def _short(what: str) -> str:
-    return {"thin_share": "thin"}.get(what, what)
+def _short(statistic: str) -> str:
+    return {"thin_share": "thin"}.get(statistic, statistic)
 
 
-def _number(value: float | None, what: str) -> str:
-    digits = 4 if what == "thin_share" else 5 if what == "r" and abs(value or 0.0) > _CLOSE else 3
+def _number(value: float | None, statistic: str) -> str:
+    digits = 4 if statistic == "thin_share" else 5 if statistic == "r" and abs(value or 0.0) > _CLOSE else 3
     return "-" if value is None else f"{value:.{digits}f}"
 
 
-def _ends(limits: tuple[float, float], what: str) -> str:
-    return " to ".join(_number(v, what) for v in limits)
+def _ends(limits: tuple[float, float], statistic: str) -> str:
+    return " to ".join(_number(v, statistic) for v in limits)
 
 
-def _cell(cell: Any, what: str) -> str:
-    text = _number(cell.value, what)
-    if what == "r" and cell.low is not None:
+def _cell(cell: Any, statistic: str) -> str:
+    text = _number(cell.value, statistic)
+    if statistic == "r" and cell.low is not None:
         digits = 5 if cell.low > _CLOSE else 2
         text += f" ({cell.low:.{digits}f} to {cell.high:.{digits}f})"
     return text if cell.counts or cell.value is None else f"{text} *"

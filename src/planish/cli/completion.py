@@ -143,10 +143,10 @@ def install_script(shell: str) -> list[str]:
 def _profile() -> Path:
     """The file that PowerShell reads at its start, as it says itself: documents may lie on a server."""
     for program in ("pwsh", "powershell"):
-        found = shutil.which(program)
-        if found is None:
+        executable = shutil.which(program)
+        if executable is None:
             continue
-        asked = [found, "-NoProfile", "-NonInteractive", "-Command", "$PROFILE.CurrentUserCurrentHost"]
+        asked = [executable, "-NoProfile", "-NonInteractive", "-Command", "$PROFILE.CurrentUserCurrentHost"]
         answer = subprocess.run(asked, capture_output=True, check=False, timeout=60)
         text = answer.stdout.decode("utf-8", errors="replace").strip()
         if answer.returncode == 0 and text:

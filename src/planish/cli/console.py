@@ -123,9 +123,9 @@ def stacked(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]], w
         for k, (heading, cell) in enumerate(zip(columns, row, strict=True)):
             if k == 0 or not cell or (k == unit_at and values):
                 continue
-            name, _, own = heading.rpartition(" ")
-            of_heading = bool(name) and own in _UNITS and heading not in _COUNTS
-            unit = own if of_heading else row[unit_at] if unit_at is not None and k in values else ""
+            name, _, heading_unit = heading.rpartition(" ")
+            of_heading = bool(name) and heading_unit in _UNITS and heading not in _COUNTS
+            unit = heading_unit if of_heading else row[unit_at] if unit_at is not None and k in values else ""
             text = f"{cell} {unit}" if unit not in ("", "1") and cell != "-" else cell
             lines += wrapped(f"  {name if of_heading else heading}  {text}", width).split("\n")
     return "\n".join(lines)

@@ -25,13 +25,13 @@ def doctor(as_json: bool) -> int:
     about = describe_installation()
     if not as_json:
         click.echo(f"planish {about['planish']}, Python {about['python']}, {about['system']}")
-    found = list(check_installation())
-    wrong = [check for check in found if check.state in ("look", "fail")]
+    checks = list(check_installation())
+    wrong = [check for check in checks if check.state in ("look", "fail")]
     if as_json:
-        checks = [check.model_dump(include={"name", "state", "sentence", "advice"}) for check in found]
-        click.echo(json.dumps({**about, "well": not wrong, "checks": checks}, indent=2))
+        records = [check.model_dump(include={"name", "state", "sentence", "advice"}) for check in checks]
+        click.echo(json.dumps({**about, "well": not wrong, "checks": records}, indent=2))
     else:
-        for check in found:
+        for check in checks:
             sentence(f"{_WORDS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip())
         names = ", ".join(check.name for check in wrong)
         click.echo(f"Not well: {names}." if wrong else "All is well.")

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from planish.cli.console import sentence
-from planish.cli.options import existing, json_option, made, options, out_option, verb
+from planish.cli.options import build_params, existing, json_option, options, out_option, verb
 from planish.compute import Compute
 
 
@@ -28,11 +28,11 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     from planish.cli.show import stages
 
     with stages(6) as progress:
-        found = write(run, out, compute=made(Compute, values, "compute"), progress=progress)
+        page = write(run, out, compute=build_params(Compute, values, "compute"), progress=progress)
     if as_json:
-        facts = {"out": str(out), "bytes": found.bytes, "maps": found.maps, "slices": found.slices}
-        click.echo(json.dumps(facts | {"notes": list(found.notes)}, indent=2))
+        facts = {"out": str(out), "bytes": page.bytes, "maps": page.maps, "slices": page.slices}
+        click.echo(json.dumps(facts | {"notes": list(page.notes)}, indent=2))
         return
-    click.echo(f"{out}: {found.bytes / 1e6:.1f} MB, {found.maps} maps, {found.slices} slices")
-    for note in found.notes:
+    click.echo(f"{out}: {page.bytes / 1e6:.1f} MB, {page.maps} maps, {page.slices} slices")
+    for note in page.notes:
         sentence(note)

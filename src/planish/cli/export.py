@@ -8,7 +8,7 @@ from typing import Any
 
 import click
 
-from planish.cli.options import existing, given, json_option, made, options, out_option, verb
+from planish.cli.options import build_params, existing, given_options, json_option, options, out_option, verb
 from planish.compute import Compute
 from planish.core.errors import StudyError
 from planish.writers import FORMATS, ExportParams
@@ -37,17 +37,17 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     from planish.cli.show import stages
     from planish.pipeline import export as export_run
 
-    said = given(values, "export")
-    made(ExportParams, values, "export")
+    chosen = given_options(values, "export")
+    build_params(ExportParams, values, "export")
     with stages(20) as progress:
         try:
-            files = export_run(run, out, compute=made(Compute, values, "compute"), progress=progress, **said)
+            files = export_run(run, out, compute=build_params(Compute, values, "compute"), progress=progress, **chosen)
         except StudyError as error:
             raise click.UsageError(error.text) from error
-    form = FORMATS[said["to"]]
+    form = FORMATS[chosen["to"]]
     if as_json:
         click.echo(
-            json.dumps({"out": str(out), "format": said["to"], "files": [str(path) for path in files]}, indent=2)
+            json.dumps({"out": str(out), "format": chosen["to"], "files": [str(path) for path in files]}, indent=2)
         )
         return
     count = "1 file" if len(files) == 1 else f"{len(files)} files"

@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import click
 
-from planish.cli.options import existing, json_option, made, options, out_option, verb
+from planish.cli.options import build_params, existing, json_option, options, out_option, verb
 from planish.compute import Compute, engine
 from planish.core.errors import FileError
 from planish.core.text import printable
@@ -86,13 +86,13 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     from planish.pipeline import read_whole
 
     refuse_existing(out)
-    compute = made(Compute, values, "compute")
-    params = made(VolumeParams, values, "volume", path=str(volume.absolute()))
-    correct = made(CorrectParams, values, "correct")
+    compute = build_params(Compute, values, "compute")
+    params = build_params(VolumeParams, values, "volume", path=str(volume.absolute()))
+    correct = build_params(CorrectParams, values, "correct")
     if correct != CorrectParams() and not correct.asked:
         raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
     record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))
-    found = None
+    correction = None
     with stages(2) as progress:
         data = read_whole(params, compute, progress)
         if correct.asked:
@@ -100,29 +100,29 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
 
             for path in (record, picture):
                 refuse_existing(path)
-            found = correct_volume(
+            correction = correct_volume(
                 data, params=correct, memory_bytes=compute.volume_bytes,
                 progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
             )  # fmt: skip
-            for sentence in found.record.sentences:
+            for sentence in correction.record.sentences:
                 click.echo(sentence)
-            if share := found.record.clipped:
+            if share := correction.record.clipped:
                 click.echo(f"{100 * share:.2g} % of the voxels left the range of {data.dtype} and were clipped.")
         with engine(compute) as on:
             write_store(
-                data if found is None else found.volume, out, memory_bytes=compute.block_bytes, ome=ome,
+                data if correction is None else correction.volume, out, memory_bytes=compute.block_bytes, ome=ome,
                 executor=on.executor, workers=on.at_once,
                 progress=lambda what, done, count: progress(what, f"block {done} of {count}"),
             )  # fmt: skip
-    if found is not None:
+    if correction is not None:
         from planish.correct import write_picture
 
         try:
-            record.write_text(json.dumps(found.record.to_json(), indent=2) + "\n", encoding="utf-8", newline="\n")
+            record.write_text(json.dumps(correction.record.to_json(), indent=2) + "\n", encoding="utf-8", newline="\n")
         except OSError as error:
             raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
-        if found.before is not None:
-            write_picture(found, data, picture)
+        if correction.before is not None:
+            write_picture(correction, data, picture)
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
 
 

@@ -101,15 +101,15 @@ def main(args: list[str] | None = None) -> None:
         click.echo("planish: interrupted; nothing was written.", err=True)
         code = 130
     except Exception as error:  # noqa: BLE001  a user gets a sentence, and a log of our own faults, never a traceback
-        known = _known(error)
-        code = known.exit_code
-        click.echo(f"planish: {printable(known.text)}", err=True)
+        fault = _as_planish_error(error)
+        code = fault.exit_code
+        click.echo(f"planish: {printable(fault.text)}", err=True)
         if "--json" in arguments:
-            click.echo(json.dumps({"error": known.text, "exit_code": code}))
+            click.echo(json.dumps({"error": fault.text, "exit_code": code}))
     sys.exit(code if isinstance(code, int) else 0)
 
 
-def _known(error: Exception) -> PlanishError:
+def _as_planish_error(error: Exception) -> PlanishError:
     if isinstance(error, PlanishError):
         return error
     if isinstance(error, MemoryError):

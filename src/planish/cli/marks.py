@@ -10,7 +10,7 @@ import click
 from pydantic import Field
 
 from planish.cli.console import table
-from planish.cli.options import Option, Value, Verb, existing, json_option, made, options, out_option
+from planish.cli.options import Option, Value, Verb, build_params, existing, json_option, options, out_option
 from planish.core.files import write_whole
 from planish.marks.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.files.formats import FORMATS, TARGETS, target_of
@@ -59,8 +59,8 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
             raise click.UsageError("Give --holes or --holes-per-cm2, not both.")
         width, height = values["design__field_um"]
         values["design__holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
-    params, stage = made(DesignParams, values, "design"), made(StageParams, values, "stage")
-    imaging = made(ImagingParams, values, "imaging")
+    params, stage = build_params(DesignParams, values, "design"), build_params(StageParams, values, "stage")
+    imaging = build_params(ImagingParams, values, "imaging")
     refuse_existing(out)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
@@ -126,7 +126,7 @@ def simulate(
     from planish.marks.design import dry_run, read_pattern
     from planish.marks.design.write import path_picture
 
-    stage = made(StageParams, values, "stage")
+    stage = build_params(StageParams, values, "stage")
     if out is not None:
         if out.suffix.lower().lstrip(".") not in _PICTURES:
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
@@ -158,8 +158,8 @@ def _compared(run: DryRun, pattern: Pattern) -> str | None:
     points = pattern.points_um
     if len(points) != len(run.fired_um):
         return f"the program fires {len(run.fired_um)} shots, the pattern has {len(points)} holes."
-    apart = np.hypot(*(run.fired_um[:, None] - points[None]).transpose(2, 0, 1))
-    worst = max(float(apart.min(axis=0).max()), float(apart.min(axis=1).max()))
+    distance_um = np.hypot(*(run.fired_um[:, None] - points[None]).transpose(2, 0, 1))
+    worst = max(float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max()))
     if worst <= _SAME_UM:
         return None
     return f"a hole of the pattern is {worst:.3f} um from the nearest shot; write the program again."
@@ -221,15 +221,15 @@ def convert(
     kind = to or target_of(out)
     facts = {k: LayerPixels(options[f"{k}_pixel_um"], options[f"{k}_origin_um"]) for k in ("moving", "fixed")}
     marks = read_any(*sources, **facts, unit=unit, swap=swap)
-    made = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
+    written = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
     layers, read = layer_names(marks), marks.attrs["read_from"]
     used = int(marks["used"].values.sum())
     if as_json:
         counts = {"read": read, "marks": marks.sizes["mark"], "used": used}
-        listed = {"layers": layers, "format": kind, "files": [str(path) for path in made]}
+        listed = {"layers": layers, "format": kind, "files": [str(path) for path in written]}
         click.echo(json.dumps(counts | listed, indent=2))
         return
-    names = ", ".join(str(path) for path in made)
+    names = ", ".join(str(path) for path in written)
     click.echo(f"{names}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
     if not read["stated"] and unit is None:
         title = FORMATS[read["format"]].title

@@ -88,13 +88,13 @@ class Value(click.ParamType[Any]):
         """Parse ``"3"`` or ``"3,1.5,1.5"``."""
         if not isinstance(value, str):
             return value
-        given: Any = [part.strip() for part in value.split(",")] if self.count else value
+        parts: Any = [part.strip() for part in value.split(",")] if self.count else value
         if self.any_count and value.strip().casefold() == "none":
-            given = []
-        if self.repeat and len(given) == 1:
-            given = given * self.count
+            parts = []
+        if self.repeat and len(parts) == 1:
+            parts = parts * self.count
         try:
-            return self.adapter.validate_python(given)
+            return self.adapter.validate_python(parts)
         except ValidationError as error:
             reasons = "; ".join(dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors()))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
@@ -106,18 +106,18 @@ class Value(click.ParamType[Any]):
 def options(
     model: type[Params], section: str, group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()
 ) -> Command:
-    """Give a command all options of a model, or some; :func:`given` collects what was said.
+    """Give a command all options of a model, or some; :func:`given_options` collects what was said.
 
     ``section`` keeps fields of the same name in two models apart; ``group`` is the heading in the help; ``only`` and
     ``without`` are names of fields.
     """
-    made: list[Command] = []
+    decorators: list[Command] = []
     for name, field, shown in options_of(model):
         if name not in without and (not only or name in only):
-            made.append(_option(f"{section}__{name}", field, shown, group))
+            decorators.append(_option(f"{section}__{name}", field, shown, group))
             if (inner := _inner(field)) is not None:
-                made.append(options(inner, f"{section}__{name}", group))
-    return stack(*made)
+                decorators.append(options(inner, f"{section}__{name}", group))
+    return stack(*decorators)
 
 
 def _inner(field: FieldInfo) -> type[Params] | None:
@@ -133,7 +133,7 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
         return click.option(*shown.flags, name, is_flag=True, default=None, **how)
     how["help"] += _default(field.get_default())
     if kinds == [tuple[str, ...]]:
-        how["callback"] = _said
+        how["callback"] = _given_or_none
         return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
@@ -142,7 +142,9 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
 
 
-def _said(_context: click.Context, _parameter: click.Parameter, value: tuple[str, ...]) -> tuple[str, ...] | None:
+def _given_or_none(
+    _context: click.Context, _parameter: click.Parameter, value: tuple[str, ...]
+) -> tuple[str, ...] | None:
     """An option that may be repeated and was not given is not said, which is other than none of them."""
     return value or None
 
@@ -155,25 +157,25 @@ def _default(value: Any) -> str:
     return f"  [default: {','.join(f'{v:.7g}' if isinstance(v, float) else str(v) for v in values)}]"
 
 
-def given(values: dict[str, Any], section: str) -> dict[str, Any]:
+def given_options(values: dict[str, Any], section: str) -> dict[str, Any]:
     """What was said on the command line for a section, as its model takes it."""
     mark = f"{section}__"
-    own = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
-    said = {k: v for k, v in own.items() if v is not None and v is not False}  # 0 is a value
-    found: dict[str, Any] = {k: v for k, v in said.items() if "__" not in k}
-    for name, sign, inner in (k.partition("__") for k in own):
-        if sign and name in found:
-            found[name] = given(own, name)
-        elif f"{name}{sign}{inner}" in said and sign:
+    section_options = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
+    set_options = {k: v for k, v in section_options.items() if v is not None and v is not False}  # 0 is a value
+    fields: dict[str, Any] = {k: v for k, v in set_options.items() if "__" not in k}
+    for name, sign, inner in (k.partition("__") for k in section_options):
+        if sign and name in fields:
+            fields[name] = given_options(section_options, name)
+        elif f"{name}{sign}{inner}" in set_options and sign:
             raise click.UsageError(f"--{inner.replace('_', '-')} is an option of --{name}: give --{name} as well.")
-    return found
+    return fields
 
 
-def made(model: type[P], values: dict[str, Any], section: str, **more: Any) -> P:
+def build_params(model: type[P], values: dict[str, Any], section: str, **more: Any) -> P:
     """The model of a section, of what was said on the command line and ``more``; what is wrong is wrong usage."""
     flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
     try:
-        return model.model_validate(given(values, section) | more)
+        return model.model_validate(given_options(values, section) | more)
     except ValidationError as error:
         faults = [
             "".join(f"{flags.get(str(place), place)}: " for place in e["loc"][:1])
@@ -203,9 +205,9 @@ figures_option = click.option(
 json_option = click.option("--json", "as_json", is_flag=True, help="Print the results as JSON.")
 
 
-def out_option(what: str, *, required: bool = True) -> Command:
+def out_option(help: str, *, required: bool = True) -> Command:
     """Where the results go; what stands there already is never overwritten."""
-    return click.option("--out", "-o", required=required, type=click.Path(path_type=Path), help=what)
+    return click.option("--out", "-o", required=required, type=click.Path(path_type=Path), help=help)
 
 
 def existing(name: str) -> Command:

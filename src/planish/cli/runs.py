@@ -12,11 +12,11 @@ from planish.analyze.params import CorrelateParams
 from planish.cli.options import (
     Command,
     Option,
+    build_params,
     existing,
     figures_option,
-    given,
+    given_options,
     json_option,
-    made,
     options,
     out_option,
     stack,
@@ -70,7 +70,7 @@ def study_from(
     """Build a study from the command line; what is wrong with it is wrong usage."""
     from planish.pipeline.build import study_of
 
-    sections = {name: found for name in _SECTIONS if (found := given(values, name))}
+    sections = {name: fields for name in _SECTIONS if (fields := given_options(values, name))}
     for section, name in (("registration", "marks"), ("registration", "design"), ("correlate", "regions")):
         if path := sections.get(section, {}).get(name):
             sections[section][name] = str(Path(path).absolute())
@@ -99,7 +99,7 @@ def _run_and_show(
 
     with stages(8 + 3 * len(study.layers)) as progress:
         run = run_study(
-            study, out, progress=progress, compute=made(Compute, values, "compute"), old=old, figures=figures
+            study, out, progress=progress, compute=build_params(Compute, values, "compute"), old=old, figures=figures
         )
     return finish(run, out, as_json=as_json, strict=strict)
 
@@ -217,17 +217,17 @@ def _compare(old: Path, target: Path) -> None:
         verb = "differs" if len(different) == 1 else "differ"
         text = f"{_listed(different)} {verb} from" if different else "same bytes as"
         other = before is not None and not is_this_code(before["planish"], before["code"])
-        made = f", which was made by other code (planish {before['planish']})" if before and other else ""
-        click.echo(f"{target}: {text} {old}{made}", err=True)
+        origin = f", which was made by other code (planish {before['planish']})" if before and other else ""
+        click.echo(f"{target}: {text} {old}{origin}", err=True)
 
 
 def _different(old: Path, new: Path) -> list[str]:
     """Name the files of either folder that are not the same in both."""
     # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what was
     # changed since in the browser.
-    found = (p.relative_to(root) for root in (old, new) for p in root.rglob("*") if p.is_file())
+    paths = (p.relative_to(root) for root in (old, new) for p in root.rglob("*") if p.is_file())
     files = {
-        p.as_posix() for p in found if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)
+        p.as_posix() for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)
     }
     _, other, missing = filecmp.cmpfiles(old, new, files, shallow=False)
     return sorted([*other, *missing])
@@ -238,12 +238,12 @@ def _listed(files: list[str]) -> str:
     from planish.pipeline.run import MAPS
 
     stored = [Path(name).parts for name in files if name.startswith(f"{MAPS}/")]
-    said = [name for name in files if not name.startswith(f"{MAPS}/")]
+    phrases = [name for name in files if not name.startswith(f"{MAPS}/")]
     if stored:
         groups = sorted({parts[1] for parts in stored if len(parts) > 2})
         where = f"{MAPS} ({', '.join(groups)})" if groups else MAPS
-        said.insert(0, f"{len(stored)} {'file' if len(stored) == 1 else 'files'} of {where}")
-    return ", ".join(said)
+        phrases.insert(0, f"{len(stored)} {'file' if len(stored) == 1 else 'files'} of {where}")
+    return ", ".join(phrases)
 
 
 @verb("planish demo", "planish demo --out try --seed 2", name="demo")

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.cli.console import sentence, table
-from planish.cli.options import Option, existing, json_option, made, options, out_option, verb
+from planish.cli.options import Option, build_params, existing, json_option, options, out_option, verb
 from planish.compute import Compute
 
 if TYPE_CHECKING:
@@ -72,7 +72,7 @@ def study(
 
     plan = read_plan(specimens, changes)
     check_maps_known(plan.declared)
-    compute = made(Compute, values, "compute")
+    compute = build_params(Compute, values, "compute")
     if dry_run:
         return _dry_run(Book(out, plan), plan.specimens, compute, jobs)
     with series_folder(out):
@@ -88,31 +88,31 @@ def _study(
     from planish.series.watch import watched
 
     members: dict[str, Member] = {}
-    told, begin, interrupted = _Told(len(plan.specimens)), time.monotonic(), False
+    report, begin, interrupted = _ProgressLines(len(plan.specimens)), time.monotonic(), False
     coming = None if watch is None else watched(
         plan, watch, settle_s=settle, idle_s=idle, tell=lambda text: sentence(f"planish: {text}", err=True)
     )  # fmt: skip
     try:
-        run_series(plan, out, compute=compute, jobs=jobs, tell=told, members=members, coming=coming)
+        run_series(plan, out, compute=compute, jobs=jobs, tell=report, members=members, coming=coming)
     except KeyboardInterrupt:
         interrupted = watch is None  # a watch has no other end
-    found = list(members.values())
-    results = write_series(found, out, plan.declared, out)
+    finished = list(members.values())
+    results = write_series(finished, out, plan.declared, out)
     if as_json:
         click.echo(results.to_json(), nl=False)
-    counts = Counter(member.state for member in found)
+    counts = Counter(member.state for member in finished)
     click.echo(
-        f"{len(found)} specimens: " + ", ".join(f"{counts[k]} {words}" for k, words in _WORDS.items() if counts[k])
+        f"{len(finished)} specimens: " + ", ".join(f"{counts[k]} {words}" for k, words in _WORDS.items() if counts[k])
         + f"; {time.monotonic() - begin:.0f} s", err=True,
     )  # fmt: skip
-    for member in found:
+    for member in finished:
         if member.state not in ("whole", "open"):
             sentence(f"planish: {member.name}: {_WORDS[member.state]}: {member.message}", err=True)
     if interrupted:
         sentence("planish: interrupted; what is done is kept, and the same command goes on from there.", err=True)
         return 130
     click.echo(f"report: {out / 'report.html'}", err=as_json)
-    return code_of(found)
+    return code_of(finished)
 
 
 def code_of(members: Sequence[Member]) -> int:
@@ -123,7 +123,7 @@ def code_of(members: Sequence[Member]) -> int:
     return 4 if whole or any(member.state == "withheld" for member in members) else 3
 
 
-class _Told:
+class _ProgressLines:
     """Lines as specimens are done, with the time that is left."""
 
     def __init__(self, total: int) -> None:
@@ -132,7 +132,7 @@ class _Told:
     def __call__(self, member: Member, seconds: float | None) -> None:
         """Say what became of a specimen; one that was done before took no time."""
         self.count += 1
-        words, left = _WORDS[member.state], ""
+        words, remaining = _WORDS[member.state], ""
         if seconds is None and member.state in ("whole", "withheld"):
             words = f"{words}, kept"
         elif seconds is not None:
@@ -140,32 +140,32 @@ class _Told:
             words = f"{words} in {seconds:.0f} s"
             if self.total > self.count:
                 rate = (time.monotonic() - self.begin) / self.worked
-                left = f", about {_time((self.total - self.count) * rate)} left"
+                remaining = f", about {_time((self.total - self.count) * rate)} left"
         of = f"/{self.total}" if self.total else ""
-        sentence(f"[{self.count}{of}] {member.name}: {words}{left}", err=True)
+        sentence(f"[{self.count}{of}] {member.name}: {words}{remaining}", err=True)
 
 
 def _dry_run(book: Book, specimens: Sequence[Specimen], compute: Compute, jobs: int) -> int:
     """A table of what would be done; nothing is written."""
     from planish.series.estimate import estimate
 
-    found = [(specimen, estimate(book, specimen, compute)) for specimen in specimens]
+    estimates = [(specimen, estimate(book, specimen, compute)) for specimen in specimens]
     rows = [
-        (one.name, each.words, *(("-",) * 3 if each.seconds is None else (
-            _time(each.seconds), f"{each.memory_bytes / 1e9:.1f} GB", f"{each.disk_bytes / 1e9:.2f} GB"
+        (specimen.name, need.words, *(("-",) * 3 if need.seconds is None else (
+            _time(need.seconds), f"{need.memory_bytes / 1e9:.1f} GB", f"{need.disk_bytes / 1e9:.2f} GB"
         )))
-        for one, each in found
+        for specimen, need in estimates
     ]  # fmt: skip
     table("What would be done", ("specimen", "", "time", "memory", "disk"), rows)
-    open_ = [each for _, each in found if each.seconds is not None]
+    open_ = [each for _, each in estimates if each.seconds is not None]
     seconds = sum(each.seconds or 0.0 for each in open_) / jobs
     memory = jobs * max((each.memory_bytes for each in open_), default=0.0)
     disk = sum(each.disk_bytes for each in open_)
     click.echo(
-        f"{len(open_)} of {len(found)} to do: about {_time(seconds)}, {memory / 1e9:.1f} GB of memory, "
+        f"{len(open_)} of {len(estimates)} to do: about {_time(seconds)}, {memory / 1e9:.1f} GB of memory, "
         f"{disk / 1e9:.2f} GB of disk. Nothing was written."
     )
-    return 0 if open_ or any(each.words.startswith("kept") for _, each in found) else 3
+    return 0 if open_ or any(each.words.startswith("kept") for _, each in estimates) else 3
 
 
 def _time(seconds: float) -> str:

@@ -209,12 +209,12 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     ]
     if "stored" in facts:
         lines.append(f"format: {facts['format']}, {facts['stored']}")
-    what = "pixel" if facts["kind"] == "image" else "voxel"
+    element = "pixel" if facts["kind"] == "image" else "voxel"
     if facts["size_um"]:
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
-        lines += [f"{what} size: {size} um ({axes}), from {facts['size_source']}", f"extent: {extent} um"]
+        lines += [f"{element} size: {size} um ({axes}), from {facts['size_source']}", f"extent: {extent} um"]
     else:
-        lines.append(f"{what} size: not stated")
+        lines.append(f"{element} size: not stated")
     levels = facts["percentiles"]
     if facts["min"] is not None:
         middle = ", ".join(f"{levels[k]:.5g} ({k} %)" for k in levels)

@@ -12,7 +12,17 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.analyze.params import CorrelateParams
-from planish.cli.options import Option, existing, figures_option, given, json_option, made, options, out_option, verb
+from planish.cli.options import (
+    Option,
+    build_params,
+    existing,
+    figures_option,
+    given_options,
+    json_option,
+    options,
+    out_option,
+    verb,
+)
 from planish.cli.runs import (
     compute_options,
     hole_options,
@@ -63,7 +73,10 @@ def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumePar
     """A volume of any kind, how it lies, and what may be used."""
     from planish.pipeline.volume import read_sheet_volume
 
-    params, compute = made(VolumeParams, values, "volume", path=str(path.absolute())), made(Compute, values, "compute")
+    params, compute = (
+        build_params(VolumeParams, values, "volume", path=str(path.absolute())),
+        build_params(Compute, values, "compute"),
+    )
     return read_sheet_volume(params, compute, silent)[0], params, compute
 
 
@@ -72,8 +85,8 @@ def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
     from planish.io import read_image
     from planish.io.params import HOW_IMAGES_ARE_READ
 
-    said = given(values, "image")
-    return read_image(path, **{k: v for k, v in said.items() if k in HOW_IMAGES_ARE_READ})
+    chosen = given_options(values, "image")
+    return read_image(path, **{k: v for k, v in chosen.items() if k in HOW_IMAGES_ARE_READ})
 
 
 @verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",
@@ -91,13 +104,13 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
 
     refuse_existing(out)
     data, params, compute = _volume(volume, values)
-    layer = LayerParams(name="sheet", volume=params, surface=made(SurfaceParams, values, "surface"))
-    found = search_sheet(data, layer, compute=compute)
-    share = float((found["status"].values == 0).mean())
-    summary = f"sheet of {found.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
+    layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values, "surface"))
+    surfaces = search_sheet(data, layer, compute=compute)
+    share = float((surfaces["status"].values == 0).mean())
+    summary = f"sheet of {surfaces.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
     # 'planish measure' finds the grey values again.
-    found = found.assign_attrs({_VOLUME: params.model_dump_json(exclude_none=True)})
-    _write(out, {"surfaces": found}, summary)
+    surfaces = surfaces.assign_attrs({_VOLUME: params.model_dump_json(exclude_none=True)})
+    _write(out, {"surfaces": surfaces}, summary)
 
 
 @verb("planish measure surfaces.zarr -o measured.zarr",
@@ -124,12 +137,12 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
         values = {f"volume__{k}": v for k, v in noted.items()} | {k: v for k, v in values.items() if v is not None}
         if not find_place(path).path.exists():
             raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
-    found = measure_properties(
+    measured = measure_properties(
         data, volume=None if path is None else _volume(path, values)[0],
-        params=made(MeasureParams, values, "properties"),
+        params=build_params(MeasureParams, values, "properties"),
     )  # fmt: skip
-    mean = float(found["thickness"].mean())
-    _write(out, {"surfaces": found}, f"mean thickness {mean:.2f} um along the normals")
+    mean = float(measured["thickness"].mean())
+    _write(out, {"surfaces": measured}, f"mean thickness {mean:.2f} um along the normals")
 
 
 @verb("planish flatten surfaces.zarr -o flat.zarr", "planish flatten surfaces.zarr -o flat.zarr --method relaxation",
@@ -141,15 +154,15 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
     """Develop the centre surface of SURFACES into the plane."""
     from planish.flatten import flatten_sheet
 
-    found = flatten_sheet(
-        _read(surfaces, "surfaces", "'planish surface'"), params=made(FlattenParams, values, "flatten")
+    flattened = flatten_sheet(
+        _read(surfaces, "surfaces", "'planish surface'"), params=build_params(FlattenParams, values, "flatten")
     )
     summary = (
-        f"{found.outcome.value} Edge strain {100 * found.edge_strain_p95:.3f} % (p95), "
-        f"{found.folded_cells} folded cells"
+        f"{flattened.outcome.value} Edge strain {100 * flattened.edge_strain_p95:.3f} % (p95), "
+        f"{flattened.folded_cells} folded cells"
     )
-    _write(out, {"flat": found.flat, "strain": found.strain}, summary)
-    return 4 if found.folded_cells else 0
+    _write(out, {"flat": flattened.flat, "strain": flattened.strain}, summary)
+    return 4 if flattened.folded_cells else 0
 
 
 @verb("planish resample measured.zarr flat.zarr -o maps.zarr",
@@ -159,28 +172,30 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
 @existing("flat")
 @out_option(_STORE)
 @options(FlattenParams, "flatten", "Flattening", only=("map_um",))
-@click.option("--onto", help="Image whose pixels the maps are brought onto; needs --registration.", **_ONE_FILE)
+@click.option(
+    "--onto", "reference", help="Image whose pixels the maps are brought onto; needs --registration.", **_ONE_FILE
+)
 @click.option("--registration", help="marks.json of 'planish register' or of a run.", **_ONE_FILE)
 @image_options
 def resample(
-    measured: Path, flat: Path, out: Path, onto: Path | None, registration: Path | None, **values: Any
+    measured: Path, flat: Path, out: Path, reference: Path | None, registration: Path | None, **values: Any
 ) -> None:  # fmt: skip
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
     from planish.io.run_folder import refuse_existing
     from planish.pipeline import Registration, resample_maps
     from planish.pipeline.compared import compared_image
 
-    if (onto is None) != (registration is None):
+    if (reference is None) != (registration is None):
         raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
     refuse_existing(out)
     data = _read(measured, "surfaces", "'planish measure'")
     coordinates = _read(flat, "flat", "'planish flatten'")
-    map_um = given(values, "flatten").get("map_um")
-    if onto is None or registration is None:
+    map_um = given_options(values, "flatten").get("map_um")
+    if reference is None or registration is None:
         maps = resample_maps(data, coordinates, map_um=map_um)
         _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
         return
-    image = compared_image(_image(onto, values), made(ImageParams, values, "image", path=str(onto)))
+    image = compared_image(_image(reference, values), build_params(ImageParams, values, "image", path=str(reference)))
     linked = resample_maps(data, coordinates, onto=image, registration=Registration.read(registration))
     share = float(linked["valid"].values.mean())
     _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
@@ -201,12 +216,12 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     for path in files:
         refuse_existing(path)
-    side: Side = given(values, "image").get("side", "top")
+    side: Side = given_options(values, "image").get("side", "top")
     shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)
-    found = find_holes(shown, params=made(HoleParams, values, "holes"), side=side)
+    detected = find_holes(shown, params=build_params(HoleParams, values, "holes"), side=side)
     for path in files:
-        write_holes(found, path)
-    click.echo(f"{out}: {check_holes(found).sentence}")
+        write_holes(detected, path)
+    click.echo(f"{out}: {check_holes(detected).sentence}")
 
 
 @verb("planish register sheet-holes.json image-holes.json -o marks.json",
@@ -224,13 +239,13 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     table = out.with_suffix(".csv")
     for path in (out, table):
         refuse_existing(path)
-    found = register_marks(
-        read_holes(moving), read_holes(fixed), params=made(RegistrationParams, values, "registration")
+    registration = register_marks(
+        read_holes(moving), read_holes(fixed), params=build_params(RegistrationParams, values, "registration")
     )
-    found.save(out)
-    write_marks(found.pairs(), table)
-    fit = found.fit
-    for sentence in (found.sentence, found.design, fit.sentence, found.agreement(), *fit.warnings):
+    registration.save(out)
+    write_marks(registration.pairs(), table)
+    fit = registration.fit
+    for sentence in (registration.sentence, registration.design, fit.sentence, registration.agreement(), *fit.warnings):
         if sentence:
             click.echo(sentence)
     click.echo(f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
@@ -255,13 +270,13 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
     if missing := [name for name in names if name not in data]:
         raise InputError(f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}.")
-    found = correlate_maps(data, params=made(CorrelateParams, values, "correlate"))
+    correlated = correlate_maps(data, params=build_params(CorrelateParams, values, "correlate"))
     code = 0
     if is_run(linked):
         results = open_results(linked)
-        found = rows_with_trust(found, results.checks)
+        correlated = rows_with_trust(correlated, results.checks)
         code = exit_code(results)
-    rows = [row for row in found if not names or row.a_map in names]
+    rows = [row for row in correlated if not names or row.a_map in names]
     if as_json:
         click.echo(json.dumps([row.model_dump() for row in rows], indent=2))
         return code
@@ -279,11 +294,11 @@ def report(run: Path, out: Path, figures: bool) -> None:
     from planish.pipeline import open_run
     from planish.report import FIGURES, write_report
 
-    beside = out.absolute().with_name(FIGURES) if figures else None
-    for path in (out, beside):
+    figures_folder = out.absolute().with_name(FIGURES) if figures else None
+    for path in (out, figures_folder):
         if path is not None:
             refuse_existing(path)
-    found = open_run(run)
-    marks = {name: registration.pairs() for name, registration in found.registrations.items()}
-    write_report(out, results=found.results, groups=found.groups, marks=marks, figures=beside)
+    opened = open_run(run)
+    marks = {name: registration.pairs() for name, registration in opened.registrations.items()}
+    write_report(out, results=opened.results, groups=opened.groups, marks=marks, figures=figures_folder)
     click.echo(str(out))

@@ -36,7 +36,7 @@ def new(study: Path, volume: Path, image: Path | None) -> None:
     write_whole(study, draft.text.encode())
     click.echo(f"{study}: written")
     for needed, words in ((True, "fill in"), (False, "look at")):
-        for one in draft.missing:
-            if one.needed is needed:
-                sentence(f"{words} line {one.line}, {one.key}: {one.why}")
+        for gap in draft.missing:
+            if gap.needed is needed:
+                sentence(f"{words} line {gap.line}, {gap.key}: {gap.why}")
     click.echo(f"then: planish run {study}")

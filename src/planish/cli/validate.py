@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.cli.console import table
-from planish.cli.options import json_option, made, options, verb
+from planish.cli.options import build_params, json_option, options, verb
 from planish.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
@@ -44,7 +44,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
         return 0
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
-    ordered = made(SpecimenOptions, values, "specimen")
+    ordered = build_params(SpecimenOptions, values, "specimen")
     from planish.io.run_folder import new_folder, refuse_existing
     from planish.synthetic import write_specimen
 
@@ -106,7 +106,7 @@ def validate(
         click.echo(f"{stage}: {detail}", err=True)
 
     results: list[tuple[Certificate, Sensitivity | None]] = []
-    compute = made(Compute, values, "compute")
+    compute = build_params(Compute, values, "compute")
     for scenario in chosen:
         certificate = replace(run_scenario(scenario, seeds, progress=report, compute=compute), notes=notes)
         grown = (
@@ -116,8 +116,8 @@ def validate(
         if not as_json:
             _show(certificate, grown)
     if as_json:
-        found = [tables.as_json(certificate, grown) for certificate, grown in results]
-        click.echo(json.dumps(found[0] if len(found) == 1 else found, indent=2, allow_nan=False))
+        certificates = [tables.as_json(certificate, grown) for certificate, grown in results]
+        click.echo(json.dumps(certificates[0] if len(certificates) == 1 else certificates, indent=2, allow_nan=False))
     if out is not None:
         with new_folder(out) as folder:
             for certificate, grown in results:
@@ -144,10 +144,10 @@ def _like(run: Path, scenarios: list[Scenario]) -> tuple[list[Scenario], tuple[s
 
     if any(scenario.kind != "line" for scenario in scenarios):
         raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
-    found = like_run(run)
-    for note in found.notes:
+    template = like_run(run)
+    for note in template.notes:
         click.echo(note, err=True)
-    return [found.scenario(scenario) for scenario in scenarios], found.notes
+    return [template.scenario(scenario) for scenario in scenarios], template.notes
 
 
 def _show(certificate: Certificate, grown: Sensitivity | None) -> None:

@@ -45,14 +45,14 @@ def view(
     """
     from planish.app.serve import serve
     from planish.app.session import Session
-    from planish.cli.options import made
+    from planish.cli.options import build_params
 
     if host not in (LOCAL, "localhost") and not expose:
         raise click.UsageError(
             f"--host {host} lets other machines on the network see and change this run, over a connection that is not "
             "encrypted. Give --expose as well if you mean it; for one other machine, an ssh tunnel is safer."
         )
-    shown = None if image is None else made(ImageParams, values, "image", path=str(image))
+    shown = None if image is None else build_params(ImageParams, values, "image", path=str(image))
     session = Session.open(run, shown, read_only=read_only)
 
     def started(url: str) -> None:
