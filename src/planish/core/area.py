@@ -9,8 +9,7 @@ from numpy.typing import NDArray
 from scipy import sparse
 
 from planish.core.bands import Rows, band_of, bands
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 
 class AreaMeans:
@@ -25,30 +24,30 @@ class AreaMeans:
         self._as_it_is = factor == (1, 1)  # a cell is a pixel
         self._enough = least * factor[0] * factor[1] - 1e-9
         self._weight = np.zeros((self._down.shape[0], self._across.shape[0]))
-        self._totals: list[Array] = []
+        self._totals: list[Floats] = []
 
-    def add(self, begin: int, known: NDArray[np.bool_], *maps: NDArray[Any]) -> None:
-        """Add the rows from ``begin`` on of maps, which count where ``known``."""
+    def add(self, begin: int, is_known: NDArray[np.bool_], *maps: NDArray[Any]) -> None:
+        """Add the rows from ``begin`` on of maps, which count where ``is_known``."""
         self._totals = self._totals or [np.zeros(self._weight.shape) for _ in maps]
-        down = self._down[:, begin : begin + known.shape[0]]
+        down = self._down[:, begin : begin + is_known.shape[0]]
         touched = np.flatnonzero(np.diff(down.indptr))
         if not touched.size:
             return
         cells = slice(touched[0], touched[-1] + 1)
-        self._weight[cells] += self._summed(down[cells], known.astype(np.float64))
+        self._weight[cells] += self._summed(down[cells], is_known.astype(np.float64))
         for total, values in zip(self._totals, maps, strict=True):
-            total[cells] += self._summed(down[cells], np.where(known, values, 0.0))
+            total[cells] += self._summed(down[cells], np.where(is_known, values, 0.0))
 
-    def means(self) -> list[Array]:
+    def means(self) -> list[Floats]:
         """The means of each map."""
         enough, weight = self._weight >= self._enough, np.maximum(self._weight, 1e-12)
         return [np.where(enough, total / weight, np.nan) for total in self._totals]
 
-    def _summed(self, down: sparse.csr_array, values: Array) -> Array:
+    def _summed(self, down: sparse.csr_array, values: Floats) -> Floats:
         return values if self._as_it_is else (self._across @ (down @ values).T).T
 
 
-def area_mean(values: Rows, factor: tuple[float, float], *, least: float = 0.5) -> Array:
+def area_mean(values: Rows, factor: tuple[float, float], *, least: float = 0.5) -> Floats:
     """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
 
     Parameters
@@ -65,11 +64,11 @@ def area_mean(values: Rows, factor: tuple[float, float], *, least: float = 0.5) 
     (int(rows / factor), int(cols / factor))
         Cells as of :class:`AreaMeans`.
     """
-    found = AreaMeans((values.shape[0], values.shape[1]), factor, least=least)
+    area_means = AreaMeans((values.shape[0], values.shape[1]), factor, least=least)
     for rows in bands(values.shape[0]):
         part = band_of(values, rows)
-        found.add(rows.start, np.isfinite(part), part)
-    return found.means()[0] if values.shape[0] else np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
+        area_means.add(rows.start, np.isfinite(part), part)
+    return area_means.means()[0] if values.shape[0] else np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
 
 
 def _overlap(count: int, factor: float) -> sparse.csr_array:

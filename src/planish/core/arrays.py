@@ -59,10 +59,10 @@ def check_dataset(data: object, *needed: str, what: str, maker: str, call: str) 
         raise not_taken(data, what, call.format(maker), call)
 
 
-def check_path(path: object, what: str, call: str, instead: str) -> Path:
+def check_path(path: object, needed: str, call: str, instead: str) -> Path:
     """Return a path; ``instead`` is what to write for an object in memory."""
     if not isinstance(path, str | Path):
-        raise not_taken(path, what, instead, call)
+        raise not_taken(path, needed, instead, call)
     return Path(path)
 
 
@@ -128,9 +128,9 @@ def described(value: object) -> str:
     return "None" if value is None else f"{'an' if kind[0] in 'AEIOUaeiou' else 'a'} {kind}"
 
 
-def not_taken(value: object, what: str, instead: str, call: str) -> InputError:
+def not_taken(value: object, needed: str, instead: str, call: str) -> InputError:
     """The error for an object that a function does not take."""
-    return InputError(f"{call.partition('(')[0]} takes {what}, and {described(value)} was given. Write {instead}.")
+    return InputError(f"{call.partition('(')[0]} takes {needed}, and {described(value)} was given. Write {instead}.")
 
 
 def _checked(array: object, kind: Kind, call: str) -> tuple[float, ...]:
@@ -145,10 +145,10 @@ def _checked(array: object, kind: Kind, call: str) -> tuple[float, ...]:
         raise SizeError(f"The {kind.name} has no size along its axes. Write {call.format(instead_of(array, kind))}.")
     size = tuple(float(step or at_axis) for step, at_axis in zip(steps, stated or (1.0,) * len(steps), strict=True))
     if stated is not None and not all(map(agree, size, stated)):
-        said, held = (", ".join(f"{value:.6g}" for value in values) for values in (size, stated))
+        spacing, attribute = (", ".join(f"{value:.6g}" for value in values) for values in (size, stated))
         raise SizeError(
-            f"The {kind.name} contradicts itself: its coordinates have steps of {said} um ({', '.join(kind.axes)}), "
-            f"its attribute {kind.size} says {held}. If the coordinates are right, write pl.{kind.name}({kind.name}, "
-            f"{kind.size}=({said}))."
+            f"The {kind.name} contradicts itself: its coordinates have steps of {spacing} um ({', '.join(kind.axes)}), "
+            f"its attribute {kind.size} says {attribute}. If the coordinates are right, write pl.{kind.name}({kind.name}, "
+            f"{kind.size}=({spacing}))."
         )
     return size if stated is None else tuple(map(float, stated))

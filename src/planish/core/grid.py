@@ -11,8 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, SurfaceError
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 _ALL = slice(None)
 
@@ -29,8 +28,8 @@ class Grid:
         Pitch of rows and columns; from the first two coordinates where None.
     """
 
-    y_um: Array
-    x_um: Array
+    y_um: Floats
+    x_um: Floats
     step_um: tuple[float, float] | None = None
 
     @classmethod
@@ -96,18 +95,18 @@ def check_same_grid(first: xr.Dataset, second: xr.Dataset) -> None:
             )
 
 
-def filled(field: Array) -> Array:
+def filled(field: Floats) -> Floats:
     """Return a field with the nearest known value in place of every NaN; one of NaN only as it is."""
     from scipy import ndimage
 
-    known = np.isfinite(field)
-    if not known.any():
+    is_finite = np.isfinite(field)
+    if not is_finite.any():
         return field.copy()
-    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    nearest = ndimage.distance_transform_edt(~is_finite, return_distances=False, return_indices=True)
     return field[tuple(nearest)]
 
 
-def bilinear(field: NDArray[Any], row: Array, col: Array) -> Array:
+def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:
     """Values of a field (rows, cols) at fractional rows and columns; NaN outside the middles of its outer pixels."""
     rows, cols = field.shape
     inside = (row >= 0) & (row <= rows - 1) & (col >= 0) & (col <= cols - 1)
@@ -119,7 +118,7 @@ def bilinear(field: NDArray[Any], row: Array, col: Array) -> Array:
     return np.where(inside, top * (1 - down) + low * down, np.nan)
 
 
-def values_at(maps: xr.Dataset, names: Sequence[str], points: Array) -> Array:
+def values_at(maps: xr.Dataset, names: Sequence[str], points: Floats) -> Floats:
     """Values (n, names) of maps (y, x) or (v, u) at points (n, 2), (x, y) or (u, v) in um; NaN outside."""
     grid = Grid.of(maps)
     (x, y), (down, across) = grid.origin_um, grid.pixel_um

@@ -27,26 +27,27 @@ def njit(**options: Any) -> Callable[[Callable[..., Any]], Any]:
 
     def compiled(function: Callable[..., Any]) -> Any:
         with _LOCK:
-            given = _CONFIG.CACHE_DIR
-            _CONFIG.CACHE_DIR = cache_folder(given)
+            previous = _CONFIG.CACHE_DIR
+            _CONFIG.CACHE_DIR = cache_folder(previous)
             try:
                 return numba.njit(**options)(function)
             finally:
-                _CONFIG.CACHE_DIR = given
+                _CONFIG.CACHE_DIR = previous
 
     return compiled
 
 
 @cache
-def cache_folder(given: str) -> str:
-    """Give the folder for code of this installation, in NUMBA_CACHE_DIR (``given``) or the user's folder for caches.
+def cache_folder(numba_dir: str) -> str:
+    """Give the folder for code of this installation, in NUMBA_CACHE_DIR (``numba_dir``) or the user's cache folder.
 
     It is another where the sources of the kernels are others: numba sees a change of a kernel's own file, but not of
-    those that the kernel calls. Where no folder can be written, it is ``given``, and numba looks for one itself.
+    those that the kernel calls. Where no folder can be written, it is ``numba_dir``, and numba looks for one itself.
     """
     installation = f"planish-{hashlib.sha256(os.fsencode(PACKAGE)).hexdigest()[:16]}-"
     user = Path(AppDirs("numba", appauthor=False).user_cache_dir)
-    bases = [*([Path(given)] if given else []), *([user] if user.is_absolute() else [])]  # relative: without a home
+    # The user's folder is relative where there is no home.
+    bases = [*([Path(numba_dir)] if numba_dir else []), *([user] if user.is_absolute() else [])]
     for base in bases:
         folder = base / f"{installation}{hash_sources('_*kernels.py')}"
         try:
@@ -58,4 +59,4 @@ def cache_folder(given: str) -> str:
             if older != folder:
                 shutil.rmtree(older, ignore_errors=True)
         return str(folder)
-    return given
+    return numba_dir

@@ -46,19 +46,19 @@ class LazyArray(ABC):
         """Read what integers and slices select."""
         keys = key if isinstance(key, tuple) else (key,)
         if Ellipsis in keys:
-            at = keys.index(Ellipsis)
-            keys = keys[:at] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[at + 1 :]
+            ellipsis_axis = keys.index(Ellipsis)
+            keys = keys[:ellipsis_axis] + (slice(None),) * (len(self.shape) - len(keys) + 1) + keys[ellipsis_axis + 1 :]
         keys += (slice(None),) * (len(self.shape) - len(keys))
         where: list[slice] = []
         after: list[Any] = []
-        for one, n in zip(keys, self.shape, strict=True):
-            if isinstance(one, slice):
-                places = range(n)[one]
+        for index, n in zip(keys, self.shape, strict=True):
+            if isinstance(index, slice):
+                places = range(n)[index]
                 ordered = places if places.step > 0 else places[::-1]
                 where.append(slice(ordered.start, ordered.stop, ordered.step))
                 after.append(slice(None, None, 1 if places.step > 0 else -1))
             else:
-                place = range(n)[int(one)]
+                place = range(n)[int(index)]
                 where.append(slice(place, place + 1, 1))
                 after.append(0)
         shape = tuple(len(range(s.start, s.stop, s.step)) for s in where)
@@ -66,8 +66,8 @@ class LazyArray(ABC):
             part = self.read(tuple(where)) if all(shape) else np.empty(shape, self.dtype)
             chosen = part[tuple(after)]
             # A view would keep the whole file mapped, or the slice that it was cut from.
-            own = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
-            return np.ascontiguousarray(chosen, self.dtype) if own else np.array(chosen, dtype=self.dtype)
+            is_copy = chosen.base is None or (chosen.base is part and part.base is None and chosen.size == part.size)
+            return np.ascontiguousarray(chosen, self.dtype) if is_copy else np.array(chosen, dtype=self.dtype)
 
 
 def labelled(

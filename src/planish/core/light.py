@@ -7,12 +7,12 @@ P. Kubelka, J. Opt. Soc. Am. 38, 448 (1948).
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 
-def layer_over(backing: ArrayLike, scattering: ArrayLike, absorption: ArrayLike, weight: ArrayLike) -> Array:
+def layer_over(backing: ArrayLike, scattering: ArrayLike, absorption: ArrayLike, weight: ArrayLike) -> Floats:
     """Reflectance of a layer over a backing; all arguments broadcast.
 
     ``R = [1 - Rg (a - b coth(b s W))] / [a - Rg + b coth(b s W)]`` with ``a = (s + k) / s`` and ``b^2 = a^2 - 1``,

@@ -101,26 +101,26 @@ def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
     if is_new(file.read(520)):
         import h5py  # pyright: ignore[reportMissingTypeStubs]
 
-        with h5py.File(file, "r") as held:
-            whole: Any = held[variable.name]
+        with h5py.File(file, "r") as opened:
+            whole: Any = opened[variable.name]
             return np.asarray(whole[()]).T
     from scipy.io import loadmat
 
     file.seek(0)
     try:
-        found: NDArray[Any] = loadmat(cast("Any", file), variable_names=[variable.name])[variable.name]
+        array: NDArray[Any] = loadmat(cast("Any", file), variable_names=[variable.name])[variable.name]
     except (OSError, zlib.error, ValueError, TypeError, KeyError, OverflowError) as error:
         raise Damaged(f"the values of {variable.name} cannot be read: {error}") from error
-    if found.shape != variable.shape:
+    if array.shape != variable.shape:
         raise Damaged(f"the values of {variable.name} are not those of its heading")
-    return found.astype(NUMBERS[variable.kind], copy=False)
+    return array.astype(NUMBERS[variable.kind], copy=False)
 
 
 def _variables_new(file: BinaryIO) -> Iterator[Variable]:
     import h5py  # pyright: ignore[reportMissingTypeStubs]
 
-    with h5py.File(file, "r") as held:
-        opened: Any = held
+    with h5py.File(file, "r") as hdf5:
+        opened: Any = hdf5
         for key in opened:
             # A link, external storage or a virtual data set could lead to any file of the machine.
             if not isinstance(opened.get(key, getlink=True), h5py.HardLink):
@@ -140,24 +140,24 @@ def _variables_new(file: BinaryIO) -> Iterator[Variable]:
 def _variables_5(file: BinaryIO, mark: bytes) -> Iterator[Variable]:
     order = "<" if mark == b"IM" else ">"
     end = file.seek(0, 2)
-    at = _HEADING
-    while at + 8 <= end:
-        file.seek(at)
+    offset = _HEADING
+    while offset + 8 <= end:
+        file.seek(offset)
         kind, size = struct.unpack(f"{order}II", file.read(8))
-        if at + 8 + size > end:
+        if offset + 8 + size > end:
             raise Damaged("a variable is longer than the file")
         packed = kind == _COMPRESSED
         if packed:
             head = zlib.decompressobj().decompress(file.read(min(size, 4 * _HEAD)), _HEAD)
         elif kind == _MATRIX:
-            file.seek(at)
+            file.seek(offset)
             head = file.read(min(8 + size, _HEAD))
         else:
             raise Damaged(f"it holds an element of type {kind} where a variable should be")
-        found = _variable_5(head, order)
-        if found is not None:
-            yield found
-        at += 8 + size
+        variable = _variable_5(head, order)
+        if variable is not None:
+            yield variable
+        offset += 8 + size
 
 
 def _variable_5(head: bytes, order: str) -> Variable | None:
@@ -167,7 +167,7 @@ def _variable_5(head: bytes, order: str) -> Variable | None:
         raise Damaged("what was compressed is no variable")
     if not whole:
         return None
-    kind, start, size, at = _element(head, 8, order)
+    kind, start, size, offset = _element(head, 8, order)
     if (kind, size) != (_UINT32, 8):
         raise Damaged("a variable has no flags")
     flags = struct.unpack_from(f"{order}I", head, start)[0]
@@ -176,19 +176,19 @@ def _variable_5(head: bytes, order: str) -> Variable | None:
     word = _CLASSES[(flags & 0xFF) - 1]
     if word == "opaque":
         return None  # of MATLAB's own objects only the flags are alike
-    kind, start, size, at = _element(head, at, order)
+    kind, start, size, offset = _element(head, offset, order)
     if kind != _INT32 or size % 4 or not 8 <= size <= 4 * _MOST_AXES:
         raise Damaged("a variable has no shape")
     shape = struct.unpack_from(f"{order}{size // 4}i", head, start)
     if min(shape) < 0:
         raise Damaged("a variable has a negative size")
-    kind, start, size, at = _element(head, at, order)
+    kind, start, size, offset = _element(head, offset, order)
     if kind != _INT8 or size > _LONGEST_NAME:
         raise Damaged("a variable has no name")
     name = head[start : start + size].decode("utf-8", "replace")
     if word not in NUMBERS or not math.prod(shape):
         return Variable(name=name, shape=shape, kind=word, real=word in NUMBERS)
-    kind, _, size, _ = _element(head, at, order)
+    kind, _, size, _ = _element(head, offset, order)
     if kind not in _TYPES or size != math.prod(shape) * np.dtype(_TYPES[kind]).itemsize:
         raise Damaged(f"a variable of shape {shape} holds {size} bytes of type {kind}")
     if size > whole:
@@ -198,33 +198,33 @@ def _variable_5(head: bytes, order: str) -> Variable | None:
     return Variable(name=name, shape=shape, kind=word, real=not marks)
 
 
-def _element(head: bytes, at: int, order: str) -> tuple[int, int, int, int]:
+def _element(head: bytes, offset: int, order: str) -> tuple[int, int, int, int]:
     """Type, start and size of an element's bytes, and where the next one begins."""
-    kind, size = struct.unpack_from(f"{order}II", head, at)
+    kind, size = struct.unpack_from(f"{order}II", head, offset)
     if kind >> 16:  # a small one: size and type share a word, four bytes follow
         kind, size = kind & 0xFFFF, kind >> 16
         if size > 4:
             raise Damaged("a small element is too long")
-        return kind, at + 4, size, at + 8
-    return kind, at + 8, size, at + 8 + (size + 7) // 8 * 8
+        return kind, offset + 4, size, offset + 8
+    return kind, offset + 8, size, offset + 8 + (size + 7) // 8 * 8
 
 
 def _variables_4(file: BinaryIO) -> Iterator[Variable]:
-    end, at = file.seek(0, 2), 0
+    end, offset = file.seek(0, 2), 0
     if not end:
         raise Damaged("it is empty")
-    while at < end:
-        file.seek(at)
+    while offset < end:
+        file.seek(offset)
         head = file.read(20)
         order = "<" if 0 <= struct.unpack_from("<i", head)[0] < 1000 else ">"
         kind, rows, columns, imaginary, length = struct.unpack(f"{order}5i", head)
-        machine, precision, what = kind // 1000, kind // 10 % 10, kind % 10
-        wrong = machine != (0 if order == "<" else 1) or kind // 100 % 10 or precision > 5 or what > 2
+        machine, precision, matrix_class = kind // 1000, kind // 10 % 10, kind % 10
+        wrong = machine != (0 if order == "<" else 1) or kind // 100 % 10 or precision > 5 or matrix_class > 2
         if wrong or min(rows, columns) < 0 or imaginary not in (0, 1) or not 0 < length < 1000:
             raise Damaged("it does not begin as a MATLAB file")
         name = file.read(length).rstrip(b"\0").decode("ascii", "replace")
-        at += 20 + length + rows * columns * _SIZES_4[precision] * (1 + imaginary)
-        if at > end:
+        offset += 20 + length + rows * columns * _SIZES_4[precision] * (1 + imaginary)
+        if offset > end:
             raise Damaged("it ends early")
-        word = ("double", "char", "sparse")[what] if not imaginary else "complex"
+        word = ("double", "char", "sparse")[matrix_class] if not imaginary else "complex"
         yield Variable(name=name, shape=(rows, columns), kind=word, real=word == "double")

@@ -33,16 +33,16 @@ _ADVICE = (
 def toml_mistake(error: tomllib.TOMLDecodeError, text: str) -> str:
     """Say where a text stops being TOML, and what to write there."""
     words = str(error)
-    found = re.search(r"\(at line (\d+), column (\d+)\)", words)
+    match = re.search(r"\(at line (\d+), column (\d+)\)", words)
     lines = text.splitlines()
-    if found is None or not 0 < int(found[1]) <= len(lines):
+    if match is None or not 0 < int(match[1]) <= len(lines):
         return f"{words}."
-    line = lines[int(found[1]) - 1]
+    line = lines[int(match[1]) - 1]
     advice = next(
         (f" {what}" for pattern, kinds, what in _ADVICE
          if pattern.search(line) and (not kinds or any(kind in words for kind in kinds))), ""
     )  # fmt: skip
-    return f"line {found[1]}, column {found[2]}: {words[: found.start()].strip()}: {line.strip()[:80]}.{advice}"
+    return f"line {match[1]}, column {match[2]}: {words[: match.start()].strip()}: {line.strip()[:80]}.{advice}"
 
 
 def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> list[str]:
@@ -56,19 +56,19 @@ def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> li
     place : callable
         Gives key and line in the file.
     """
-    found: list[tuple[int, str]] = []
-    seen: set[Key] = set()
+    sentences: list[tuple[int, str]] = []
+    named_keys: set[Key] = set()
     for fault in error.errors(include_url=False):
         loc = _within(tuple(fault["loc"]))
         key, line = place(loc)
-        if key in seen and key:  # of a value that may be of several kinds, the first kind says enough
+        if key in named_keys and key:  # of a value that may be of several kinds, the first kind says enough
             continue
-        seen.add(key)
+        named_keys.add(key)
         where = ".".join(map(str, key))
-        at = f"line {line}" if line is not None else ""
-        head = ", ".join(filter(None, (at, where)))
-        found.append((line or 0, f"{head}: {_words(fault, loc, model)}" if head else _words(fault, loc, model)))
-    return [text for _, text in sorted(found, key=lambda one: one[0])]
+        line_text = f"line {line}" if line is not None else ""
+        head = ", ".join(filter(None, (line_text, where)))
+        sentences.append((line or 0, f"{head}: {_words(fault, loc, model)}" if head else _words(fault, loc, model)))
+    return [text for _, text in sorted(sentences, key=lambda sentence: sentence[0])]
 
 
 def _within(loc: Key) -> Key:
@@ -116,12 +116,12 @@ def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
 
 def _models_at(place: Key, model: type[BaseModel]) -> list[type[BaseModel]]:
     """Models that may stand at a place, which has names of fields, numbers, and names of alternatives."""
-    found = [model]
+    models = [model]
     for part in place:
         if isinstance(part, str):
-            inner = [k for m in found if part in m.model_fields for k in models_in(m.model_fields[part].annotation)]
-            found = inner or found
-    return found
+            inner = [k for m in models if part in m.model_fields for k in models_in(m.model_fields[part].annotation)]
+            models = inner or models
+    return models
 
 
 def models_in(annotation: Any) -> Sequence[type[BaseModel]]:

@@ -33,8 +33,8 @@ def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
         return "Windows keeps that name for a device"
     if name != name.rstrip(". "):
         return "Windows drops a dot or a blank at the end of a name"
-    if windows and (found := [sign for sign in name if sign in _NOT_ON_WINDOWS or ord(sign) < 32]):
-        return f"Windows takes no {' '.join(map(repr, found))} in a name"
+    if windows and (forbidden := [sign for sign in name if sign in _NOT_ON_WINDOWS or ord(sign) < 32]):
+        return f"Windows takes no {' '.join(map(repr, forbidden))} in a name"
     return None
 
 

@@ -31,7 +31,7 @@ class Params(BaseModel):
 P = TypeVar("P", bound=Params)
 
 
-def params_of(model: type[P], given: P | Mapping[str, Any] | None, call: str) -> P:
+def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str) -> P:
     """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
     Raises
@@ -39,17 +39,17 @@ def params_of(model: type[P], given: P | Mapping[str, Any] | None, call: str) ->
     InputError
         If it is something else, or has fields that are unknown or out of range; all faults are named.
     """
-    if given is None or isinstance(given, model):
-        return given or model()
-    if not isinstance(given, Mapping):
+    if options is None or isinstance(options, model):
+        return options or model()
+    if not isinstance(options, Mapping):
         raise InputError(
-            f"{call} takes options as {model.__name__} or as a dict, and {given!r} was given. Its options are "
+            f"{call} takes options as {model.__name__} or as a dict, and {options!r} was given. Its options are "
             f"{', '.join(model.model_fields)}."
         )
     from planish.core.mistakes import mistakes
 
     try:
-        return model.model_validate(by_field(model, given))
+        return model.model_validate(by_field(model, options))
     except ValidationError as error:
         flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
         faults = "; ".join(
@@ -109,10 +109,10 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
         yield name, field, Shown(flags=tuple(flags.split()), metavar=noted["metavar"], repeat=noted["repeat"])
 
 
-def by_field(model: type[Params], given: Mapping[str, Any]) -> dict[str, Any]:
+def by_field(model: type[Params], options: Mapping[str, Any]) -> dict[str, Any]:
     """Options by the names of their fields, where the command line has another word: ``maps`` for ``property``."""
     words = {flag[2:].replace("-", "_"): name for name, _, shown in options_of(model) for flag in shown.flags}
-    return {words.get(word, word): value for word, value in given.items()}
+    return {words.get(word, word): value for word, value in options.items()}
 
 
 def spoken(model: type[Params], *names: str) -> str:

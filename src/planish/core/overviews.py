@@ -43,15 +43,15 @@ def halved(maps: xr.Dataset) -> xr.Dataset:
     """Maps with pixels twice as wide; the last row and column of an odd number stand for themselves."""
     names = [str(name) for name, data in maps.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"]
     coords = {str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims}
-    found = {name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs) for name in names}
-    return xr.Dataset(found, coords=coords, attrs=maps.attrs)
+    variables = {name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs) for name in names}
+    return xr.Dataset(variables, coords=coords, attrs=maps.attrs)
 
 
-def middles(at: NDArray[np.float64]) -> NDArray[np.float64]:
+def middles(centres: NDArray[np.float64]) -> NDArray[np.float64]:
     """Middles of the pixels that are twice as wide."""
-    if at.size < 2:
-        return at
-    return at[0] + (at[1] - at[0]) * (0.5 + 2 * np.arange((at.size + 1) // 2))
+    if centres.size < 2:
+        return centres
+    return centres[0] + (centres[1] - centres[0]) * (0.5 + 2 * np.arange((centres.size + 1) // 2))
 
 
 def halved_values(values: NDArray[Any]) -> NDArray[Any]:

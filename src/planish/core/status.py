@@ -40,9 +40,9 @@ FIRST_OWN = 10
 
 
 def status_flags(
-    title: str = "Status", *, last: Status = Status.PARTICLE, own: Sequence[str] = ()
+    title: str = "Status", *, last: Status = Status.PARTICLE, reasons: Sequence[str] = ()
 ) -> dict[str, object]:
     """Attributes of a map of status codes: the codes up to ``last``, and a property's own reasons."""
-    values = [*range(last + 1), *range(FIRST_OWN, FIRST_OWN + len(own))]
-    meanings = [*(status.label for status in Status if status <= last), *own]
+    values = [*range(last + 1), *range(FIRST_OWN, FIRST_OWN + len(reasons))]
+    meanings = [*(status.label for status in Status if status <= last), *reasons]
     return {"long_name": title, "flag_values": values, "flag_meanings": " ".join(meanings)}

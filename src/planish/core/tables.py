@@ -178,10 +178,10 @@ def parse_table(
         Of the class `error`, if the table is empty.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
-    found = split_rows(text)
-    if not found.rows:
+    parsed = split_rows(text)
+    if not parsed.rows:
         raise error(f"{name} is empty. {advice}")
-    first, *others = found.rows
+    first, *body = parsed.rows
     header = [cell.lower() for cell in first.cells]
     faults: list[str] = []
     missing = [column for column in needed if column not in header]
@@ -190,15 +190,15 @@ def parse_table(
         faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice.rstrip('.')}")
     if twice:
         faults.append(f"columns given twice: {', '.join(twice)}")
-    faults += found.faults
-    wrong = [row for row in others if len(row.cells) != len(header)]
+    faults += parsed.faults
+    wrong = [row for row in body if len(row.cells) != len(header)]
     faults += [f"row {row.line} has {len(row.cells)} columns, the header {len(header)}" for row in wrong]
-    if found.delimiter == "," and any(len(row.cells) > len(header) for row in wrong):
+    if parsed.delimiter == "," and any(len(row.cells) > len(header) for row in wrong):
         faults[-1] += " (decimal commas need semicolons between the columns)"
-    rows = [row for row in others if len(row.cells) == len(header)]
+    rows = [row for row in body if len(row.cells) == len(header)]
     return Table(
-        name=name, header=header, rows=rows, comments=found.comments, error=error,
-        decimal_comma=found.delimiter != ",", faults=faults,
+        name=name, header=header, rows=rows, comments=parsed.comments, error=error,
+        decimal_comma=parsed.delimiter != ",", faults=faults,
     )  # fmt: skip
 
 
@@ -211,8 +211,8 @@ def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[P
 
 def model_faults(error: ValidationError, where: Sequence[str] = ()) -> list[str]:
     """Say what pydantic found in a file; ``where`` is put before the place of each fault."""
-    found = error.errors(include_url=False, include_input=False)
-    return [f"{'.'.join(map(str, (*where, *e['loc']))) or 'the file'}: {e['msg']}" for e in found]
+    faults = error.errors(include_url=False, include_input=False)
+    return [f"{'.'.join(map(str, (*where, *e['loc']))) or 'the file'}: {e['msg']}" for e in faults]
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False) -> str:

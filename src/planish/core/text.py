@@ -21,7 +21,7 @@ def quoted(path: str) -> str:
     return f'"{path}"' if " " in path else path
 
 
-def likely(name: str, known: Iterable[str]) -> str:
+def likely(name: str, words: Iterable[str]) -> str:
     """Name the word that was probably meant, as the end of a message; nothing where none is close.
 
     Examples
@@ -29,5 +29,5 @@ def likely(name: str, known: Iterable[str]) -> str:
     >>> likely("coatng_top", ["coating_top", "thickness"])
     ' Did you mean coating_top?'
     """
-    close = get_close_matches(name, list(known), n=1, cutoff=0.6)
+    close = get_close_matches(name, list(words), n=1, cutoff=0.6)
     return f" Did you mean {close[0]}?" if close else ""

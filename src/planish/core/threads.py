@@ -72,20 +72,20 @@ def available() -> int:
     ``PYTHON_CPU_COUNT`` if it is set; else those of its affinity (``taskset``), and no more than its control group's
     share of time (containers, batch systems).
     """
-    given = os.environ.get("PYTHON_CPU_COUNT", "")
-    if given.isdigit() and int(given) > 0:
-        return int(given)
+    setting = os.environ.get("PYTHON_CPU_COUNT", "")
+    if setting.isdigit() and int(setting) > 0:
+        return int(setting)
     count = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
     return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
 
 
-def _quotas(own: Path, groups: Path) -> list[int]:
+def _quotas(cgroup_file: Path, groups: Path) -> list[int]:
     """Processors that the limits of the process's control groups (version 1 and 2) amount to, rounded up."""
     try:
-        lines = [line.split(":", 2) for line in own.read_text(encoding="utf-8", errors="replace").splitlines()]
+        lines = [line.split(":", 2) for line in cgroup_file.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError:
         return []
-    found: list[int] = []
+    quotas: list[int] = []
     for _, controllers, path in (line for line in lines if len(line) == 3):
         if controllers and "cpu" not in controllers.split(","):
             continue
@@ -99,10 +99,10 @@ def _quotas(own: Path, groups: Path) -> list[int]:
                         (place / name).read_text(encoding="ascii", errors="replace") for name in files
                     ).split()
                     if int(limit) > 0 and int(period) > 0:
-                        found.append(-(-int(limit) // int(period)))
+                        quotas.append(-(-int(limit) // int(period)))
                 except (OSError, ValueError):  # not there, or "max"
                     continue
-    return found
+    return quotas
 
 
 @contextmanager

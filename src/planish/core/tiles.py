@@ -97,13 +97,13 @@ class Engine:
         return count_threads(self.threads)
 
     def map(
-        self, what: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]
+        self, step: str, work: Callable[[Job, Tile], Result], job: Callable[[Tile], Job], tiles: Sequence[Tile]
     ) -> Iterator[tuple[Tile, Result]]:
         """Give every tile and its result, in the order of ``tiles``.
 
         Parameters
         ----------
-        what : str
+        step : str
             Names the results that are kept.
         work : callable
             A function of a module; it gets the job of a tile and the tile, and returns one array.
@@ -118,15 +118,15 @@ class Engine:
             if isinstance(future, np.ndarray):
                 return tile, future
             result = future.result()
-            self._keep(what, tile, result)
+            self._keep(step, tile, result)
             return tile, result
 
         with thread_pool(self.threads) if self.executor is None else nullcontext(self.executor) as pool:
             try:
                 for tile in tiles:
-                    place = self._place(what, tile)
-                    kept = place is not None and place.is_file()
-                    waiting.append((tile, np.load(place) if place and kept else pool.submit(work, job(tile), tile)))
+                    place = self._place(step, tile)
+                    stored = place is not None and place.is_file()
+                    waiting.append((tile, np.load(place) if place and stored else pool.submit(work, job(tile), tile)))
                     if len(waiting) >= self.at_once + _AHEAD:
                         yield take()
                 while waiting:
@@ -136,12 +136,12 @@ class Engine:
                     if not isinstance(future, np.ndarray):
                         future.cancel()
 
-    def _place(self, what: str, tile: Tile) -> Path | None:
+    def _place(self, step: str, tile: Tile) -> Path | None:
         # Named by what it covers: with another memory or number of threads the tiles are others.
-        return None if self.kept is None else self.kept / what / ("-".join(map(str, tile)) + ".npy")
+        return None if self.kept is None else self.kept / step / ("-".join(map(str, tile)) + ".npy")
 
-    def _keep(self, what: str, tile: Tile, result: Result) -> None:
-        place = self._place(what, tile)
+    def _keep(self, step: str, tile: Tile, result: Result) -> None:
+        place = self._place(step, tile)
         if place is None:
             return
         place.parent.mkdir(parents=True, exist_ok=True)

@@ -37,25 +37,25 @@ def key_lines(text: str) -> KeyLines:
     lines: dict[Key, int] = {}
     counts: dict[Key, int] = {}
     base: Key = ()
-    at = _end(_SKIPPED, text, 0)
-    while at < len(text):
-        line = text.count("\n", 0, at) + 1
-        brackets = 2 if text.startswith("[[", at) else 1 if text[at] == "[" else 0
-        found = _DOTTED.match(text, at + brackets)
-        if found is None:  # no TOML: what is found so far has to do
+    position = _end(_SKIPPED, text, 0)
+    while position < len(text):
+        line = text.count("\n", 0, position) + 1
+        brackets = 2 if text.startswith("[[", position) else 1 if text[position] == "[" else 0
+        match = _DOTTED.match(text, position + brackets)
+        if match is None:  # no TOML: what is found so far has to do
             break
-        names = [part.strip("\"'") for part in _ONE.findall(found[1])]
+        names = [part.strip("\"'") for part in _ONE.findall(match[1])]
         if brackets:
             base = _table(names, counts, array=brackets == 2)
             for k in range(1, len(base)):
                 lines.setdefault(base[:k], line)
-            at = found.end() + brackets
+            position = match.end() + brackets
         else:
             for k in range(1, len(names)):
                 lines.setdefault((*base, *names[:k]), line)
-            at = _end_of_value(text, found.end())
+            position = _end_of_value(text, match.end())
         lines.setdefault(base if brackets else (*base, *names), line)
-        at = _end(_SKIPPED, text, at)
+        position = _end(_SKIPPED, text, position)
     return KeyLines(lines)
 
 
@@ -71,17 +71,17 @@ def _table(names: list[str], counts: dict[Key, int], *, array: bool) -> Key:
     return key
 
 
-def _end_of_value(text: str, at: int) -> int:
+def _end_of_value(text: str, position: int) -> int:
     """Where the line ends on which a value ends that begins behind the sign of equality."""
     depth = 0
-    while at < len(text) and (found := _TOKEN.match(text, at)):
-        at = found.end()
-        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(found[0], 0)
-        if found[0] == "\n" and depth <= 0:
+    while position < len(text) and (match := _TOKEN.match(text, position)):
+        position = match.end()
+        depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0)
+        if match[0] == "\n" and depth <= 0:
             break
-    return at
+    return position
 
 
-def _end(pattern: re.Pattern[str], text: str, at: int) -> int:
-    found = pattern.match(text, at)
-    return found.end() if found else at
+def _end(pattern: re.Pattern[str], text: str, position: int) -> int:
+    match = pattern.match(text, position)
+    return match.end() if match else position

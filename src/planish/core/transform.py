@@ -190,9 +190,9 @@ class Projective(NearSimilarity):
     def _projected(self, points: ArrayLike) -> tuple[Floats, Floats]:
         """Numerators (..., 2) and denominator (...)."""
         h = np.array(self.homography)
-        at = (np.asarray(points, dtype=np.float64) - self.source) / self.source_size
-        below = at @ h[2, :2] + h[2, 2]
-        return at @ h[:2, :2].T + h[:2, 2], np.where(below > 0, below, np.nan)
+        scaled = (np.asarray(points, dtype=np.float64) - self.source) / self.source_size
+        below = scaled @ h[2, :2] + h[2, 2]
+        return scaled @ h[:2, :2].T + h[:2, 2], np.where(below > 0, below, np.nan)
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN, and is the image of what lies behind."""

@@ -178,7 +178,7 @@ def _dataset(
         variables[f"{prop.name}_se"] = (("y", "x"), se, {"units": prop.units, "long_name": title})
         if prop.reasons:
             own_status = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
-            flags = status_flags(f"Status of {prop.long_name}", last=Status.RAY_LEAVES_VOLUME, own=prop.reasons)
+            flags = status_flags(f"Status of {prop.long_name}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons)
             variables[f"{prop.name}_status"] = (("y", "x"), own_status, flags)
     variables["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
     used = {"rays": frame.params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
