@@ -148,7 +148,7 @@ def _checked(array: object, kind: Kind, call: str) -> tuple[float, ...]:
         spacing, attribute = (", ".join(f"{value:.6g}" for value in values) for values in (size, stated))
         raise SizeError(
             f"The {kind.name} contradicts itself: its coordinates have steps of {spacing} um ({', '.join(kind.axes)}), "
-            f"its attribute {kind.size} says {attribute}. If the coordinates are right, write pl.{kind.name}({kind.name}, "
-            f"{kind.size}=({spacing}))."
+            f"its attribute {kind.size} says {attribute}. If the coordinates are right, write "
+            f"pl.{kind.name}({kind.name}, {kind.size}=({spacing}))."
         )
     return size if stated is None else tuple(map(float, stated))
