@@ -16,7 +16,7 @@ import pytest
 import tifffile
 
 from app.asgi import HOST, TOKEN, Client
-from planish.app.apply import STAGED, Before, order_of, place_of
+from planish.app.apply import STAGED, OriginalRun, order_of, place_of
 from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
 from planish.app.server import create_app
@@ -58,7 +58,7 @@ def do(session, **change):
 
 
 def ordered(session):
-    return order_of(Before.of(session), session.state, session.folder / STAGED)
+    return order_of(OriginalRun.of(session), session.state, session.folder / STAGED)
 
 
 def made(session):

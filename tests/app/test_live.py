@@ -15,10 +15,10 @@ import pytest
 from planish.app.changes import Import, Mark, change_of
 from planish.app.fits import fitted
 from planish.app.live import Live
+from planish.app.outliers import find_outliers
 from planish.app.pictures import Pictures
 from planish.app.session import Session
 from planish.app.snap import snapped
-from planish.app.standing_out import standing_out
 from planish.register import RegistrationParams, fit_transform
 
 PARAMS = RegistrationParams()
@@ -88,7 +88,7 @@ def test_right_marks_are_seldom_named(n):
     named = 0
     for seed in range(200):
         moving, fixed, _ = pairs(n, seed, error_um=4.0)
-        named += bool(standing_out(moving, fixed, False, tolerance_um=25).any())
+        named += bool(find_outliers(moving, fixed, False, tolerance_um=25).any())
     assert named < 8
 
 
@@ -98,7 +98,7 @@ def test_mirrored_marks_agree_when_the_planes_show_both_sides():
     found = fitted(marks_of(turned, fixed), "similarity", mirrored=True, params=PARAMS)
     assert found.fit is not None
     assert found.fit.rms_um < 4
-    assert not found.named.any()
+    assert not found.outliers.any()
     other = fitted(marks_of(turned, fixed), "similarity", mirrored=False, params=PARAMS)
     assert "handedness" in other.error
     assert np.isnan(other.residual_um).all()
@@ -183,7 +183,7 @@ def imported(moving, fixed) -> Import:
 def followed(live: Live, layer: str) -> dict:
     """The state when its fit is ready."""
     end = time.monotonic() + 20
-    while live.fit(layer).follows and time.monotonic() < end:
+    while live.fit(layer).pending and time.monotonic() < end:
         time.sleep(0.005)
     return live.shown(layer)
 

@@ -10,8 +10,8 @@ import tifffile
 import xarray as xr
 from PIL import Image
 
-from planish.app import made_levels, pictures
-from planish.app.made_levels import MadeLevels, trim
+from planish.app import computed_levels, pictures
+from planish.app.computed_levels import ComputedLevels, trim
 from planish.app.picture import Codes
 from planish.app.pictures import Pictures, group_pictures
 from planish.app.strain import STRAINS
@@ -143,7 +143,7 @@ def test_codes_stand_for_values_beyond_them_at_both_ends():
 
 def test_an_older_run_without_overviews_looks_the_same(tmp_path, maps, monkeypatch):
     stored, made = written(tmp_path / "run", maps), written(tmp_path / "older", maps, smaller=False)
-    monkeypatch.setattr(made_levels, "_ASKED", 1)  # so that a small map has both kinds of levels
+    monkeypatch.setattr(computed_levels, "_LAST_ON_DEMAND", 1)  # so that a small map has both kinds of levels
     made = Pictures(group_pictures(tmp_path / "older", "linked", plane="fixed", layer="image"))
     for one, other in zip(stored, made, strict=True):
         assert len(other.levels) == 4
@@ -168,9 +168,9 @@ class Counted:
 
 
 def test_copies_are_made_in_one_pass_and_kept_for_the_next_session(maps, cache, monkeypatch):
-    monkeypatch.setattr(made_levels, "_ASKED", 1)
+    monkeypatch.setattr(computed_levels, "_LAST_ON_DEMAND", 1)
     values = Counted(maps["thickness"].values)
-    levels = MadeLevels(values, cache / "levels" / "one").levels()
+    levels = ComputedLevels(values, cache / "levels" / "one").levels()
     assert levels[1][0:256, 0:256].shape == (256, 256)
     assert values.read == 512 * 512  # the window alone, twice as wide
     expected = [one["thickness"].values for one in overviews(maps)]
@@ -178,15 +178,15 @@ def test_copies_are_made_in_one_pass_and_kept_for_the_next_session(maps, cache, 
     np.testing.assert_array_equal(levels[2][:, :], expected[1])
     assert values.read == 512 * 512 + values.values.size
     again = Counted(maps["thickness"].values)
-    np.testing.assert_array_equal(MadeLevels(again, cache / "levels" / "one").levels()[3][:, :], expected[2])
+    np.testing.assert_array_equal(ComputedLevels(again, cache / "levels" / "one").levels()[3][:, :], expected[2])
     assert again.read == 0
     assert [one.name for one in (cache / "levels").iterdir()] == ["one"]  # nothing half made stays
 
 
 def test_a_cache_that_takes_nothing_is_done_without(tmp_path, maps, monkeypatch):
     (tmp_path / "file").write_text("no folder")
-    monkeypatch.setattr(made_levels, "_ASKED", 1)
-    levels = MadeLevels(maps["thickness"].values, tmp_path / "file" / "levels" / "one").levels()
+    monkeypatch.setattr(computed_levels, "_LAST_ON_DEMAND", 1)
+    levels = ComputedLevels(maps["thickness"].values, tmp_path / "file" / "levels" / "one").levels()
     np.testing.assert_array_equal(levels[3][:, :], [*overviews(maps)][2]["thickness"].values)
 
 
@@ -237,7 +237,7 @@ def test_of_an_image_that_lies_open_in_its_file_windows_are_read(tmp_path, monke
     )
     assert picture.full[512:768, 0:256].values.shape == (256, 256)
     assert sizes == [(256, 256)]
-    assert not made_levels.user_cache().exists()
+    assert not computed_levels.user_cache().exists()
 
 
 def test_pictures_of_a_linked_run(linked_run):

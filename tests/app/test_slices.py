@@ -14,7 +14,7 @@ from scipy import ndimage
 from planish.app.changes import CorrectedPoint, Correction, State
 from planish.app.corrections import changed_corrections, corrections_of, stretches_of
 from planish.app.slices import HEIGHTS, Sheet, contour, sheets_of
-from planish.app.surfaces_routes import packed
+from planish.app.surfaces_routes import slice_message
 from planish.cli import main
 from planish.core.errors import InputError
 from planish.core.frame import Frame
@@ -198,7 +198,7 @@ def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_
 def test_a_message_has_its_parts_at_places_of_four_bytes(linked_run):
     sheet = opened(linked_run)
     cut = sheet.cut(sheet.frame.rows, 40)
-    data = packed(cut)
+    data = slice_message(cut)
     (length,) = struct.unpack("<I", data[:4])
     facts = json.loads(data[4 : 4 + length])
     assert length % 4 == 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -9,13 +10,13 @@ from pathlib import Path
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.app.changes import End, Mark, State
 from planish.app.corrections import changed_corrections
 from planish.app.picture import PLANES
 from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
+from planish.core.typing import Bools
 from planish.marks.files import Places, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
@@ -24,8 +25,6 @@ from planish.pipeline.regions import REGIONS
 from planish.pipeline.sheet import changed
 from planish.study import EDITS, LayerParams, Study
 
-Floats = NDArray[np.float64]
-
 STAGED = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""
 
@@ -33,7 +32,7 @@ _OF_A_MAP = re.compile(r"-map(-\d+)?$")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Before:
+class OriginalRun:
     """A run as it was before anything was changed.
 
     Attributes
@@ -50,10 +49,10 @@ class Before:
     marks: Mapping[str, xr.Dataset]
 
     @classmethod
-    def of(cls, session: Session) -> Before:
-        """What a session began with."""
+    def of(cls, session: Session) -> OriginalRun:
+        """Give the run that a session began with."""
         if session.image_params is None:
-            marks = {name: one.marks for name, one in session.registrations.items()}
+            marks = {name: registration.marks for name, registration in session.registrations.items()}
             return cls(study=session.study, state=session.first, marks=marks)
         sheet, noted = session.study.layers[0], noted_study(session.folder)
         study = session.study if noted is None else noted
@@ -61,12 +60,12 @@ class Before:
         image = LayerParams(name=name, image=session.image_params)
         holes = session.holes(sheet.name)
         rows = {side: np.arange(holes[side].sizes["mark"]) for side in PLANES}
-        apart = {
+        unpaired_rows = {
             "moving": np.append(rows["moving"], rows["fixed"] * 0 - 1),
             "fixed": np.append(rows["moving"] * 0 - 1, rows["fixed"]),
         }
         labels = [f"{side} {k + 1}" for side in PLANES for k in rows[side]]
-        marks = make_marks(labels, {side: Places.of_holes(holes[side], apart[side]) for side in PLANES})
+        marks = make_marks(labels, {side: Places.of_holes(holes[side], unpaired_rows[side]) for side in PLANES})
         return cls(
             study=study.model_copy(update={"layers": (sheet, image)}), state=session.first, marks={sheet.name: marks}
         )
@@ -80,33 +79,33 @@ class Order:
     files: Mapping[str, str] = field(default_factory=dict[str, str])
 
 
-def order_of(before: Before, state: State, staged: Path) -> Order:
-    """The study of a session.
+def order_of(original: OriginalRun, state: State, staged: Path) -> Order:
+    """Give the study of a session, and the files that it names.
 
     Parameters
     ----------
-    before : Before
+    original : OriginalRun
     state : State
         What is to be applied. Where it is as it was, so is the study, and no file is written.
     staged : Path
         Folder where the files of the order will stand while the run is made.
     """
     files: dict[str, str] = {}
-    study = _with_marks(before, state, staged, files)
-    if state.model != before.state.model:
+    study = _with_marks(original, state, staged, files)
+    if state.model != original.state.model:
         study = changed(study, registration=changed(study.registration, model=state.model))
-    if state.regions != before.state.regions:
+    if state.regions != original.state.regions:
         path = None
         if state.regions:
             path, files[REGIONS] = str(staged / REGIONS), geojson_text(_regions(state))
         study = changed(study, correlate=changed(study.correlate, regions=path))
-    study = _with_corrections(study, before, state, staged, files)
+    study = _with_corrections(study, original, state, staged, files)
     return Order(study=study, files=files)
 
 
-def _with_corrections(study: Study, before: Before, state: State, staged: Path, files: dict[str, str]) -> Study:
+def _with_corrections(study: Study, original: OriginalRun, state: State, staged: Path, files: dict[str, str]) -> Study:
     """The study with the corrections of each layer that has others than before."""
-    for name, corrections in changed_corrections(study, before.state.corrections, state.corrections).items():
+    for name, corrections in changed_corrections(study, original.state.corrections, state.corrections).items():
         file = f"surface-{name}.json"
         path = str(staged / file) if corrections.stretches else None
         if path is not None:
@@ -121,23 +120,23 @@ def _with_corrections(study: Study, before: Before, state: State, staged: Path, 
 
 def place_of(run: Path, *, linked: bool) -> Path:
     """Where the new run will stand: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
-    if linked and (found := _OF_A_MAP.search(run.name)) and found.start():
-        return free_path(run.with_name(run.name[: found.start()]))
+    if linked and (suffix := _OF_A_MAP.search(run.name)) and suffix.start():
+        return free_path(run.with_name(run.name[: suffix.start()]))
     return free_path(run)
 
 
 # --- marks -----------------------------------------------------------------------------------------------------------
 
 
-def _with_marks(before: Before, state: State, staged: Path, files: dict[str, str]) -> Study:
+def _with_marks(original: OriginalRun, state: State, staged: Path, files: dict[str, str]) -> Study:
     """The study with the marks of each registration that has others than before."""
-    study, usual_um = before.study, float(np.mean(before.study.holes.hole_um))
+    study, usual_um = original.study, float(np.mean(original.study.holes.hole_um))
     alone = len(state.marks) == 1
     for name, marks in state.marks.items():
-        if marks == before.state.marks[name]:
+        if marks == original.state.marks[name]:
             continue
         file = "marks.json" if alone else f"marks-{name}.json"
-        files[file] = marks_text(all_marks(marks, before.marks[name], usual_um=usual_um))
+        files[file] = marks_text(all_marks(marks, original.marks[name], usual_um=usual_um))
         path = str(staged / file)
         if alone:
             study = changed(study, registration=changed(study.registration, marks=path))
@@ -174,31 +173,33 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
             for end, um in zip(ends[side], size, strict=True)
         ]
         free[side] = [hole for k, hole in enumerate(holes) if not inside[:, k].any()]
-    for side, more in free.items():
-        labels += _labels(side, len(more), {*labels})
-        used += [True] * len(more)
+    for side, unmarked in free.items():
+        labels += _free_labels(side, len(unmarked), {*labels})
+        used += [True] * len(unmarked)
         for other in PLANES:
-            ends[other] += more if other == side else [None] * len(more)
+            ends[other] += unmarked if other == side else [None] * len(unmarked)
     places = {side: places_of(ends[side]) for side in PLANES}
     return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
 
 
-def _inside(ends: Sequence[End | None], holes: Sequence[End]) -> NDArray[np.bool_]:
-    """Which end (rows) lies in which hole (columns): each in the nearest at most."""
-    found = np.zeros((len(ends), len(holes)), dtype=bool)
-    if not found.size:
-        return found
-    at = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends])
-    apart = np.linalg.norm(at[:, None] - np.array([hole.xy for hole in holes]), axis=2)
-    known = np.where(apart < 0.5 * np.array([hole.diameter or np.nan for hole in holes]), apart, np.inf)
-    rows, nearest = np.arange(len(ends)), known.argmin(axis=1)
-    found[rows, nearest] = np.isfinite(known[rows, nearest])
-    return found
+def _inside(ends: Sequence[End | None], holes: Sequence[End]) -> Bools:
+    """Tell which end (rows) lies in which hole (columns): each in the nearest at most."""
+    is_inside = np.zeros((len(ends), len(holes)), dtype=bool)
+    if not is_inside.size:
+        return is_inside
+    points_um = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends])
+    distances = np.linalg.norm(points_um[:, None] - np.array([hole.xy for hole in holes]), axis=2)
+    inner_distances = np.where(
+        distances < 0.5 * np.array([hole.diameter or np.nan for hole in holes]), distances, np.inf
+    )
+    rows, nearest = np.arange(len(ends)), inner_distances.argmin(axis=1)
+    is_inside[rows, nearest] = np.isfinite(inner_distances[rows, nearest])
+    return is_inside
 
 
-def _labels(side: str, count: int, taken: set[str]) -> list[str]:
-    names = (name for k in range(1, count + len(taken) + 1) if (name := f"{side} {k}") not in taken)
-    return [name for name, _ in zip(names, range(count), strict=False)]
+def _free_labels(side: str, count: int, labels_in_use: set[str]) -> list[str]:
+    names = (f"{side} {k}" for k in itertools.count(1))
+    return list(itertools.islice((name for name in names if name not in labels_in_use), count))
 
 
 # --- regions ---------------------------------------------------------------------------------------------------------
@@ -208,9 +209,9 @@ def _regions(state: State) -> Regions:
     return Regions(
         declared=tuple(
             Region(
-                name=one.name, reason=one.reason, author=one.author,
-                polygons=(tuple(ring_of(np.array(ring)) for ring in (one.polygon, *one.holes)),),
+                name=region.name, reason=region.reason, author=region.author,
+                polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
             )
-            for one in state.regions
+            for region in state.regions
         )
     )  # fmt: skip

@@ -30,7 +30,7 @@ TARGET = "target"
 
 def main() -> None:
     """Make one run."""
-    tell = _words()
+    send = _line_writer()
     signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
     with suppress(OSError, AttributeError):
         os.nice(_NICE)
@@ -39,10 +39,10 @@ def main() -> None:
         line = sys.stdin.readline()
         if not line:
             return
-        _end_with(sys.stdin)
-        _make(json.loads(line), tell)
+        _interrupt_after(sys.stdin)
+        _make_run(json.loads(line), send)
     except KeyboardInterrupt:
-        tell({"state": "cancelled"})
+        send({"state": "cancelled"})
 
 
 def _warm_up() -> None:
@@ -69,21 +69,21 @@ def _warm_up() -> None:
     gc.enable()
 
 
-def _make(order: Mapping[str, Any], tell: Any) -> None:
+def _make_run(order: Mapping[str, Any], send: Any) -> None:
     from planish.pipeline import run_study
     from planish.study import Study, in_study_words
 
     def progress(stage: str, detail: str) -> None:
-        tell({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})
+        send({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})
 
     out = Path(order["out"])
     try:
         with _staged(Path(order["staged"]), order["files"], out):
             run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
-        tell({"state": "done"})
+        send({"state": "done"})
     except Exception as error:  # noqa: BLE001  the page gets a sentence
-        known = _known(error)
-        tell({"state": "failed", "message": in_study_words(known.text)})
+        planish_error = _as_planish_error(error)
+        send({"state": "failed", "message": in_study_words(planish_error.text)})
 
 
 @contextmanager
@@ -103,7 +103,7 @@ def _staged(folder: Path, files: Mapping[str, str], out: Path) -> Generator[None
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def _known(error: Exception) -> PlanishError:
+def _as_planish_error(error: Exception) -> PlanishError:
     if isinstance(error, PlanishError):
         return error
     if isinstance(error, MemoryError):
@@ -113,19 +113,19 @@ def _known(error: Exception) -> PlanishError:
     return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
 
 
-def _words() -> Any:
+def _line_writer() -> Any:
     """A function that writes a line to whoever started this process; what others print goes to standard error."""
     stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
 
-    def tell(line: Mapping[str, Any]) -> None:
+    def send(line: Mapping[str, Any]) -> None:
         with suppress(OSError):  # nobody listens any more
             print(json.dumps(line), file=stream, flush=True)
 
-    return tell
+    return send
 
 
-def _end_with(stream: TextIO) -> None:
+def _interrupt_after(stream: TextIO) -> None:
     """Interrupt the work when a stream ends."""
     main_thread = threading.get_ident()
 

@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from planish.app.apply import STAGED, Before, order_of, place_of
+from planish.app.apply import STAGED, OriginalRun, order_of, place_of
 from planish.app.apply_worker import TARGET
 from planish.app.session import Session
 from planish.core.errors import InputError
@@ -129,7 +129,7 @@ class Applying:
                 raise Busy("A run is being made already. Wait for it, or cancel it first.")
             folder = self.session.folder.absolute()
             staged = folder / STAGED
-            order = order_of(Before.of(self.session), self.session.state, staged)
+            order = order_of(OriginalRun.of(self.session), self.session.state, staged)
             out = place_of(folder, linked=self.session.image_params is not None)
             self.warm()
             process, self._ready = self._ready, None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -54,14 +54,14 @@ class End(_Part):
         return self.x, self.y
 
 
-def _end(value: Any) -> Any:
+def _as_end(value: Any) -> Any:
     """A place ``[x, y]`` is an end that was clicked."""
     if isinstance(value, list | tuple) and len(value) == 2:  # pyright: ignore[reportUnknownArgumentType]
         return {"x": value[0], "y": value[1]}
     return value  # pyright: ignore[reportUnknownVariableType]
 
 
-OneEnd = Annotated[End, BeforeValidator(_end)]
+OneEnd = Annotated[End, BeforeValidator(_as_end)]
 
 
 class Mark(_Part):
@@ -238,8 +238,8 @@ def change_of(data: bytes | str) -> Change:
 
 def faults_of(error: ValidationError) -> str:
     """What is wrong with data from outside, without the data themselves."""
-    found = error.errors(include_url=False, include_input=False, include_context=False)
-    return "; ".join(f"{'.'.join(map(str, e['loc'])) or 'content'}: {e['msg']}" for e in found[:8])
+    faults = error.errors(include_url=False, include_input=False, include_context=False)
+    return "; ".join(f"{'.'.join(map(str, e['loc'])) or 'content'}: {e['msg']}" for e in faults[:8])
 
 
 def numbered(change: Change, line: int) -> Change:
@@ -281,9 +281,9 @@ class State:
             raise ChangeError(f"There is no registration {name!r}; there is {', '.join(self.marks) or 'none'}.")
         return self.marks[name]
 
-    def mark(self, layer: str | None, wanted: str) -> Mark:
+    def mark(self, layer: str | None, part_id: str) -> Mark:
         """The mark of an id; ChangeError where it is not there."""
-        return _found(self.of(layer), wanted)
+        return _part_of_id(self.of(layer), part_id)
 
 
 def applied(state: State, change: Change) -> State:
@@ -298,13 +298,13 @@ def applied(state: State, change: Change) -> State:
         case ChooseModel():
             return replace(state, model=change.model)
         case Correct():
-            made = Correction.model_validate(change.model_dump(exclude={"do"}))
-            return replace(state, corrections=(*state.corrections, made))
+            correction = Correction.model_validate(change.model_dump(exclude={"do"}))
+            return replace(state, corrections=(*state.corrections, correction))
         case Uncorrect():
             return replace(state, corrections=_without(state.corrections, change.id))
         case DeclareRegion():
-            declared = Region.model_validate(change.model_dump(exclude={"do", "layer"}))
-            return replace(state, regions=(*state.regions, declared))
+            region = Region.model_validate(change.model_dump(exclude={"do", "layer"}))
+            return replace(state, regions=(*state.regions, region))
         case Unregion():
             return replace(state, regions=_without(state.regions, change.id))
         case _:
@@ -315,33 +315,33 @@ def applied(state: State, change: Change) -> State:
 def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Delete | Import) -> tuple[Mark, ...]:
     match change:
         case Add():
-            return (*marks, _added(marks, change))
+            return (*marks, _new_mark(marks, change))
         case Move():
             ends = {side: end for side in ("moving", "fixed") if (end := getattr(change, side)) is not None}
             if not ends:
                 raise ChangeError("A move gives no new place. Give moving or fixed.")
-            return _changed(marks, change.id, ends)
+            return _with_fields(marks, change.id, ends)
         case Use():
-            return _changed(marks, change.id, {"used": change.used})
+            return _with_fields(marks, change.id, {"used": change.used})
         case Relabel():
             if any(mark.label == change.label and mark.id != change.id for mark in marks):
                 raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
-            return _changed(marks, change.id, {"label": checked_label(change.label)})
+            return _with_fields(marks, change.id, {"label": checked_label(change.label)})
         case Delete():
             return _without(marks, change.id)
         case Import():
             return change.marks
 
 
-def _added(marks: tuple[Mark, ...], change: Add) -> Mark:
+def _new_mark(marks: tuple[Mark, ...], change: Add) -> Mark:
     if change.moving is None and change.fixed is None:
         raise ChangeError("A new mark has no place. Give moving or fixed.")
     if len(marks) >= MOST_MARKS:
         raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
-    taken = {mark.label for mark in marks}
-    if change.label in taken:
+    labels = {mark.label for mark in marks}
+    if change.label in labels:
         raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
-    label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in taken)
+    label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels)
     return Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
 
 
@@ -355,18 +355,18 @@ def checked_label(label: str) -> str:
 T = TypeVar("T", Mark, Correction, Region)
 
 
-def _changed(marks: tuple[Mark, ...], wanted: str, values: Mapping[str, Any]) -> tuple[Mark, ...]:
-    old = _found(marks, wanted)
-    return tuple(mark.model_copy(update=dict(values)) if mark is old else mark for mark in marks)
+def _with_fields(marks: tuple[Mark, ...], part_id: str, fields: Mapping[str, Any]) -> tuple[Mark, ...]:
+    old = _part_of_id(marks, part_id)
+    return tuple(mark.model_copy(update=dict(fields)) if mark is old else mark for mark in marks)
 
 
-def _without(parts: tuple[T, ...], wanted: str) -> tuple[T, ...]:
-    old = _found(parts, wanted)
+def _without(parts: tuple[T, ...], part_id: str) -> tuple[T, ...]:
+    old = _part_of_id(parts, part_id)
     return tuple(part for part in parts if part is not old)
 
 
-def _found(parts: tuple[T, ...], wanted: str) -> T:
-    named: Callable[[T], bool] = lambda part: part.id == wanted  # noqa: E731
-    if (part := next(filter(named, parts), None)) is None:
-        raise ChangeError(f"{wanted} is not there any more. The page shows what is.")
-    return part
+def _part_of_id(parts: tuple[T, ...], part_id: str) -> T:
+    for part in parts:
+        if part.id == part_id:
+            return part
+    raise ChangeError(f"{part_id} is not there any more. The page shows what is.")

@@ -12,19 +12,19 @@ from planish.surface.corrections import REACH_UM, Point
 
 def corrections_of(study: Study) -> tuple[Correction, ...]:
     """The corrections that a run has, as a session begins with them."""
-    found: list[Correction] = []
+    corrections: list[Correction] = []
     for layer in study.layers:
         if layer.volume is None or layer.surface.corrections is None:
             continue
         for stretch in read_corrections(layer.surface.corrections).stretches:
             points = tuple(CorrectedPoint(z=p.z, y=p.y, x=p.x, face=p.face) for p in stretch.points)
-            found.append(
+            corrections.append(
                 Correction(
-                    id=f"c0-{len(found) + 1}", layer=layer.name, points=points, reach_um=stretch.reach_um,
+                    id=f"c0-{len(corrections) + 1}", layer=layer.name, points=points, reach_um=stretch.reach_um,
                     note=stretch.note,
                 )
             )  # fmt: skip
-    return tuple(found)
+    return tuple(corrections)
 
 
 def stretches_of(corrections: Sequence[Correction], layer: str, first: str) -> Corrections:
@@ -32,11 +32,11 @@ def stretches_of(corrections: Sequence[Correction], layer: str, first: str) -> C
     return Corrections(
         stretches=tuple(
             Stretch(
-                id=one.id, points=tuple(Point(z=p.z, y=p.y, x=p.x, face=p.face) for p in one.points),
-                reach_um=one.reach_um or REACH_UM, note=one.note,
+                id=correction.id, points=tuple(Point(z=p.z, y=p.y, x=p.x, face=p.face) for p in correction.points),
+                reach_um=correction.reach_um or REACH_UM, note=correction.note,
             )
-            for one in corrections
-            if (one.layer or first) == layer
+            for correction in corrections
+            if (correction.layer or first) == layer
         )
     )  # fmt: skip
 
@@ -46,9 +46,8 @@ def changed_corrections(
 ) -> Mapping[str, Corrections]:
     """The corrections of each layer that has others than before."""
     volumes = [layer.name for layer in study.layers if layer.volume is not None]
-    if not volumes:
-        return {}
-    found = {
-        name: (stretches_of(before, name, volumes[0]), stretches_of(now, name, volumes[0])) for name in volumes
-    }  # fmt: skip
-    return {name: new for name, (old, new) in found.items() if old != new}
+    return {
+        name: stretches
+        for name in volumes
+        if (stretches := stretches_of(now, name, volumes[0])) != stretches_of(before, name, volumes[0])
+    }

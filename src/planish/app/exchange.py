@@ -32,7 +32,7 @@ _SUFFIXES = (".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat")
 _ENDS = {"json": ".json", "slicer": ".mrk.json", "elastix": ".txt", "matlab": ".mat"}
 
 
-class Given(BaseModel):
+class MarkFile(BaseModel):
     """A file that the page read: its name, and its text or, of one that is no text, its bytes."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
@@ -59,13 +59,13 @@ class Given(BaseModel):
 
 
 def imported(
-    session: Session, pictures: Pictures, layer: str, given: Given, second: Given | None = None
+    session: Session, pictures: Pictures, layer: str, first: MarkFile, second: MarkFile | None = None
 ) -> Import:  # fmt: skip
     """The marks of a file, in the planes of a registration, as a change.
 
     Parameters
     ----------
-    second : Given, optional
+    second : MarkFile, optional
         The fixed layer, where a format has one layer a file.
 
     Raises
@@ -75,13 +75,13 @@ def imported(
     """
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         paths: list[Path] = []
-        for name, one in (("marks", given), ("second", second)):
-            if one is not None:
-                paths.append(Path(folder) / f"{name}{one.suffix}")
-                paths[-1].write_bytes(one.content())
+        for name, upload in (("marks", first), ("second", second)):
+            if upload is not None:
+                paths.append(Path(folder) / f"{name}{upload.suffix}")
+                paths[-1].write_bytes(upload.content())
         about = {plane: _pixels(session, pictures, layer, plane) for plane in PLANES}
         marks = read_any(*paths, moving=about["moving"], fixed=about["fixed"])
-    moving, fixed = pair_of_layers(marks, name=given.name)
+    moving, fixed = pair_of_layers(marks, name=first.name)
     if moving == "volume":
         marks, moving = volume_to_map(marks, _sheet(session, layer)), "moving"
     ends = ends_of(marks, moving), ends_of(marks, fixed)
@@ -114,27 +114,27 @@ def exported(
     marks = dataset_of(session.state.of(layer), fitted, about)
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         path = Path(folder) / f"marks{_ENDS.get(to, '.csv')}"
-        made = write_any(marks, path, to=to)
-        if len(made) == 1:
-            return made[0].name, made[0].read_bytes()
+        paths = write_any(marks, path, to=to)
+        if len(paths) == 1:
+            return paths[0].name, paths[0].read_bytes()
         packed = io.BytesIO()
         with zipfile.ZipFile(packed, "w") as archive:
-            for one in made:
-                archive.writestr(one.name, one.read_bytes())
+            for written in paths:
+                archive.writestr(written.name, written.read_bytes())
         return "marks.zip", packed.getvalue()
 
 
 def dataset_of(marks: Sequence[Mark], fitted: Fitted, about: Mapping[str, Mapping[str, Any]]) -> xr.Dataset:
     """Marks of a session as files have them, with what the fit that is shown leaves of each."""
-    place = {name: k for k, name in enumerate(fitted.ids)}
-    rows = np.array([place.get(mark.id, len(place)) for mark in marks], dtype=np.intp)
-    left = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
+    row_of = {name: k for k, name in enumerate(fitted.ids)}
+    rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
+    errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
     return make_marks(
         [mark.label for mark in marks],
         {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
         used=[mark.used for mark in marks],
         about=about,
-        results={name: np.append(values, np.nan)[rows] for name, values in left.items()},
+        results={name: np.append(values, np.nan)[rows] for name, values in errors_um.items()},
     )
 
 
@@ -145,10 +145,10 @@ def formats() -> list[dict[str, str]]:
 
 def _pixels(session: Session, pictures: Pictures, layer: str, plane: Plane) -> LayerPixels:
     """Pixels of a plane, for files that count in them."""
-    own = pictures.on(*session.shown_by(layer, plane))
-    if not own:
+    on_plane = pictures.on(*session.shown_by(layer, plane))
+    if not on_plane:
         return LayerPixels()
-    grid = own[0].grid
+    grid = on_plane[0].grid
     return LayerPixels(pixel_um=grid.pixel_um, origin_um=grid.origin_um, shape=grid.shape)
 
 
@@ -159,6 +159,6 @@ def _sheet(session: Session, layer: str) -> Layer:
         raise MarkError(f"The marks have places in a volume, and {layer} is an image. Give marks with places in both.")
     inner = session.folder / "layers" / layer
     store = (inner if is_run(inner) else session.folder) / MAPS
-    params = next(one for one in session.study.layers if one.name == layer)
+    params = next(params for params in session.study.layers if params.name == layer)
     groups = {name: read_group(store, name) for name in ("surfaces", "flat")}
     return Layer(params=params, source=facts.source, groups=groups, facts=facts.sheet)

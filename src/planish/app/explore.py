@@ -59,28 +59,28 @@ def explore(
     """
     compute, out = compute or Compute(), Path(out)
     refuse_existing(out)
-    taken = Taken.of(run)
+    source = Taken.of(run)
     refuse_inside(out, [run])
     with limit_threads(compute.threads):
         progress("maps", str(run))
-        maps = maps_of(taken)
-        stacks = _stacks(taken, maps, compute, progress)
+        maps = maps_of(source)
+        stacks = _stacks(source, maps, compute, progress)
         notes = _notes(maps, stacks)
-        page = render(taken.results, maps, stacks, notes).encode()
+        page = render(source.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
     write_whole(out, page)
     return Explored(
-        path=out, bytes=len(page), maps=len(maps.maps), slices=sum(len(one.at_um) for one in stacks), notes=notes
+        path=out, bytes=len(page), maps=len(maps.maps), slices=sum(len(stack.at_um) for stack in stacks), notes=notes
     )
 
 
-def _stacks(taken: Taken, maps: MapsOfPage, compute: Compute, progress: Progress) -> list[Stack]:
+def _stacks(source: Taken, maps: MapsOfPage, compute: Compute, progress: Progress) -> list[Stack]:
     """Slices of every sheet whose places in the volume the maps give, the budget shared among them."""
     sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
-    found = (
-        stack_of(taken, taken.results.layer(name), BUDGET // len(sheets), compute, progress) for name in sheets
+    stacks = (
+        stack_of(source, source.results.layer(name), BUDGET // len(sheets), compute, progress) for name in sheets
     )  # fmt: skip
-    return [stack for stack in found if stack is not None]
+    return [stack for stack in stacks if stack is not None]
 
 
 def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
@@ -95,8 +95,8 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
         pixels += ", as in the run"
     notes = [f"Maps: {pixels}."]
     several = len(stacks) > 1
-    notes += [f"{f'{one.sheet}: ' if several else ''}{one.note[:1].upper()}{one.note[1:]}." for one in stacks]
-    without = sorted({group.sheet for group in maps.groups if group.sheet} - {one.sheet for one in stacks})
+    notes += [f"{f'{stack.sheet}: ' if several else ''}{stack.note[:1].upper()}{stack.note[1:]}." for stack in stacks]
+    without = sorted({group.sheet for group in maps.groups if group.sheet} - {stack.sheet for stack in stacks})
     if without:
         notes.append(f"No slices of {' and '.join(without)}: its surfaces are not in this run.")
     elif not stacks:

@@ -33,13 +33,17 @@ async def mesh(request: Request) -> Response:
 
 
 def _shown(pictures: Pictures, layer: str, headline: str) -> dict[str, Any]:
-    ids = {one.name.rpartition("/")[2]: one.id for one in pictures if one.plane == "moving" and one.layer == layer}
-    others = [n for n in ids if n not in (*SPACE, *STRAINS, "valid") and not n.startswith(("volume_", "presence"))]
-    first = [name for name in (headline, *COLOURS) if name in others]
+    ids = {
+        picture.name.rpartition("/")[2]: picture.id
+        for picture in pictures
+        if picture.plane == "moving" and picture.layer == layer
+    }
+    names = [n for n in ids if n not in (*SPACE, *STRAINS, "valid") and not n.startswith(("volume_", "presence"))]
+    first = [name for name in (headline, *COLOURS) if name in names]
     return {
         "strain": [ids[name] for name in STRAINS if name in ids],
         "space": [ids[name] for name in SPACE],
-        "colours": [ids[name] for name in dict.fromkeys([*first, *others])],
+        "colours": [ids[name] for name in dict.fromkeys([*first, *names])],
     }
 
 

@@ -74,8 +74,8 @@ class Guard:
             nonlocal started
             if message["type"] == "http.response.start":
                 started = True
-                held = {name for name, _ in message.get("headers", [])}
-                extra = [(k.encode(), v.encode()) for k, v in HEADERS.items() if k.encode() not in held]
+                present = {name for name, _ in message.get("headers", [])}
+                extra = [(k.encode(), v.encode()) for k, v in HEADERS.items() if k.encode() not in present]
                 message = {**message, "headers": [*message.get("headers", []), *extra]}
             await send(message)
 
@@ -83,35 +83,35 @@ class Guard:
             self._check(scope)
             await self.app(scope, _limited(receive), answer)
         except Refused as refused:
-            await _say(refused.status, refused.text, answer)
+            await _send_error(refused.status, refused.text, answer)
         except TooLarge:
             if started:
                 raise
-            await _say(413, f"A request may have {MOST_BYTES} bytes.", answer)
+            await _send_error(413, f"A request may have {MOST_BYTES} bytes.", answer)
         except Exception as error:
             _log.exception("A fault in planish")
             if started:
                 raise
             text = f"A fault in planish: {type(error).__name__}. The terminal in which it was started says more."
-            await _say(500, text, answer)
+            await _send_error(500, text, answer)
 
     def _check(self, scope: Scope) -> None:
         headers: list[tuple[bytes, bytes]] = scope["headers"]
-        host = _only(headers, b"host")
+        host = _single_header(headers, b"host")
         if host not in self.hosts:
             raise Refused(status=421, text="This server is not called by that name.")
         data = _needs_token(scope["path"])
-        if data and not hmac.compare_digest(_only(headers, b"authorization"), f"Bearer {self.token}"):
+        if data and not hmac.compare_digest(_single_header(headers, b"authorization"), f"Bearer {self.token}"):
             raise Refused(status=401, text="The token of this start is missing. Open the address that planish printed.")
         if scope["method"] in _READS:
             return
         if scope["method"] != "POST" or not data:
             raise Refused(status=405, text="There is nothing to be written so.")
-        if _only(headers, b"origin") != f"http://{host}":
+        if _single_header(headers, b"origin") != f"http://{host}":
             raise Refused(status=403, text="Another page may change nothing here.")
-        if _only(headers, b"content-type").partition(";")[0].strip().lower() != "application/json":
+        if _single_header(headers, b"content-type").partition(";")[0].strip().lower() != "application/json":
             raise Refused(status=415, text="JSON is needed, as application/json.")
-        length = _only(headers, b"content-length") or "0"
+        length = _single_header(headers, b"content-length") or "0"
         if not length.isdecimal() or len(length) > 12 or int(length) > MOST_BYTES:
             raise Refused(status=413, text=f"A request may have {MOST_BYTES} bytes.")
 
@@ -121,30 +121,30 @@ def _needs_token(path: str) -> bool:
     return path.startswith("/api/") or path == "/api"
 
 
-def _only(headers: list[tuple[bytes, bytes]], name: bytes) -> str:
+def _single_header(headers: list[tuple[bytes, bytes]], name: bytes) -> str:
     """The value of a header that is there once; nothing of one that is there twice, or is no text."""
-    found = [value for key, value in headers if key.lower() == name]
+    matches = [value for key, value in headers if key.lower() == name]
     try:
-        return found[0].decode("ascii") if len(found) == 1 else ""
+        return matches[0].decode("ascii") if len(matches) == 1 else ""
     except UnicodeDecodeError:
         return ""
 
 
 def _limited(receive: Receive) -> Receive:
-    taken = 0
+    received = 0
 
     async def part() -> Message:
-        nonlocal taken
+        nonlocal received
         message = await receive()
-        taken += len(message.get("body", b""))
-        if taken > MOST_BYTES:
+        received += len(message.get("body", b""))
+        if received > MOST_BYTES:
             raise TooLarge
         return message
 
     return part
 
 
-async def _say(status: int, text: str, send: Any) -> None:
+async def _send_error(status: int, text: str, send: Any) -> None:
     body = json.dumps({"error": text}).encode()
     headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
     await send({"type": "http.response.start", "status": status, "headers": headers})

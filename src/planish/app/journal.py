@@ -7,7 +7,6 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from types import TracebackType
 from typing import Any, Self
 
 from filelock import FileLock, Timeout
@@ -73,10 +72,10 @@ class Journal:
         """
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")
-        made = self._end == 0
-        data = (_head(self.of) if made else b"") + line + b"\n"
+        is_new = self._end == 0
+        data = (_head(self.of) if is_new else b"") + line + b"\n"
         try:
-            with self.path.open("ab" if made else "r+b", buffering=0) as file:
+            with self.path.open("ab" if is_new else "r+b", buffering=0) as file:
                 try:
                     file.truncate(self._end)  # what an earlier failure may have left
                     file.seek(self._end)
@@ -86,10 +85,10 @@ class Journal:
                     with suppress(OSError):
                         file.truncate(self._end)
                     raise
-            if made:
+            if is_new:
                 _sync_folder(self.path.parent)
         except OSError as error:
-            raise _refused(error, self.path) from error
+            raise _not_saved(error, self.path) from error
         self._end += len(data)
         self.lines.append(line)
 
@@ -107,9 +106,7 @@ class Journal:
         """Use it in a block."""
         return self
 
-    def __exit__(
-        self, _kind: type[BaseException] | None, _error: BaseException | None, _at: TracebackType | None
-    ) -> None:
+    def __exit__(self, *_error: object) -> None:
         """Close it."""
         self.close()
 
@@ -157,10 +154,10 @@ def _lines(data: bytes, path: Path, of: str) -> list[bytes]:
 
 def _object(line: bytes) -> Mapping[str, Any]:
     try:
-        found: Any = json.loads(line)
+        parsed: Any = json.loads(line)
     except (ValueError, RecursionError):
         return {}
-    return found if isinstance(found, dict) else {}  # pyright: ignore[reportUnknownVariableType]
+    return parsed if isinstance(parsed, dict) else {}  # pyright: ignore[reportUnknownVariableType]
 
 
 def _head(of: str) -> bytes:
@@ -169,22 +166,22 @@ def _head(of: str) -> bytes:
 
 def _write_all(file: Any, data: bytes) -> None:
     """Write all of it: a disk that fills up takes the first part of a write without a word."""
-    rest = memoryview(data)
-    while rest:
-        rest = rest[file.write(rest) :]
+    remaining = memoryview(data)
+    while remaining:
+        remaining = remaining[file.write(remaining) :]
 
 
 def _sync_folder(folder: Path) -> None:
     if os.name != "nt":  # Windows keeps the names of files by itself
-        at = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY)
         try:
-            os.fsync(at)
+            os.fsync(descriptor)
         finally:
-            os.close(at)
+            os.close(descriptor)
 
 
-def _refused(error: OSError, path: Path) -> PlanishError:
-    known = as_planish(error, path)
-    kind = ResourceError if isinstance(known, ResourceError) else FileError
-    what = "the disk is full" if kind is ResourceError else known.text.removesuffix(".")
-    return kind(f"The change could not be saved and was not made: {what}. Free some space, then do it again.")
+def _not_saved(error: OSError, path: Path) -> PlanishError:
+    planish_error = as_planish(error, path)
+    kind = ResourceError if isinstance(planish_error, ResourceError) else FileError
+    reason = "the disk is full" if kind is ResourceError else planish_error.text.removesuffix(".")
+    return kind(f"The change could not be saved and was not made: {reason}. Free some space, then do it again.")

@@ -8,8 +8,8 @@ import time
 from typing import Any
 
 from planish.app.changes import Mark
-from planish.app.fits import QUICK, Fitted, Warned, fitted
-from planish.app.picture import Plane
+from planish.app.fits import QUICK, Fitted, FitWarning, fitted
+from planish.app.picture import Plane, finite_or_none
 from planish.app.session import Session
 
 WAIT_S = 0.03
@@ -32,8 +32,8 @@ class Live:
     def __init__(self, session: Session) -> None:
         self.session = session
         self._lock = threading.Condition()
-        self._found: dict[str, tuple[Any, Fitted]] = {}
-        self._wanted: dict[str, tuple[Any, tuple[Mark, ...], str]] = {}
+        self._fits: dict[str, tuple[Any, Fitted]] = {}
+        self._queue: dict[str, tuple[Any, tuple[Mark, ...], str]] = {}
         self._thread: threading.Thread | None = None
 
     def fit(self, layer: str) -> Fitted:
@@ -42,57 +42,57 @@ class Live:
         marks, model = state.of(layer), state.model
         key = (id(marks), model, marks)  # holding the marks keeps their id from being given away
         with self._lock:
-            known = self._known(layer, key)
-            if known is not None:
-                return known
-        found = self._fitted(layer, marks, model, quick=True)
+            current = self._current(layer, key)
+            if current is not None:
+                return current
+        quick_fit = self._fitted(layer, marks, model, quick=True)
         with self._lock:
-            if self._known(layer, key) is None:
-                self._found[layer] = key, found
-                if found.follows:
-                    self._wanted[layer] = key, marks, model
-                    self._start()
+            if self._current(layer, key) is None:
+                self._fits[layer] = key, quick_fit
+                if quick_fit.pending:
+                    self._queue[layer] = key, marks, model
+                    self._start_thread()
                     if model not in QUICK:
-                        self._lock.wait_for(lambda: not self._found[layer][1].follows, timeout=WAIT_S)
-            return self._known(layer, key) or found
+                        self._lock.wait_for(lambda: not self._fits[layer][1].pending, timeout=WAIT_S)
+            return self._current(layer, key) or quick_fit
 
-    def _known(self, layer: str, key: Any) -> Fitted | None:
-        held = self._found.get(layer)
-        return held[1] if held is not None and held[0][:2] == key[:2] else None
+    def _current(self, layer: str, key: Any) -> Fitted | None:
+        entry = self._fits.get(layer)
+        return entry[1] if entry is not None and entry[0][:2] == key[:2] else None
 
     def _fitted(self, layer: str, marks: tuple[Mark, ...], model: str, *, quick: bool) -> Fitted:
         params = self.session.study.registration
         return fitted(marks, model, mirrored=self.session.mirrored(layer), params=params, quick=quick)
 
-    def _start(self) -> None:
+    def _start_thread(self) -> None:
         if self._thread is None:
-            self._thread = threading.Thread(target=self._follow, name="fits", daemon=True)
+            self._thread = threading.Thread(target=self._work, name="fits", daemon=True)
             self._thread.start()
 
-    def _follow(self) -> None:
+    def _work(self) -> None:
         """Work out what is wanted, the newest only, until nothing is."""
         while True:
             with self._lock:
-                if not self._wanted:
+                if not self._queue:
                     self._thread = None
                     return
-                layer, (key, marks, model) = self._wanted.popitem()
+                layer, (key, marks, model) = self._queue.popitem()
             if model in QUICK:
                 time.sleep(REST_S)
                 with self._lock:
-                    if self._known(layer, key) is None:  # something else was clicked meanwhile
+                    if self._current(layer, key) is None:  # something else was clicked meanwhile
                         continue
             try:
-                found = self._fitted(layer, marks, model, quick=False)
+                full_fit = self._fitted(layer, marks, model, quick=False)
             except Exception:  # noqa: BLE001  it is in the log, and the quick fit stays
                 _log.exception("A fault in planish: a fit")
                 continue
             with self._lock:
-                current = self._known(layer, key) is not None
-                if current:
-                    self._found[layer] = key, found
+                is_current = self._current(layer, key) is not None
+                if is_current:
+                    self._fits[layer] = key, full_fit
                     self._lock.notify_all()
-            if current:
+            if is_current:
                 self.session.publish()
 
     # --- as the page shows it -----------------------------------------------------------------------------------------
@@ -101,42 +101,42 @@ class Live:
         """The state as the page shows it; ChangeError where there is no such registration."""
         session = self.session
         version, state = session.version, session.state
-        found = self.fit(layer)
-        place = {name: k for k, name in enumerate(found.ids)}
-        fit = found.fit
+        marks_fit = self.fit(layer)
+        row_of = {name: k for k, name in enumerate(marks_fit.ids)}
+        fit = marks_fit.fit
         return {
             "version": version, "layer": layer, "model": state.model,
-            "marks": [self._row(mark, found, place.get(mark.id)) for mark in state.of(layer)],
+            "marks": [self._row(mark, marks_fit, row_of.get(mark.id)) for mark in state.of(layer)],
             "fit": {
                 "model": state.model if fit is None else fit.model,
-                "rms_um": None if fit is None else _number(fit.rms_um),
-                "loo_rms_um": None if fit is None else _number(fit.leave_one_out_rms_um),
-                "follows": found.follows and state.model not in QUICK,
+                "rms_um": None if fit is None else finite_or_none(fit.rms_um),
+                "loo_rms_um": None if fit is None else finite_or_none(fit.leave_one_out_rms_um),
+                "follows": marks_fit.pending and state.model not in QUICK,
                 "transform": None if fit is None else _similarity(fit),
-            } | ({"error": found.error} if found.error else {}),
-            "message": found.message,
-            "warnings": [_warning(one) for one in found.warnings],
+            } | ({"error": marks_fit.error} if marks_fit.error else {}),
+            "message": marks_fit.message,
+            "warnings": [_warning(warning) for warning in marks_fit.warnings],
             "corrections": [c.model_dump(mode="json") for c in state.corrections],
             "regions": [r.model_dump(mode="json") for r in state.regions],
             "can_undo": session.can_undo and not session.read_only,
             "can_redo": session.can_redo and not session.read_only,
         }  # fmt: skip
 
-    def _row(self, mark: Mark, found: Fitted, k: int | None) -> dict[str, Any]:
+    def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> dict[str, Any]:
         row: dict[str, Any] = {
             "id": mark.id, "label": mark.label, "used": mark.used, "source": _source(mark),
             "moving": None if mark.moving is None else mark.moving.xy,
             "fixed": None if mark.fixed is None else mark.fixed.xy,
-            "residual_um": None if k is None else _number(found.residual_um[k]),
-            "leave_one_out_um": None if k is None else _number(found.leave_one_out_um[k]),
+            "residual_um": None if k is None else finite_or_none(marks_fit.residual_um[k]),
+            "leave_one_out_um": None if k is None else finite_or_none(marks_fit.leave_one_out_um[k]),
         }  # fmt: skip
         if k is None:
             side: Plane = "moving" if mark.fixed is None else "fixed"
             other: Plane = "fixed" if side == "moving" else "moving"
             end = getattr(mark, side)
-            there = found.predicted(side, end.xy)
-            row |= {} if there is None else {"predicted": {other: there[0]}, "note": there[2]}
-        elif found.follows and self.session.state.model not in QUICK:
+            prediction = marks_fit.predicted(side, end.xy)
+            row |= {} if prediction is None else {"predicted": {other: prediction[0]}, "note": prediction[2]}
+        elif marks_fit.pending and self.session.state.model not in QUICK:
             row["note"] = f"{self.session.state.model} follows"
         return row
 
@@ -144,11 +144,6 @@ class Live:
 def _source(mark: Mark) -> str:
     """How the ends of a mark were found, in a word or two."""
     return " and ".join(dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None))
-
-
-def _number(value: Any) -> float | None:
-    number = float(value)
-    return number if number == number and abs(number) != float("inf") else None
 
 
 def _similarity(fit: Any) -> dict[str, Any]:
@@ -159,5 +154,5 @@ def _similarity(fit: Any) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def _warning(one: Warned) -> dict[str, str]:
-    return {"text": one.text} | ({} if one.id is None else {"id": one.id})
+def _warning(warning: FitWarning) -> dict[str, str]:
+    return {"text": warning.text} | ({} if warning.id is None else {"id": warning.id})

@@ -25,8 +25,8 @@ _FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the o
 
 async def get_tile(request: Request) -> Response:
     """One tile of a picture."""
-    at, tiles = request.path_params, _tiles(request)
-    data = await run_sync(tiles.tile, at["id"], at["level"], at["row"], at["col"])
+    place, tiles = request.path_params, _tiles(request)
+    data = await run_sync(tiles.tile, place["id"], place["level"], place["row"], place["col"])
     return Response(data, media_type="application/octet-stream")
 
 
@@ -96,8 +96,8 @@ async def get_selection(request: Request) -> Response:
 
 async def _answer(make: Callable[[], BaseModel]) -> Response:
     """What a thread finds, as JSON."""
-    found = await run_sync(lambda: make().model_dump_json())
-    return Response(found, media_type="application/json")
+    text = await run_sync(lambda: make().model_dump_json())
+    return Response(text, media_type="application/json")
 
 
 def _tiles(request: Request) -> Tiles:
@@ -111,21 +111,21 @@ def _picture(request: Request, key: str) -> Picture:
 def _pair(request: Request) -> tuple[Picture, Picture]:
     """Two pictures on the same pixels."""
     a, b = _picture(request, "a"), _picture(request, "b")
-    if b not in _tiles(request).pictures.beside(a):
+    if b not in _tiles(request).pictures.on_same_pixels(a):
         raise InputError(f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane.")
     return a, b
 
 
 def _region(request: Request) -> Region | None:
-    found = _numbers(request, "region", 4)
-    return None if found is None else Region(*found)
+    corners = _numbers(request, "region", 4)
+    return None if corners is None else Region(*corners)
 
 
 def _number(request: Request, key: str) -> float:
-    found = _numbers(request, key, 1)
-    if found is None:
+    numbers = _numbers(request, key, 1)
+    if numbers is None:
         raise InputError(f"{key} is missing: a number is needed.")
-    return found[0]
+    return numbers[0]
 
 
 def _numbers(request: Request, key: str, count: int) -> list[float] | None:
@@ -134,12 +134,12 @@ def _numbers(request: Request, key: str, count: int) -> list[float] | None:
     if text is None:
         return None
     try:
-        found = [float(word) for word in text[:200].split(",")]
+        numbers = [float(word) for word in text[:200].split(",")]
     except ValueError:
-        found = []
-    if len(found) != count or not all(map(math.isfinite, found)):
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
         raise InputError(f"{key} is {text[:40]!r}: {count} number{'s' if count > 1 else ''} needed, apart by commas.")
-    return found
+    return numbers
 
 
 ROUTES = [

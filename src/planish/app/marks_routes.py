@@ -17,7 +17,7 @@ from starlette.responses import JSONResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
-from planish.app.exchange import Given, exported, formats, imported
+from planish.app.exchange import MarkFile, exported, formats, imported
 from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Session, Stale
@@ -28,31 +28,29 @@ from planish.register import RegistrationParams
 HEARTBEAT_S = 0.5
 
 
-class _Asked(BaseModel):
+class _Body(BaseModel):
+    """The version that the page has seen: all that undo and redo need."""
+
     model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
     version: int | None = None
 
 
-class _Step(_Asked):
-    """Undo, redo, or something that needs no more than the version that was seen."""
-
-
-class _Changing(_Asked):
+class _ChangeBody(_Body):
     change: Change
 
 
-class _Snapping(_Asked):
+class _SnapBody(_Body):
     id: Id
     layer: Layer | None = None
 
 
-class _Importing(Given):
+class _ImportBody(MarkFile):
     layer: Layer | None = None
-    second: Given | None = None
+    second: MarkFile | None = None
     version: int | None = None
 
 
-async def _asked(request: Request, model: type[Any]) -> Any:
+async def _body_of(request: Request, model: type[Any]) -> Any:
     """The body of a request; ChangeError where it is no such thing."""
     try:
         return model.model_validate_json(await request.body() or b"{}")
@@ -72,17 +70,16 @@ async def get_session(request: Request) -> Response:
 def _session_of(session: Session, app: Any) -> dict[str, Any]:
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
-        holes = {plane: _circles(found) for plane, found in session.holes(layer).items()}
+        holes = {plane: _circles(detected) for plane, detected in session.holes(layer).items()}
         headline = session.results.layer(layer).headline
         shown = {plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES}
         layers.append(
             {"name": layer, "to": session.target(layer), "headline": headline, "holes": holes, "shown": shown}
         )
-    pictures: Any = getattr(app.state, "pictures", None)
     return {
         "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
         "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
-        "models": _models(), "export_formats": formats(), "pictures": [] if pictures is None else pictures.described(),
+        "models": _models(), "export_formats": formats(), "pictures": app.state.pictures.described(),
     }  # fmt: skip
 
 
@@ -102,7 +99,7 @@ async def get_state(request: Request) -> Response:
 
 
 def _layer(request: Request) -> str:
-    """The registration that is asked for; the first where none is."""
+    """The registration that is body for; the first where none is."""
     session: Session = request.app.state.session
     return request.query_params.get("layer") or session.state.first
 
@@ -143,68 +140,68 @@ def _waker(wake: Callable[[], None]) -> Callable[[], None]:
 
 async def post_change(request: Request) -> Response:
     """Make a change."""
-    asked: _Changing = await _asked(request, _Changing)
+    body: _ChangeBody = await _body_of(request, _ChangeBody)
     session: Session = request.app.state.session
-    return await _done(request, lambda: session.change(asked.change, version=asked.version))
+    return await _state_after(request, lambda: session.change(body.change, version=body.version))
 
 
 async def post_undo(request: Request) -> Response:
     """Take the last change back."""
-    asked: _Step = await _asked(request, _Step)
+    body: _Body = await _body_of(request, _Body)
     session: Session = request.app.state.session
-    return await _done(request, lambda: session.undo(version=asked.version))
+    return await _state_after(request, lambda: session.undo(version=body.version))
 
 
 async def post_redo(request: Request) -> Response:
     """Make it again."""
-    asked: _Step = await _asked(request, _Step)
+    body: _Body = await _body_of(request, _Body)
     session: Session = request.app.state.session
-    return await _done(request, lambda: session.redo(version=asked.version))
+    return await _state_after(request, lambda: session.redo(version=body.version))
 
 
 async def post_snap(request: Request) -> Response:
     """Move both ends of a mark into the holes that they lie in."""
-    asked: _Snapping = await _asked(request, _Snapping)
+    body: _SnapBody = await _body_of(request, _SnapBody)
     session: Session = request.app.state.session
 
     def snap() -> str:
-        layer = asked.layer or session.state.first
-        mark = session.state.mark(layer, asked.id)
+        layer = body.layer or session.state.first
+        mark = session.state.mark(layer, body.id)
         move = snapped(session, request.app.state.pictures, layer, mark)
-        session.change(move, version=asked.version)
+        session.change(move, version=body.version)
         return not_snapped(mark, move)
 
-    return await _done(request, snap)
+    return await _state_after(request, snap)
 
 
 async def post_import(request: Request) -> Response:
     """Take the marks of a file in place of all that are there."""
-    asked: _Importing = await _asked(request, _Importing)
+    body: _ImportBody = await _body_of(request, _ImportBody)
     session: Session = request.app.state.session
 
     def take() -> str:
-        layer = asked.layer or session.state.first
-        change = imported(session, request.app.state.pictures, layer, asked, asked.second)
-        session.change(change, version=asked.version)
+        layer = body.layer or session.state.first
+        change = imported(session, request.app.state.pictures, layer, body, body.second)
+        session.change(change, version=body.version)
         return f"{len(change.marks)} pairs of marks imported."
 
-    return await _done(request, take)
+    return await _state_after(request, take)
 
 
-async def _done(request: Request, action: Callable[[], object]) -> Response:
+async def _state_after(request: Request, action: Callable[[], object]) -> Response:
     """Do something, and give the state after it; with what stands now where that was seen too late."""
 
-    def doing() -> Response:
+    def act() -> Response:
         try:
-            said = action()
+            message = action()
         except Stale as error:
             return JSONResponse({"error": error.text} | _state_of(request), 409)
-        return JSONResponse(_state_of(request) | ({"said": said} if isinstance(said, str) and said else {}))
+        return JSONResponse(_state_of(request) | ({"said": message} if isinstance(message, str) and message else {}))
 
-    return await run_sync(doing)
+    return await run_sync(act)
 
 
-# --- what is asked ---------------------------------------------------------------------------------------------------
+# --- what is body ---------------------------------------------------------------------------------------------------
 
 
 async def get_predict(request: Request) -> Response:
@@ -213,22 +210,22 @@ async def get_predict(request: Request) -> Response:
     side, x, y = (request.query_params.get(key, "") for key in ("side", "x", "y"))
     if side not in PLANES:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
-    at = _number(x), _number(y)
-    found = await run_sync(lambda: live.fit(_layer(request)).predicted(side, at))
-    if found is None:
+    point_um = _number(x), _number(y)
+    prediction = await run_sync(lambda: live.fit(_layer(request)).predicted(side, point_um))
+    if prediction is None:
         return JSONResponse(None)
-    (there_x, there_y), error_um, words = found
-    return JSONResponse({"x": there_x, "y": there_y, "error_um": error_um, "text": words})
+    (other_x, other_y), error_um, words = prediction
+    return JSONResponse({"x": other_x, "y": other_y, "error_um": error_um, "text": words})
 
 
 def _number(text: str) -> float:
     try:
-        value = float(text)
+        number = float(text)
     except ValueError:
-        value = float("nan")
-    if not abs(value) <= FARTHEST_UM:
+        number = float("nan")
+    if not abs(number) <= FARTHEST_UM:
         raise ChangeError(f"{text[:40]!r} is no place in um.")
-    return value
+    return number
 
 
 async def get_export(request: Request) -> Response:

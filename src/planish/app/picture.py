@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +14,7 @@ from numpy.typing import NDArray
 from pydantic import BaseModel, ConfigDict
 
 from planish.core.grid import Grid
+from planish.core.typing import Floats
 from planish.io.map_store import CHUNK
 
 Plane = Literal["moving", "fixed"]
@@ -28,10 +30,20 @@ _FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse leve
 _WIDENED = 2.0  # spans by which their range is widened
 
 
-class PictureFacts(BaseModel):
-    """What a page has to know of a picture; see :class:`Picture`."""
+class Answer(BaseModel):
+    """Anything that the page is sent as JSON, which has no NaN."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+
+def finite_or_none(value: Any) -> float | None:
+    """Give a number as JSON can hold it: None where it is not finite."""
+    number = float(value)
+    return number if math.isfinite(number) else None
+
+
+class PictureFacts(Answer):
+    """What a page has to know of a picture; see :class:`Picture`."""
 
     id: str
     plane: Plane
@@ -68,11 +80,11 @@ class Codes:
         """Code each value."""
         if values.dtype == np.bool_:
             return values.astype(np.uint16) + np.uint16(1)
-        known = np.isfinite(values)
-        found = np.rint((np.where(known, values.astype(np.float64), self.offset) - self.offset) / self.scale) + 1
-        return np.where(known, np.clip(found, 1, LAST_CODE), 0).astype(np.uint16)
+        is_valid = np.isfinite(values)
+        codes = np.rint((np.where(is_valid, values.astype(np.float64), self.offset) - self.offset) / self.scale) + 1
+        return np.where(is_valid, np.clip(codes, 1, LAST_CODE), 0).astype(np.uint16)
 
-    def values(self, codes: NDArray[np.uint16]) -> NDArray[np.float64]:
+    def values(self, codes: NDArray[np.uint16]) -> Floats:
         """The values that codes stand for; NaN where they are missing."""
         return np.where(codes == 0, np.nan, self.offset + self.scale * (codes.astype(np.float64) - 1))
 
@@ -150,22 +162,22 @@ class Picture:
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     @cached_property
-    def _coarse(self) -> NDArray[np.float64]:
+    def _coarse(self) -> Floats:
         """Known values of the coarsest level, where it is there already."""
-        there = isinstance(self.levels, Stored) or len(self.levels) == 1
-        return _known([self.levels[-1].values] if there else [])
+        has_coarse = isinstance(self.levels, Stored) or len(self.levels) == 1
+        return _finite_values([self.levels[-1].values] if has_coarse else [])
 
     @cached_property
-    def _sample(self) -> NDArray[np.float64]:
+    def _sample(self) -> Floats:
         """Known values of windows all over the picture, each within one chunk."""
         if len(self.levels) == 1:
-            return _known([])
+            return _finite_values([])
         each = _FEW if self._coarse.size else _MANY
         tops, lefts = (
             (np.linspace(0.5, n - 0.5, 2 * each + 1).astype(int)[1::2] // CHUNK * CHUNK).tolist()
             for n in self.full.shape
         )
-        return _known([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts])
+        return _finite_values([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts])
 
     @property
     def facts(self) -> PictureFacts:
@@ -178,7 +190,7 @@ class Picture:
         )  # fmt: skip
 
 
-def _known(parts: Sequence[NDArray[Any]]) -> NDArray[np.float64]:
+def _finite_values(parts: Sequence[NDArray[Any]]) -> Floats:
     values = np.concatenate([np.empty(0), *(part.ravel() for part in parts)]).astype(np.float64)
     return values[np.isfinite(values)]
 

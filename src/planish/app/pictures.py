@@ -12,7 +12,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.app.made_levels import MadeLevels, cache_place
+from planish.app.computed_levels import ComputedLevels, cache_place
 from planish.app.picture import Picture, Plane, Stored
 from planish.app.strain import strains
 from planish.core.errors import InputError
@@ -60,8 +60,8 @@ class ImageFile:
 class Pictures:
     """All pictures of a session, by their ids."""
 
-    def __init__(self, found: Iterable[Picture]) -> None:
-        self._by_id = {one.id: one for one in (replace(p, id=f"p{k}") for k, p in enumerate(found))}
+    def __init__(self, pictures: Iterable[Picture]) -> None:
+        self._by_id = {picture.id: picture for picture in (replace(p, id=f"p{k}") for k, p in enumerate(pictures))}
 
     @classmethod
     def of(cls, run: Path, image: ImageParams | None = None) -> Self:
@@ -72,10 +72,10 @@ class Pictures:
         FileError
             If the run or the image is damaged or not there.
         """
-        found = [*_of_run(run)]
+        pictures = [*_of_run(run)]
         if image is not None:
-            found.append(image_picture(ImageFile.of(image), plane="fixed", name="image"))
-        return cls(found)
+            pictures.append(image_picture(ImageFile.of(image), plane="fixed", name="image"))
+        return cls(pictures)
 
     def __iter__(self) -> Iterator[Picture]:
         """In the order in which a page lists them."""
@@ -87,7 +87,7 @@ class Pictures:
             raise InputError(f"This session has no picture {id[:20]!r}.")
         return self._by_id[id]
 
-    def beside(self, picture: Picture) -> list[Picture]:
+    def on_same_pixels(self, picture: Picture) -> list[Picture]:
         """All pictures on the pixels of a picture, itself among them."""
         return [p for p in self if p.plane == picture.plane and _same_pixels(p, picture)]
 
@@ -98,11 +98,11 @@ class Pictures:
     def valid_of(self, *pictures: Picture) -> list[Picture]:
         """The masks that say where values of pictures count."""
         layers = {p.layer for p in pictures}
-        return [p for p in self.beside(pictures[0]) if p.layer in layers and p.name.split("/")[-1] == "valid"]
+        return [p for p in self.on_same_pixels(pictures[0]) if p.layer in layers and p.name.split("/")[-1] == "valid"]
 
     def described(self) -> list[dict[str, Any]]:
         """What a page has to know of all of them, as JSON has it."""
-        return [one.facts.model_dump() for one in self]
+        return [picture.facts.model_dump() for picture in self]
 
 
 def _same_pixels(a: Picture, b: Picture) -> bool:
@@ -143,10 +143,10 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[Picture]:
     """The maps of a sheet on its own plane, and the strains of its flattening."""
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
-    places = {one.name.removeprefix(prefix): one.levels for one in maps}
-    for name, shown, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
+    places = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
+    for name, strain, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
         yield Picture(
-            id="", plane="moving", layer=layer, name=prefix + name, title=shown.title, units=shown.units,
+            id="", plane="moving", layer=layer, name=prefix + name, title=strain.title, units=strain.units,
             levels=Stored(levels), around_zero=True,
         )  # fmt: skip
 
@@ -165,7 +165,7 @@ def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: s
             continue
         levels: Sequence[xr.DataArray] = Stored((data, *(one[name] for one in smaller if name in one)))
         if len(levels) <= count_of(shape):
-            levels = _on_grids(MadeLevels(data, cache_place(path / "zarr.json", group, name)), Grid.of(data))
+            levels = _on_grids(ComputedLevels(data, cache_place(path / "zarr.json", group, name)), Grid.of(data))
         yield Picture(
             id="", plane=plane, layer=layer, name=prefix + name, title=str(data.attrs.get("long_name", name)),
             units=str(data.attrs.get("units", "")), levels=levels,
@@ -185,14 +185,14 @@ def _order(data: xr.DataArray) -> tuple[int, str]:
     return (kinds.index(True) if True in kinds else len(kinds)), name
 
 
-def _on_grids(made: MadeLevels, grid: Grid) -> list[xr.DataArray]:
+def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
     """Levels with the coordinates of their pixels."""
-    found: list[xr.DataArray] = []
+    arrays: list[xr.DataArray] = []
     y, x = grid.y_um, grid.x_um
-    for level in made.levels():
-        found.append(xr.DataArray(xr.Variable(("y", "x"), held(level)), coords={"y": y, "x": x}))
+    for level in levels.levels():
+        arrays.append(xr.DataArray(xr.Variable(("y", "x"), held(level)), coords={"y": y, "x": x}))
         y, x = middles(y), middles(x)
-    return found
+    return arrays
 
 
 def image_picture(file: ImageFile, *, plane: Plane, name: str) -> Picture:
@@ -209,10 +209,10 @@ def image_picture(file: ImageFile, *, plane: Plane, name: str) -> Picture:
     _, title = channel_of(replace(head, values=head.values[:1, :1]), file.channel, file_name=file.path.name)
     rows, cols = head.values.shape[:2]
     place = cache_place(file.path, "image", file.channel)
-    made = MadeLevels(_ImageValues(file, (rows, cols)), place, keep_all=not is_mapped(file.path))
+    levels = ComputedLevels(_ImageValues(file, (rows, cols)), place, keep_all=not is_mapped(file.path))
     return Picture(
         id="", plane=plane, layer=file.layer, name=name, title=title, units="1",
-        levels=_on_grids(made, Grid.regular((rows, cols), file.pixel_um)),
+        levels=_on_grids(levels, Grid.regular((rows, cols), file.pixel_um)),
     )  # fmt: skip
 
 

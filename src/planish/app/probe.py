@@ -6,23 +6,17 @@ import math
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
-from planish.app.picture import Picture
+from planish.app.picture import Answer, Picture, finite_or_none
 from planish.app.tiles import Tiles
 from planish.core.errors import InputError
+from planish.core.typing import Bools, Floats
 
 MOST_SAMPLES = 2000
 """Pixels along a profile; a longer line is read from a coarser level."""
 
-Number = float | None
 
-
-class _Answer(BaseModel):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-
-class ValueAt(_Answer):
+class ValueAt(Answer):
     """Value of one picture at a point; None where it has none."""
 
     id: str
@@ -30,10 +24,10 @@ class ValueAt(_Answer):
     name: str
     title: str
     units: str
-    value: Number
+    value: float | None
 
 
-class VolumePlace(_Answer):
+class VolumePlace(Answer):
     """Place of the centre surface in the volume, in um along its axes."""
 
     layer: str
@@ -42,7 +36,7 @@ class VolumePlace(_Answer):
     z: float
 
 
-class Cursor(_Answer):
+class Cursor(Answer):
     """All values at a point (x, y) of a plane, in um, and the place in the volume that it shows."""
 
     x: float
@@ -53,16 +47,16 @@ class Cursor(_Answer):
     volume: VolumePlace | None
 
 
-class ProfileOf(_Answer):
+class ProfileOf(Answer):
     """Values of one picture along a line."""
 
     id: str
     name: str
     units: str
-    values: tuple[Number, ...]
+    values: tuple[float | None, ...]
 
 
-class Profile(_Answer):
+class Profile(Answer):
     """Values along a line at ``at_um`` from its beginning, of pixels that are ``pixel_um`` wide."""
 
     pixel_um: float
@@ -74,15 +68,15 @@ def cursor(tiles: Tiles, picture: Picture, x: float, y: float) -> Cursor:
     """Values of all pictures on the pixels of one, at the pixel that holds a point."""
     rows, cols = _pixels(picture, np.array([[x, y]]), 0)
     inside = _inside(picture, 0, rows, cols)[0]
-    beside = tiles.pictures.beside(picture)
-    found = {p.id: _number(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in beside}
+    pictures = tiles.pictures.on_same_pixels(picture)
+    value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in pictures}
     return Cursor(
         x=x, y=y, row=int(rows[0]) if inside else None, col=int(cols[0]) if inside else None,
         values=tuple(
-            ValueAt(id=p.id, layer=p.layer, name=p.name, title=p.title, units=p.units, value=found[p.id])
-            for p in beside
+            ValueAt(id=p.id, layer=p.layer, name=p.name, title=p.title, units=p.units, value=value_of[p.id])
+            for p in pictures
         ),
-        volume=_volume(picture, beside, found),
+        volume=_volume(picture, pictures, value_of),
     )  # fmt: skip
 
 
@@ -97,21 +91,21 @@ def profile(tiles: Tiles, pictures: list[Picture], line: tuple[float, float, flo
     coarsest = len(first.levels) - 1
     level = min(max(0, math.ceil(math.log2(length / pixel / MOST_SAMPLES))), coarsest)
     step = pixel * 2**level
-    at = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
-    points = np.array([x0, y0]) + (at / length)[:, None] * np.array([x1 - x0, y1 - y0])
+    distances_um = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
+    points = np.array([x0, y0]) + (distances_um / length)[:, None] * np.array([x1 - x0, y1 - y0])
     rows, cols = _pixels(first, points, level)
     inside = _inside(first, level, rows, cols)
     lines: list[ProfileOf] = []
     for picture in pictures:
-        values = np.full(at.size, np.nan)
+        values = np.full(distances_um.size, np.nan)
         values[inside] = tiles.values_at(picture, level, rows[inside], cols[inside])
         lines.append(
-            ProfileOf(id=picture.id, name=picture.name, units=picture.units, values=tuple(map(_number, values)))
+            ProfileOf(id=picture.id, name=picture.name, units=picture.units, values=tuple(map(finite_or_none, values)))
         )
-    return Profile(pixel_um=step, at_um=tuple(at.tolist()), lines=tuple(lines))
+    return Profile(pixel_um=step, at_um=tuple(distances_um.tolist()), lines=tuple(lines))
 
 
-def _pixels(picture: Picture, points: NDArray[np.float64], level: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _pixels(picture: Picture, points: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows and columns of the pixels of a level that hold points (n, 2: x, y); those of a level share one corner."""
     (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
     rows = np.floor((points[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
@@ -119,20 +113,16 @@ def _pixels(picture: Picture, points: NDArray[np.float64], level: int) -> tuple[
     return rows, cols
 
 
-def _inside(picture: Picture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.bool_]:
+def _inside(picture: Picture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Bools:
     height, width = picture.levels[level].shape
     return (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
 
 
-def _volume(picture: Picture, beside: list[Picture], found: dict[str, Number]) -> VolumePlace | None:
+def _volume(picture: Picture, pictures: list[Picture], value_of: dict[str, float | None]) -> VolumePlace | None:
     """The place in the volume, of the picture's own layer or the first one that has it."""
-    places = {(p.layer, p.name.split("/")[-1]): found[p.id] for p in beside}
-    for layer in dict.fromkeys([picture.layer, *(p.layer for p in beside)]):
+    places = {(p.layer, p.name.split("/")[-1]): value_of[p.id] for p in pictures}
+    for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):
         x, y, z = (places.get((layer, f"volume_{axis}")) for axis in "xyz")
         if x is not None and y is not None and z is not None:
             return VolumePlace(layer=layer, x=x, y=y, z=z)
     return None
-
-
-def _number(value: float) -> Number:
-    return float(value) if np.isfinite(value) else None

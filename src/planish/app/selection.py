@@ -11,14 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
 
 from planish.analyze import correlate
-from planish.app.picture import Picture
+from planish.app.picture import Answer, Picture, finite_or_none
 from planish.app.tiles import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError
 from planish.core.lazy import LazyArray, Where, held
+from planish.core.typing import Bools, Floats
 from planish.pipeline.evidence import CELLS
 
 BASE_PIXELS = 4_000_000
@@ -27,15 +27,10 @@ BASE_PIXELS = 4_000_000
 _BINS = 128
 _TAILS = (0.1, 99.9)  # percentiles between which points are drawn; those beyond are counted
 
-Number = float | None
 Window = tuple[slice, slice]
 
 
-class _Answer(BaseModel):
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
-
-class Density(_Answer):
+class Density(Answer):
     """How many points lie where in the plane of two quantities, of pixels of the stated size.
 
     ``counts`` are little-endian 32-bit numbers in base64, ``bins`` x ``bins``, rows of b from ``b_low`` up.
@@ -52,7 +47,7 @@ class Density(_Answer):
     counts: str
 
 
-class Histogram(_Answer):
+class Histogram(Answer):
     """How the values of a picture are distributed, of pixels of the stated size; ``range``: 2nd to 98th percentile."""
 
     pixel_um: tuple[float, float]
@@ -62,18 +57,18 @@ class Histogram(_Answer):
     high: float
     range: tuple[float, float]
     counts: tuple[int, ...]
-    mean: Number
-    sd: Number
-    median: Number
+    mean: float | None
+    sd: float | None
+    median: float | None
 
 
-class Selected(_Answer):
+class Selected(Answer):
     """Pixels that were selected, at full resolution; what is said of r holds for a region, not for picked values."""
 
     n: int
     pixel_um: tuple[float, float]
-    r: Number = None
-    n_eff: Number = None
+    r: float | None = None
+    n_eff: float | None = None
     interval: tuple[float, float] | None = None
     warnings: tuple[str, ...] = ()
 
@@ -117,19 +112,19 @@ def density(
 
     The limits are those of all points, also where only a region is counted.
     """
-    level, (x, y) = _base(tiles, a, b)
+    level, (x, y) = _overview(tiles, a, b)
     limits = [_limits(values[np.isfinite(x) & np.isfinite(y)]) for values in (x, y)]
     if window is not None:
         part = window.on(a, level)
         x, y = x[part], y[part]
-    both = np.isfinite(x) & np.isfinite(y)
+    is_valid = np.isfinite(x) & np.isfinite(y)
     places = [
-        np.floor((values[both] - low) * (bins / (high - low))).astype(np.int64)
+        np.floor((values[is_valid] - low) * (bins / (high - low))).astype(np.int64)
         for values, (low, high) in zip((x, y), limits, strict=True)
     ]
     shown = np.logical_and(*((at >= 0) & (at < bins) for at in places))
     counts = np.bincount((places[1] * bins + places[0])[shown], minlength=bins * bins).astype("<u4")
-    n = int(np.count_nonzero(both))
+    n = int(np.count_nonzero(is_valid))
     (a_low, a_high), (b_low, b_high) = limits
     return Density(
         pixel_um=_pixel(a, level), n=n, beyond=n - int(np.count_nonzero(shown)), bins=bins, a_low=a_low, a_high=a_high,
@@ -139,27 +134,27 @@ def density(
 
 def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, bins: int = _BINS) -> Histogram:
     """Count the values of a picture where they are valid."""
-    level, (values,) = _base(tiles, picture)
+    level, (values,) = _overview(tiles, picture)
     every = values[np.isfinite(values)]
     (low, high), usual = _limits(every), np.percentile(every, [2, 98]) if every.size else (0.0, 1.0)
     if window is not None:
         values = values[window.on(picture, level)]
-    known = values[np.isfinite(values)].astype(np.float64)
-    counts, _ = np.histogram(known, bins=bins, range=(low, high))
-    some = known.size > 0
+    finite = values[np.isfinite(values)].astype(np.float64)
+    counts, _ = np.histogram(finite, bins=bins, range=(low, high))
     return Histogram(
-        pixel_um=_pixel(picture, level), n=known.size, beyond=known.size - int(counts.sum()), low=low, high=high,
+        pixel_um=_pixel(picture, level), n=finite.size, beyond=finite.size - int(counts.sum()), low=low, high=high,
         range=(float(usual[0]), float(usual[1])), counts=tuple(counts.tolist()),
-        mean=float(known.mean()) if some else None,
-        sd=float(known.std(ddof=1)) if known.size > 1 else None, median=float(np.median(known)) if some else None,
+        mean=float(finite.mean()) if finite.size else None,
+        sd=float(finite.std(ddof=1)) if finite.size > 1 else None,
+        median=float(np.median(finite)) if finite.size else None,
     )  # fmt: skip
 
 
-def _between(at: NDArray[np.float64], low: float, high: float, step: float) -> slice:
+def _between(places: Floats, low: float, high: float, step: float) -> slice:
     slack = 1e-6 * step  # a border through the middle of a pixel takes it in, whatever was rounded
     return slice(
-        int(np.searchsorted(at, min(low, high) - slack, "left")),
-        int(np.searchsorted(at, max(low, high) + slack, "right")),
+        int(np.searchsorted(places, min(low, high) - slack, "left")),
+        int(np.searchsorted(places, max(low, high) + slack, "right")),
     )
 
 
@@ -186,31 +181,31 @@ def select(
             for mask in masks:
                 use &= band_of(mask, rows)
             for brush, values in chosen:
-                found = band_of(values, rows)
-                use &= (found >= brush.low) & (found <= brush.high)
+                band = band_of(values, rows)
+                use &= (band >= brush.low) & (band <= brush.high)
             n += int(np.count_nonzero(use))
         return Selected(n=n, pixel_um=pixel)
-    every = None if not masks else masks[0] if len(masks) == 1 else _lazily(_All(masks), masks[0])
+    every = None if not masks else masks[0] if len(masks) == 1 else _lazy_array(_AllMasks(masks), masks[0])
     row = correlate(x, y, mask=every, pixel_um=pixel, most_cells=CELLS)  # as a run does: its whole map gives its n_eff
     low, high = row.interval
     return Selected(
-        n=row.n, pixel_um=pixel, r=_number(row.r), n_eff=_number(row.n_eff),
+        n=row.n, pixel_um=pixel, r=finite_or_none(row.r), n_eff=finite_or_none(row.n_eff),
         interval=(low, high) if math.isfinite(low) and math.isfinite(high) else None, warnings=row.warnings,
     )  # fmt: skip
 
 
-class _All(LazyArray):
+class _AllMasks(LazyArray):
     """True where all masks are."""
 
     def __init__(self, masks: Sequence[xr.DataArray]) -> None:
         self._masks, self.shape, self.dtype = masks, masks[0].shape, np.dtype(np.bool_)
 
-    def read(self, where: Where) -> NDArray[np.bool_]:
+    def read(self, where: Where) -> Bools:
         """Read a part."""
         return np.logical_and.reduce([mask[where].values for mask in self._masks])
 
 
-class _Watched(LazyArray):
+class _Stoppable(LazyArray):
     """Values of which none are read any more once they are not wanted."""
 
     def __init__(self, values: xr.DataArray, stop: threading.Event) -> None:
@@ -225,14 +220,14 @@ class _Watched(LazyArray):
 
 
 def _watched(values: xr.DataArray, stop: threading.Event) -> xr.DataArray:
-    return _lazily(_Watched(values, stop), values)
+    return _lazy_array(_Stoppable(values, stop), values)
 
 
-def _lazily(values: LazyArray, like: xr.DataArray) -> xr.DataArray:
+def _lazy_array(values: LazyArray, like: xr.DataArray) -> xr.DataArray:
     return xr.DataArray(xr.Variable(like.dims, held(values)), coords=like.coords)
 
 
-def _base(tiles: Tiles, *pictures: Picture) -> tuple[int, list[NDArray[np.float64]]]:
+def _overview(tiles: Tiles, *pictures: Picture) -> tuple[int, list[Floats]]:
     """A level of few pixels, and the values of pictures there; NaN where they do not count."""
     level = pictures[0].level_within(BASE_PIXELS)
     whole = tuple(slice(0, n) for n in pictures[0].levels[level].shape)
@@ -243,7 +238,7 @@ def _base(tiles: Tiles, *pictures: Picture) -> tuple[int, list[NDArray[np.float6
     ]
 
 
-def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
+def _limits(values: Floats) -> tuple[float, float]:
     """Between which nearly all values lie, with a little room."""
     if values.size == 0:
         return 0.0, 1.0
@@ -255,7 +250,3 @@ def _limits(values: NDArray[np.float64]) -> tuple[float, float]:
 def _pixel(picture: Picture, level: int) -> tuple[float, float]:
     down, across = picture.grid.pixel_um
     return down * 2**level, across * 2**level
-
-
-def _number(value: float) -> Number:
-    return value if math.isfinite(value) else None

@@ -13,7 +13,6 @@ from typing import Any, Self
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
 from planish.app.corrections import corrections_of
@@ -22,6 +21,7 @@ from planish.app.picture import PLANES, Plane
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
 from planish.core.results import Results
+from planish.core.typing import Floats
 from planish.io import fingerprint, read_image
 from planish.io.params import ImageParams
 from planish.io.run_folder import read_group
@@ -34,8 +34,6 @@ from planish.pipeline.regions import REGIONS
 from planish.pipeline.run import MAPS, marks_file, open_results
 from planish.study import EDITS, Study, read_study
 
-KNOWN = tuple(EXTRAS)
-"""What may be known of an end beside its place."""
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
 
 
@@ -145,15 +143,15 @@ class Session:
     def to_face_um(self, layer: str) -> tuple[float, float]:
         """What the link added to the holes of a layer's maps, which run at an angle, to have them at the face."""
         if layer not in self.registrations:
-            right, down = self._found["moving"].attrs["to_face_um"]
+            right, down = self._detected_holes["moving"].attrs["to_face_um"]
             return right, down
         facts = self.results.layer(layer).registration
         return (0.0, 0.0) if facts is None or facts.tilt is None else facts.tilt.to_face_um
 
     def side_of(self, layer: str) -> Side:
         """Side of the sheet that a layer shows: the top for flat maps, and for an image where nothing is given."""
-        own = {one.name: one.image for one in self.study.layers}
-        image = self.image_params if self.image_params is not None and layer == "image" else own.get(layer)
+        images = {params.name: params.image for params in self.study.layers}
+        image = self.image_params if self.image_params is not None and layer == "image" else images.get(layer)
         return "top" if image is None else image.side or "top"
 
     @cached_property
@@ -169,10 +167,10 @@ class Session:
         if layer in self.registrations:
             marks = self.registrations[layer].marks
             return {plane: _holes_in(marks, plane) for plane in PLANES}
-        return self._found
+        return self._detected_holes
 
     @cached_property
-    def _found(self) -> dict[Plane, xr.Dataset]:
+    def _detected_holes(self) -> dict[Plane, xr.Dataset]:
         assert self.image is not None
         maps, side = read_group(self.folder / MAPS, "maps"), self.side_of("image")
         params = self.study.holes
@@ -217,9 +215,9 @@ class Session:
         """
         with self._lock:
             self._check(version)
-            made = numbered(change, len(self.journal.lines) + 1)
-            state = applied(self.state, made)
-            self.journal.append(made.model_dump_json(exclude_none=True).encode())
+            new = numbered(change, len(self.journal.lines) + 1)
+            state = applied(self.state, new)
+            self.journal.append(new.model_dump_json(exclude_none=True).encode())
             self._step(state)
             return state
 
@@ -265,7 +263,7 @@ class Session:
         self.changed_at = self.version
 
     def _replay(self) -> None:
-        self._done = [self._first()]
+        self._done = [self._original_state()]
         for k, line in enumerate(self.journal.lines, 1):
             try:
                 if line == _UNDO and self.can_undo:
@@ -280,20 +278,20 @@ class Session:
                     "that line to keep the changes that were made until then."
                 ) from error
 
-    def _first(self) -> State:
+    def _original_state(self) -> State:
         """The run as it was."""
         regions = read_regions(self.folder / REGIONS) if self.results.regions else None
         declared = [] if regions is None else [
-            (one, rings) for one in regions.declared for rings in one.polygons
+            (region, rings) for region in regions.declared for rings in region.polygons
         ]  # fmt: skip
         return State(
             marks={name: _marks_of(r.marks) for name, r in self.registrations.items()} or {self.layers[0]: ()},
             model=self.study.registration.model,
             regions=tuple(
                 Region(
-                    id=f"r0-{k}", name=one.name, author=one.author, reason=one.reason,
+                    id=f"r0-{k}", name=region.name, author=region.author, reason=region.reason,
                     polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
-                ) for k, (one, rings) in enumerate(declared, 1)
+                ) for k, (region, rings) in enumerate(declared, 1)
             ),
             corrections=corrections_of(self.study),
             first=self.layers[0],
@@ -305,8 +303,8 @@ class Session:
         """Count the version up, and call everybody who listens; from any thread."""
         with self._lock:
             self.version += 1
-            heard = tuple(self._listeners)
-        for listener in heard:
+            listeners = tuple(self._listeners)
+        for listener in listeners:
             with suppress(RuntimeError):  # a loop that was closed meanwhile
                 listener()
 
@@ -366,36 +364,36 @@ def _marks_of(marks: xr.Dataset) -> tuple[Mark, ...]:
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Where marks of a file lie in a plane, with all that is known of them."""
-    names = {key: f"{plane}_{key}" for key in ("x", "y", *KNOWN) if f"{plane}_{key}" in marks}
+    names = {key: f"{plane}_{key}" for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
     columns = {key: np.asarray(marks[name].values, dtype=np.float64) for key, name in names.items()}
     sources = marks[f"{plane}_source"].values if f"{plane}_source" in marks else None
-    found: list[End | None] = []
+    ends: list[End | None] = []
     for k in range(marks.sizes["mark"]):
-        known: dict[str, Any] = {key: float(v[k]) for key, v in columns.items() if np.isfinite(v[k])}
+        fields: dict[str, Any] = {key: float(v[k]) for key, v in columns.items() if np.isfinite(v[k])}
         source = "imported" if sources is None else str(sources[k])
-        found.append(End(**known, source=source) if {"x", "y"} <= known.keys() else None)  # pyright: ignore
-    return found
+        ends.append(End(**fields, source=source) if {"x", "y"} <= fields.keys() else None)  # pyright: ignore
+    return ends
 
 
 def places_of(ends: Sequence[End | None]) -> Places:
     """Ends as files of marks have them."""
 
-    def column(name: str) -> NDArray[np.float64]:
+    def column(name: str) -> Floats:
         values = [None if end is None else getattr(end, name) for end in ends]
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
     return Places(
         um=np.stack([column("x"), column("y")], axis=1),
         source=["imported" if end is None else end.source for end in ends],
-        extras={name: column(name) for name in KNOWN},
+        extras={name: column(name) for name in EXTRAS},
     )
 
 
 def _holes_in(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
     """The marks of a plane as holes."""
-    names = {f"{plane}_{key}": key for key in ("x", "y", *KNOWN) if f"{plane}_{key}" in marks}
-    there = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
-    return marks[[*names]].rename(names).isel(mark=there)
+    names = {f"{plane}_{key}": key for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
+    rows = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
+    return marks[[*names]].rename(names).isel(mark=rows)
 
 
 def _ring(points: Any) -> tuple[tuple[float, float], ...]:

@@ -11,12 +11,13 @@ from typing import Any, Literal, Self
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
-from pydantic import BaseModel, ConfigDict
+from pydantic import Field
 
-from planish.app.picture import Codes
+from planish.app.picture import Answer, Codes
 from planish.core.errors import FileError, InputError
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
+from planish.core.typing import Floats
 from planish.io import find_place, read_volume
 from planish.io.info import LOOK_BYTES
 from planish.io.map_store import stored_group
@@ -27,21 +28,18 @@ from planish.pipeline.run import MAPS, is_run
 from planish.study import Study
 from planish.surface import Corrections, preview_faces, uncorrected
 
-Array = NDArray[np.float64]
 Direction = Literal["z", "y", "x", "straight"]
 
 WIDEST = 2048
 """Voxels of a slice along either edge: a larger one is cut around the place that is asked for."""
 
 HEIGHTS = ("top", "interface_top", "centre", "interface_bottom", "bottom")
-_BESIDE = 1.5  # thicknesses that a straightened slice reaches to both sides of the centre surface
+_REACH = 1.5  # thicknesses that a straightened slice reaches to both sides of the centre surface
 _EXACT = np.dtype("u1"), np.dtype("u2")
 
 
-class AxisFacts(BaseModel):
+class AxisFacts(Answer):
     """One edge of a slice: the place of pixel k is ``first_um + k * step_um``."""
-
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
     name: Literal["z", "y", "x", "height"]
     first_um: float
@@ -49,7 +47,7 @@ class AxisFacts(BaseModel):
     count: int
 
 
-class SliceFacts(BaseModel):
+class SliceFacts(Answer):
     """A slice and what was found in it.
 
     Attributes
@@ -74,8 +72,6 @@ class SliceFacts(BaseModel):
         Of a slice along the sheet: how many segments x0, y0, x1, y1 in um each contour has.
     """
 
-    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
-
     layer: str
     direction: Direction
     normal: Axis
@@ -88,7 +84,7 @@ class SliceFacts(BaseModel):
     missing: int
     lines: tuple[str, ...] = ()
     columns: AxisFacts | None = None
-    segments: dict[str, int] = {}
+    segments: dict[str, int] = Field(default_factory=dict[str, int])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -129,9 +125,9 @@ class Sheet:
         volume = read_volume(params.path, **params.model_dump(include=HOW_VOLUMES_ARE_READ), memory_bytes=LOOK_BYTES)
         codes = None
         if volume.dtype not in _EXACT:
-            seen = volume.isel({axis: slice(n // 2, n // 2 + 1) for axis, n in list(volume.sizes.items())[:1]}).values
-            known = seen[np.isfinite(seen)].astype(np.float64)
-            low, high = (float(known.min()), float(known.max())) if known.size else (0.0, 1.0)
+            plane = volume.isel({axis: slice(n // 2, n // 2 + 1) for axis, n in list(volume.sizes.items())[:1]}).values
+            finite = plane[np.isfinite(plane)].astype(np.float64)
+            low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
             codes = Codes.between(low - (high - low), high + (high - low))
         return cls(name=name, volume=volume, surfaces=stored_group(store, "surfaces"), codes=codes)
 
@@ -145,7 +141,7 @@ class Sheet:
         """Voxels along the edge of a column of the surfaces."""
         return max(1, self.volume.sizes[self.frame.rows] // max(self.surfaces.sizes["y"], 1))
 
-    def places(self, axis: str) -> Array:
+    def places(self, axis: str) -> Floats:
         """Where the voxels lie along an axis."""
         return np.asarray(self.volume.coords[axis].values, dtype=np.float64)
 
@@ -205,9 +201,9 @@ class Sheet:
         if f.top == "high":
             values, depth = values[::-1], depth[::-1]
         pixels, scale, offset, missing = self.coded(values)
-        at = min(index // self.step, self.surfaces.sizes["y" if direction == f.rows else "x"] - 1)
+        line = min(index // self.step, self.surfaces.sizes["y" if direction == f.rows else "x"] - 1)
         columns = slice(along.start // self.step, min(-(-along.stop // self.step), self._columns(other)))
-        lines = self._lines(other, at, columns, corrections)
+        lines = self._lines(other, line, columns, corrections)
         facts = SliceFacts(
             layer=self.name, direction=direction, normal=direction, index=index,
             at_um=float(self.places(direction)[index]), across=_axis(other, self.places(other)[along]),
@@ -225,19 +221,20 @@ class Sheet:
         pixels, scale, offset, missing = self.coded(values)
         height = float(self.places(f.through)[index])
         window = {
-            dim: slice(of.start // self.step, min(-(-of.stop // self.step), self.surfaces.sizes[dim]))
-            for dim, of in (("y", rows), ("x", cols))
+            dim: slice(part.start // self.step, min(-(-part.stop // self.step), self.surfaces.sizes[dim]))
+            for dim, part in (("y", rows), ("x", cols))
         }
-        found = self.surfaces.isel(window)
+        surfaces = self.surfaces.isel(window)
         contours = {
-            name: contour(found[name].values - height, found["x"].values, found["y"].values) for name in HEIGHTS
+            name: contour(surfaces[name].values - height, surfaces["x"].values, surfaces["y"].values)
+            for name in HEIGHTS
         }
         facts = SliceFacts(
             layer=self.name, direction=f.through, normal=f.through, index=index, at_um=height,
             across=_axis(f.cols, self.places(f.cols)[cols]), down=_axis(f.rows, self.places(f.rows)[rows]),
-            scale=scale, offset=offset, missing=missing, segments={name: len(of) for name, of in contours.items()},
+            scale=scale, offset=offset, missing=missing, segments={name: len(part) for name, part in contours.items()},
         )  # fmt: skip
-        return Slice(facts=facts, pixels=pixels, contours=[of.astype(np.float32) for of in contours.values()])
+        return Slice(facts=facts, pixels=pixels, contours=[part.astype(np.float32) for part in contours.values()])
 
     def _straight(
         self, index: int, near_um: tuple[float | None, float | None], corrections: Corrections | None
@@ -249,7 +246,7 @@ class Sheet:
         lines = self._lines(f.cols, index, window, corrections)
         thickness = float(self.surfaces.attrs["thickness_um"])
         size = abs(float(np.diff(self.places(f.through)[:2])[0]))
-        half = int(np.ceil(_BESIDE * thickness / size))
+        half = int(np.ceil(_REACH * thickness / size))
         s = size * np.arange(half, -half - 1, -1).astype(np.float64)
         values = self._sampled(index, window, lines, s)
         halo = int(np.ceil(1.5 * thickness / min(pitch(self.surfaces)))) + 2
@@ -259,10 +256,10 @@ class Sheet:
             lines[name] = np.zeros(places[window].size) if name == "centre" else met.faces[name][index - first]
         for name in [name for name in lines if name.startswith(("preview", "found"))]:
             del lines[name]
-        known = values[np.isfinite(values)]
+        finite = values[np.isfinite(values)]
         codes = self.codes or Codes(-1.0, 1.0)
-        if self.codes is None and known.size:
-            codes = Codes.between(float(known.min()), float(known.max()))
+        if self.codes is None and finite.size:
+            codes = Codes.between(float(finite.min()), float(finite.max()))
         facts = SliceFacts(
             layer=self.name, direction="straight", normal=f.rows, index=index,
             at_um=float(self._column_places(f.rows)[index]), across=_axis(f.cols, places[window]),
@@ -271,32 +268,34 @@ class Sheet:
         )  # fmt: skip
         return Slice(facts=facts, pixels=codes.of(values), lines=[v.astype(np.float32) for v in lines.values()])
 
-    def _sampled(self, index: int, window: slice, lines: dict[str, Array], s: Array) -> Array:
+    def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s: Floats) -> Floats:
         """Grey along the normals of one row, (s, columns)."""
         from scipy import ndimage
 
         f = self.frame
         centre = lines["place"]
         normal = {f.rows: lines["normal_rows"], f.cols: lines["normal_cols"], f.through: lines["normal_through"]}
-        at = {
+        places = {
             f.rows: np.full(centre.shape, self._column_places(f.rows)[index]),
             f.cols: self._column_places(f.cols)[window], f.through: centre,
         }  # fmt: skip
-        known = np.isfinite(centre) & np.isfinite(normal[f.through])
+        is_sheet = np.isfinite(centre) & np.isfinite(normal[f.through])
         values = np.full((s.size, centre.size), np.nan)
-        if not known.any():
+        if not is_sheet.any():
             return values
         box: dict[str, slice] = {}
-        where: list[Array] = []
+        where: list[Floats] = []
         for axis in map(str, self.volume.dims):
             coords = self.places(axis)
             pixel = float(coords[1] - coords[0])
-            index_of = (at[axis][known] + s[:, None] * normal[axis][known] - coords[0]) / pixel
+            index_of = (places[axis][is_sheet] + s[:, None] * normal[axis][is_sheet] - coords[0]) / pixel
             start = int(np.clip(np.floor(index_of.min()), 0, coords.size - 1))
             box[axis] = slice(start, int(np.clip(np.ceil(index_of.max()) + 1, start + 1, coords.size)))
             where.append(index_of - start)
         block = self.volume.isel(box).values.astype(np.float32)
-        values[:, known] = ndimage.map_coordinates(block, where, order=1, mode="constant", cval=np.nan, prefilter=False)
+        values[:, is_sheet] = ndimage.map_coordinates(
+            block, where, order=1, mode="constant", cval=np.nan, prefilter=False
+        )
         return values
 
     # --- surfaces -----------------------------------------------------------------------------------------------------
@@ -304,77 +303,70 @@ class Sheet:
     def _columns(self, axis: str) -> int:
         return self.surfaces.sizes["y" if axis == self.frame.rows else "x"]
 
-    def _column_places(self, axis: str) -> Array:
+    def _column_places(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
 
     def _read(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
         """A window of the surfaces, in memory."""
-        names = names or [str(n) for n in self.surfaces.data_vars if n in _READ or str(n).startswith(_READ_TOO)]
+        names = names or [str(n) for n in self.surfaces.data_vars if n in _READ or str(n).startswith(_READ_PREFIXES)]
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()
 
-    def _lines(self, along: str, at: int, columns: slice, corrections: Corrections | None) -> dict[str, Array]:
+    def _lines(self, along: str, index: int, columns: slice, corrections: Corrections | None) -> dict[str, Floats]:
         """What was found in one row, or column, of the surfaces."""
         of_rows = along == self.frame.cols
-        beside = slice(max(at - 1, 0), at + 2)
-        if beside.stop - beside.start < 2:
-            beside = slice(max(at - 2, 0), at + 1)
-        near = self._read(*((beside, columns) if of_rows else (columns, beside)))
-        here = {"y" if of_rows else "x": at - beside.start}
-        found = near.isel(here)
-        lines = {name: found[name].values.astype(np.float64) for name in HEIGHTS}
+        neighbours = slice(max(index - 1, 0), index + 2)
+        if neighbours.stop - neighbours.start < 2:
+            neighbours = slice(max(index - 2, 0), index + 1)
+        near = self._read(*((neighbours, columns) if of_rows else (columns, neighbours)))
+        here = {"y" if of_rows else "x": index - neighbours.start}
+        profile = near.isel(here)
+        lines = {name: profile[name].values.astype(np.float64) for name in HEIGHTS}
         centre = self.frame.sign * near["centre"].values.astype(np.float64)
         normal = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
-        taken = normal[at - beside.start] if of_rows else normal[:, at - beside.start]
-        lines |= {"place": lines["centre"], "normal_rows": taken[:, 0], "normal_cols": taken[:, 1]}
-        lines["normal_through"] = self.frame.sign * taken[:, 2]
-        for name in ("thickness_se", "status", *(n for n in found.data_vars if str(n).startswith(_READ_TOO))):
-            if name in found:
-                values = found[name].values.astype(np.float64)
+        normals = normal[index - neighbours.start] if of_rows else normal[:, index - neighbours.start]
+        lines |= {"place": lines["centre"], "normal_rows": normals[:, 0], "normal_cols": normals[:, 1]}
+        lines["normal_through"] = self.frame.sign * normals[:, 2]
+        for name in ("thickness_se", "status", *(n for n in profile.data_vars if str(n).startswith(_READ_PREFIXES))):
+            if name in profile:
+                values = profile[name].values.astype(np.float64)
                 lines[str(name)] = np.where(values == 255, np.nan, values) if name == "found_status" else values
         if corrections is not None and corrections.stretches:
-            row, col = (slice(at, at + 1), columns) if of_rows else (columns, slice(at, at + 1))
+            row, col = (slice(index, index + 1), columns) if of_rows else (columns, slice(index, index + 1))
             lines |= self._preview(row, col, corrections)
         return lines
 
-    def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Array]:
+    def _preview(self, rows: slice, cols: slice, corrections: Corrections) -> dict[str, Floats]:
         """The faces in some columns as corrections would leave them."""
-        if (found_near := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))) is None:
+        if (preview := preview_faces(self.surfaces, self.volume, corrections, (rows, cols))) is None:
             return {}
-        window, drawn = found_near
+        window, drawn = preview
         whole = uncorrected(self._read(rows, cols))
-        found: dict[str, Array] = {}
+        shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip((rows, cols), window, strict=True)]
+        faces: dict[str, Floats] = {}
         for face in ("top", "bottom"):
             values = whole[face].values.astype(np.float64)
-            shared = tuple(
-                slice(max(part.start, own.start), min(part.stop, own.stop))
-                for part, own in zip((rows, cols), window, strict=True)
-            )
             if all(part.stop > part.start for part in shared):
-                inner = tuple(slice(p.start - w.start, p.stop - w.start) for p, w in zip(shared, window, strict=True))
-                outer = tuple(
-                    slice(p.start - w.start, p.stop - w.start) for p, w in zip(shared, (rows, cols), strict=True)
-                )
-                values[outer] = drawn[face][inner]
-            found[f"preview_{face}"] = values.ravel()
-        return found
+                values[tuple(map(_within, shared, (rows, cols)))] = drawn[face][tuple(map(_within, shared, window))]
+            faces[f"preview_{face}"] = values.ravel()
+        return faces
 
 
 _READ = (*HEIGHTS, "status", "thickness_se")
-_READ_TOO = ("found_", "correction_")
+_READ_PREFIXES = ("found_", "correction_")
 
 
 def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]]:
     """Volumes of the sheets of a run, and the stores with their surfaces, by layer."""
-    found: dict[str, tuple[VolumeParams, Path]] = {}
+    sheets: dict[str, tuple[VolumeParams, Path]] = {}
     for layer in study.layers:
         inner = folder / "layers" / layer.name
         store = (inner if is_run(inner) else folder) / MAPS
         if layer.volume is not None and (store / "surfaces").is_dir():
-            found[layer.name] = layer.volume, store
-    return found
+            sheets[layer.name] = layer.volume, store
+    return sheets
 
 
-def contour(height: Array, x: Array, y: Array) -> Array:
+def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     """Segments (n, 4: x0, y0, x1, y1) along which a field (y, x) crosses 0, linear between its nodes."""
     value = np.asarray(height, dtype=np.float64)
     corners = np.stack([value[:-1, :-1], value[:-1, 1:], value[1:, 1:], value[1:, :-1]])
@@ -384,7 +376,7 @@ def contour(height: Array, x: Array, y: Array) -> Array:
     picked = corners[:, rows, cols]
     at_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]]) if cells.size else np.empty((4, 0))
     at_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]]) if cells.size else np.empty((4, 0))
-    ends: list[Array] = []
+    ends: list[Floats] = []
     for k in range(4):
         n = (k + 1) % 4
         crosses = (picked[k] >= 0) != (picked[n] >= 0)
@@ -393,14 +385,18 @@ def contour(height: Array, x: Array, y: Array) -> Array:
         place = np.stack([at_x[k] + share * (at_x[n] - at_x[k]), at_y[k] + share * (at_y[n] - at_y[k])], axis=-1)
         ends.append(np.where(crosses[:, None], place, np.nan))
     # Two edges of a cell are crossed, or at a saddle all four: its crossings then belong together in pairs.
-    found = np.stack(ends, axis=1)
-    order = np.argsort(np.isnan(found[..., 0]), axis=1, kind="stable")
-    sorted_ends = np.take_along_axis(found, order[..., None], axis=1)
+    crossings = np.stack(ends, axis=1)
+    order = np.argsort(np.isnan(crossings[..., 0]), axis=1, kind="stable")
+    sorted_ends = np.take_along_axis(crossings, order[..., None], axis=1)
     first, second = sorted_ends[:, :2].reshape(-1, 4), sorted_ends[:, 2:].reshape(-1, 4)
     return np.concatenate([first, second[np.isfinite(second).all(axis=1)]])
 
 
-def _window(places: Array, near_um: float | None) -> slice:
+def _within(part: slice, whole: slice) -> slice:
+    return slice(part.start - whole.start, part.stop - whole.start)
+
+
+def _window(places: Floats, near_um: float | None) -> slice:
     """At most ``WIDEST`` places, around one of them."""
     if places.size <= WIDEST:
         return slice(0, places.size)
@@ -409,6 +405,6 @@ def _window(places: Array, near_um: float | None) -> slice:
     return slice(first, first + WIDEST)
 
 
-def _axis(name: Any, places: Array) -> AxisFacts:
+def _axis(name: Any, places: Floats) -> AxisFacts:
     step = float(places[1] - places[0]) if places.size > 1 else 1.0
     return AxisFacts(name=name, first_um=float(places[0]), step_um=step, count=places.size)

@@ -8,8 +8,9 @@ import xarray as xr
 from planish.app.changes import ChangeError, End, Mark, Move
 from planish.app.picture import PLANES, Plane
 from planish.app.pictures import Pictures
-from planish.app.session import KNOWN, Session
+from planish.app.session import Session
 from planish.core.grid import Grid
+from planish.marks.files.model import EXTRAS
 from planish.pipeline import find_holes
 
 REACH = 0.75
@@ -26,12 +27,12 @@ def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Mov
     ChangeError
         If neither end lies in a hole.
     """
-    found = {
-        plane: hole_at(session, pictures, layer, plane, end.xy) for plane in PLANES if (end := mark_end(mark, plane))
+    hole_of = {
+        plane: hole_at(session, pictures, layer, plane, end.xy) for plane in PLANES if (end := getattr(mark, plane))
     }
-    ends = {plane: end for plane, end in found.items() if end is not None}
+    ends = {plane: end for plane, end in hole_of.items() if end is not None}
     if not ends:
-        where = " or ".join(_WHERE[plane] for plane in found)
+        where = " or ".join(_WHERE[plane] for plane in hole_of)
         low, high = session.study.holes.hole_um
         raise ChangeError(
             f"No hole of {low:g} to {high:g} um was found around {mark.label} {where}. Move the mark closer to the "
@@ -42,35 +43,32 @@ def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Mov
 
 def not_snapped(mark: Mark, move: Move) -> str:
     """What to say where only one end lies in a hole."""
-    missing = [_WHERE[p] for p in PLANES if mark_end(mark, p) is not None and getattr(move, p) is None]
+    missing = [_WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
     return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
 
 
-def mark_end(mark: Mark, plane: Plane) -> End | None:
-    """One end of a mark."""
-    return mark.moving if plane == "moving" else mark.fixed
-
-
 def hole_at(
-    session: Session, pictures: Pictures, layer: str, plane: Plane, at: tuple[float, float]
+    session: Session, pictures: Pictures, layer: str, plane: Plane, point_um: tuple[float, float]
 ) -> End | None:  # fmt: skip
     """The hole around a point, with what is known of it; None where there is none."""
-    return _nearest(session.holes(layer)[plane], at) or _nearest(_searched(session, pictures, layer, plane, at), at)
+    return _nearest(session.holes(layer)[plane], point_um) or _nearest(
+        _searched(session, pictures, layer, plane, point_um), point_um
+    )
 
 
-def _nearest(holes: xr.Dataset | None, at: tuple[float, float]) -> End | None:
+def _nearest(holes: xr.Dataset | None, point_um: tuple[float, float]) -> End | None:
     if holes is None or not holes.sizes["mark"] or "diameter" not in holes:
         return None
-    away = np.hypot(holes["x"].values - at[0], holes["y"].values - at[1])
+    away = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
     k = int(np.nanargmin(away))
     if not away[k] <= REACH * float(holes["diameter"].values[k]):
         return None
-    known = {name: float(v) for name in KNOWN if name in holes and np.isfinite(v := holes[name].values[k])}
-    return End(x=float(holes["x"].values[k]), y=float(holes["y"].values[k]), source="detected", **known)
+    extras = {name: float(v) for name in EXTRAS if name in holes and np.isfinite(v := holes[name].values[k])}
+    return End(x=float(holes["x"].values[k]), y=float(holes["y"].values[k]), source="detected", **extras)
 
 
 def _searched(
-    session: Session, pictures: Pictures, layer: str, plane: Plane, at: tuple[float, float]
+    session: Session, pictures: Pictures, layer: str, plane: Plane, point_um: tuple[float, float]
 ) -> xr.Dataset | None:  # fmt: skip
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
@@ -78,18 +76,18 @@ def _searched(
     shown = _shown(session, pictures, layer, plane)
     if not shown:
         return None
-    windows = {name: window for name, data in shown.items() if (window := _window(data, at, reach)) is not None}
+    windows = {name: window for name, data in shown.items() if (window := _window(data, point_um, reach)) is not None}
     if len(windows) < len(shown):
         return None
     if "image" in windows:
         image = windows["image"]
         grid = Grid.of(image)
-        found = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
+        holes = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
         x, y = grid.origin_um
-        return found.assign(x=found["x"] + x, y=found["y"] + y)
-    found = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
+        return holes.assign(x=holes["x"] + x, y=holes["y"] + y)
+    holes = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
     right, down = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
-    return found.assign(x=found["x"] + right, y=found["y"] + down)
+    return holes.assign(x=holes["x"] + right, y=holes["y"] + down)
 
 
 def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
@@ -97,20 +95,22 @@ def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> di
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}
     shown, owner = session.shown_by(layer, plane)
-    there = pictures.on(shown, owner)
-    own = {p.name.split("/")[-1]: p.full for p in there if p.layer == owner}
-    if "image" in own:
-        return {"image": own["image"]}
-    if shown == "fixed" and not any(name.startswith("presence") for name in own):
-        image = next((p.full for p in there if p.name.split("/")[-1] == "image"), None)
+    on_plane = pictures.on(shown, owner)
+    layer_maps = {p.name.split("/")[-1]: p.full for p in on_plane if p.layer == owner}
+    if "image" in layer_maps:
+        return {"image": layer_maps["image"]}
+    if shown == "fixed" and not any(name.startswith("presence") for name in layer_maps):
+        image = next((p.full for p in on_plane if p.name.split("/")[-1] == "image"), None)
         return {} if image is None else {"image": image}
-    return {name: data for name, data in own.items() if name.startswith("presence")}
+    return {name: data for name, data in layer_maps.items() if name.startswith("presence")}
 
 
-def _window(data: xr.DataArray, at: tuple[float, float], reach_um: float) -> xr.DataArray | None:
+def _window(data: xr.DataArray, point_um: tuple[float, float], reach_um: float) -> xr.DataArray | None:
     """The part of a map or image around a point, read; None where that is less than a hole needs."""
     grid = Grid.of(data)
-    ranges = [np.flatnonzero(np.abs(v - c) <= reach_um) for v, c in ((grid.y_um, at[1]), (grid.x_um, at[0]))]
+    ranges = [
+        np.flatnonzero(np.abs(v - c) <= reach_um) for v, c in ((grid.y_um, point_um[1]), (grid.x_um, point_um[0]))
+    ]
     if min(r.size for r in ranges) < 8:
         return None
     rows, cols = (slice(int(r[0]), int(r[-1]) + 1) for r in ranges)

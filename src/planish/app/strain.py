@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from planish.core.bands import bands
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, held
+from planish.core.typing import Floats
 from planish.io.map_store import stored_group
 from planish.io.run_folder import read_group
 from planish.pipeline.run import MAPS
@@ -46,32 +47,32 @@ MOST_POINTS = 40_000
 
 def sheet_run(run: Path, layer: str) -> Path | None:
     """Folder of the run that a layer was flattened in: this one, or one within it; None where it is no sheet."""
-    params = next((one for one in read_study(run / RUN_TOML).layers if one.name == layer), None)
-    inside = () if params is None or params.kind == "image" else (run / "layers" / layer, run)
-    return next((one for one in inside if (one / MAPS / "strain").is_dir()), None)
+    sheet = next((params for params in read_study(run / RUN_TOML).layers if params.name == layer), None)
+    folders = () if sheet is None or sheet.kind == "image" else (run / "layers" / layer, run)
+    return next((folder for folder in folders if (folder / MAPS / "strain").is_dir()), None)
 
 
-class _OfCells(LazyArray):
+class _CellValues(LazyArray):
     """Values of the mesh's cells on the pixels of a flat map: those of the cell in which a pixel lies."""
 
     def __init__(self, cells: xr.DataArray, shown: Strain, rows_at: xr.DataArray, cols_at: xr.DataArray) -> None:
         self._cells = (shown.factor * (np.asarray(cells.values) - shown.unstrained)).astype(np.float32)
-        self._at = rows_at, cols_at
+        self._coordinates = rows_at, cols_at
         self._places = tuple(np.asarray(cells[axis].values, dtype=np.float64) for axis in ("y", "x"))
         self.shape, self.dtype = rows_at.shape, np.dtype(np.float32)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
-        found: list[NDArray[np.intp]] = []
-        known = True
-        for at, places in zip(self._at, self._places, strict=True):
-            um = np.asarray(at[where].values, dtype=np.float64)
+        indices: list[NDArray[np.intp]] = []
+        is_on_mesh = True
+        for coordinates, places in zip(self._coordinates, self._places, strict=True):
+            um = np.asarray(coordinates[where].values, dtype=np.float64)
             step = (places[-1] - places[0]) / (places.size - 1)
             index = (um - places[0]) / step
             inside = (index > -0.5) & (index < places.size - 0.5)  # False where it is NaN
-            found.append(np.where(inside, np.rint(index), 0).astype(np.intp))
-            known = known & inside
-        return np.where(known, self._cells[found[0], found[1]], np.float32(np.nan))
+            indices.append(np.where(inside, np.rint(index), 0).astype(np.intp))
+            is_on_mesh = is_on_mesh & inside
+        return np.where(is_on_mesh, self._cells[indices[0], indices[1]], np.float32(np.nan))
 
 
 def strains(
@@ -93,7 +94,7 @@ def strains(
         if name not in strain or min(strain[name].shape) < 2 or not np.isfinite(strain[name].values).any():
             continue
         levels = [
-            xr.DataArray(xr.Variable(a.dims, held(_OfCells(strain[name], shown, a, b))), coords=a.coords)
+            xr.DataArray(xr.Variable(a.dims, held(_CellValues(strain[name], shown, a, b))), coords=a.coords)
             for a, b in zip(rows, cols, strict=True)
         ]
         yield name, shown, levels
@@ -112,24 +113,24 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     # Columns of the sheet that are nodes of the mesh, or nearest to them; a cell's place is its middle.
     nodes: list[NDArray[np.intp]] = []
     for axis in ("y", "x"):
-        at, middle = np.asarray(flat[axis].values), np.asarray(strain[axis].values)
+        columns, middle = np.asarray(flat[axis].values), np.asarray(strain[axis].values)
         step = (middle[-1] - middle[0]) / max(middle.size - 1, 1)
         places = middle[0] - 0.5 * step + step * np.arange(0, middle.size + 1, every)
-        pitch = (at[-1] - at[0]) / max(at.size - 1, 1)
-        nodes.append(np.clip(np.rint((places - at[0]) / pitch), 0, at.size - 1).astype(np.intp))
+        pitch = (columns[-1] - columns[0]) / max(columns.size - 1, 1)
+        nodes.append(np.clip(np.rint((places - columns[0]) / pitch), 0, columns.size - 1).astype(np.intp))
     uv = np.empty((nodes[0].size, nodes[1].size, 2))
     for band in bands(flat.sizes["y"]):
         inside = (nodes[0] >= band.start) & (nodes[0] < band.stop)
         for j, name in enumerate(("u", "v")):
             uv[inside, :, j] = flat[name][band].values[np.ix_(nodes[0][inside] - band.start, nodes[1])]
-    lines = [part for line in (*uv, *uv.transpose(1, 0, 2)) for part in _parts(line)]
+    lines = [part for line in (*uv, *uv.transpose(1, 0, 2)) for part in _pieces(line)]
     return lines, every
 
 
-def _parts(line: NDArray[np.float64]) -> Iterator[list[tuple[float, float]]]:
+def _pieces(line: Floats) -> Iterator[list[tuple[float, float]]]:
     """The pieces of a line between gaps."""
-    known = np.isfinite(line).all(axis=1)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], known.astype(np.int8), [0]])))
+    is_sheet = np.isfinite(line).all(axis=1)
+    ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
     for first, last in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
         if last - first > 1:
             yield [(round(float(x), 1), round(float(y), 1)) for x, y in line[first:last]]

@@ -35,20 +35,20 @@ async def get_slice(request: Request) -> Response:
     return Response(await run_sync(_slice, request), media_type="application/octet-stream")
 
 
-def _opened(request: Request, layer: str) -> Sheet:
+def _open_sheet(request: Request, layer: str) -> Sheet:
     """The sheet of a layer, opened when it is first asked for."""
     app, session = request.app, _session(request)
     with _OPENING:
-        if not hasattr(app.state, "sheets"):
-            app.state.sheets = {}
-        known: dict[str, Sheet] = app.state.sheets
-        if layer not in known:
-            there = sheets_of(session.folder, session.study)
-            if layer not in there:
-                raise InputError(f"There are no slices of {layer!r}; there are some of {', '.join(there) or 'none'}.")
-            params, store = there[layer]
-            known[layer] = Sheet.open(layer, params, store)
-        return known[layer]
+        sheets: dict[str, Sheet] = app.state.sheets
+        if layer not in sheets:
+            available = sheets_of(session.folder, session.study)
+            if layer not in available:
+                raise InputError(
+                    f"There are no slices of {layer!r}; there are some of {', '.join(available) or 'none'}."
+                )
+            params, store = available[layer]
+            sheets[layer] = Sheet.open(layer, params, store)
+        return sheets[layer]
 
 
 def _session(request: Request) -> Session:
@@ -56,49 +56,53 @@ def _session(request: Request) -> Session:
 
 
 def _sheets(request: Request) -> dict[str, Any]:
-    found: list[dict[str, Any]] = []
+    described: list[dict[str, Any]] = []
     session = _session(request)
     for name in sheets_of(session.folder, session.study):
         try:
-            sheet = _opened(request, name)
+            sheet = _open_sheet(request, name)
         except PlanishError as error:
-            found.append({"layer": name, "error": error.text})
+            described.append({"layer": name, "error": error.text})
             continue
         frame = sheet.frame
         attrs = sheet.surfaces.attrs
         axes = {
-            axis: {"count": sheet.count(axis), "first_um": float(at[0]), "step_um": float(at[1] - at[0])}
+            axis: {"count": sheet.count(axis), "first_um": float(places[0]), "step_um": float(places[1] - places[0])}
             for axis in ("z", "y", "x")
-            if (at := sheet.places(axis)).size > 1
+            if (places := sheet.places(axis)).size > 1
         }
         rows = sheet.surfaces["y"].values
         axes["straight"] = {
             "count": sheet.count("straight"), "first_um": float(rows[0]),
             "step_um": float(rows[1] - rows[0]) if rows.size > 1 else 1.0,
         }  # fmt: skip
-        found.append({
+        described.append({
             "layer": name, "through": frame.through, "top": frame.top, "rows": frame.rows, "cols": frame.cols,
             "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
             "correctable": "from_labels" not in attrs and attrs.get("method", "profile") == "profile",
         })  # fmt: skip
     reasons = {int(status): status.sentence for status in Status}
-    return {"sheets": found, "status": reasons}
+    return {"sheets": described, "status": reasons}
 
 
 def _slice(request: Request) -> bytes:
-    sheet = _opened(request, request.path_params["layer"])
+    sheet = _open_sheet(request, request.path_params["layer"])
     direction: str = request.path_params["direction"]
     if direction not in ("z", "y", "x", "straight"):
         raise InputError("Slices run across z, y or x, or are straight.")
     asked: Direction = direction
     near = _number(request, "across"), _number(request, "down")
-    return packed(sheet.cut(asked, request.path_params["index"], near_um=near, corrections=_shown(request, sheet.name)))
+    return slice_message(
+        sheet.cut(
+            asked, request.path_params["index"], near_um=near, corrections=_shown_corrections(request, sheet.name)
+        )
+    )
 
 
-def _shown(request: Request, layer: str) -> Corrections | None:
+def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     """The corrections of a layer that are saved, and one more that is only tried; None where the run has just these."""
     session = _session(request)
-    volumes = [one.name for one in session.study.layers if one.volume is not None]
+    volumes = [params.name for params in session.study.layers if params.volume is not None]
     now = stretches_of(session.state.corrections, layer, volumes[0])
     tried = request.query_params.get("points", "")
     if not tried and now == stretches_of(session.first.corrections, layer, volumes[0]):
@@ -124,15 +128,15 @@ def _number(request: Request, name: str) -> float | None:
     if text is None:
         return None
     try:
-        value = float(text)
+        number = float(text)
     except ValueError:
-        value = float("nan")
-    if not np.isfinite(value):
+        number = float("nan")
+    if not np.isfinite(number):
         raise InputError(f"{name} is no number.")
-    return value
+    return number
 
 
-def packed(slice_: Slice) -> bytes:
+def slice_message(slice_: Slice) -> bytes:
     """A slice as one message: length of the facts, facts, pixels, lines, contours; little-endian."""
     facts = json.dumps(slice_.facts.model_dump(mode="json")).encode()
     facts += b" " * (-len(facts) % 4)

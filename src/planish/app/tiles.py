@@ -63,22 +63,22 @@ class Tiles:
 
     def window(self, picture: Picture, level: int, rows: slice, cols: slice) -> NDArray[Any]:
         """Values of a window of a level."""
-        found = np.empty((rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype)
+        pixels = np.empty((rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype)
         for i in range(rows.start // CHUNK, -(-rows.stop // CHUNK)):
             for j in range(cols.start // CHUNK, -(-cols.stop // CHUNK)):
                 block = self.block(picture, level, i, j)
                 (of_r, in_r), (of_c, in_c) = _shared(rows, i, block.shape[0]), _shared(cols, j, block.shape[1])
-                found[of_r, of_c] = block[in_r, in_c]
-        return found
+                pixels[of_r, of_c] = block[in_r, in_c]
+        return pixels
 
     def values_at(self, picture: Picture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[Any]:
         """Values of single pixels (n,) of a level."""
-        found = np.empty(rows.size, picture.levels[level].dtype)
+        pixels = np.empty(rows.size, picture.levels[level].dtype)
         i, j = rows // CHUNK, cols // CHUNK
         for a, b in {*zip(i.tolist(), j.tolist(), strict=True)}:
             here = (i == a) & (j == b)
-            found[here] = self.block(picture, level, a, b)[rows[here] - a * CHUNK, cols[here] - b * CHUNK]
-        return found
+            pixels[here] = self.block(picture, level, a, b)[rows[here] - a * CHUNK, cols[here] - b * CHUNK]
+        return pixels
 
     def block(self, picture: Picture, level: int, i: int, j: int) -> NDArray[Any]:
         """The i-th block down and j-th across; whoever asks for it while it is read waits for the same one."""

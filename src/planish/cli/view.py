@@ -43,7 +43,7 @@ def view(
     RUN is the folder of a link. Where a link was refused at the marks, give the maps that it kept, OUT-map, and IMAGE,
     and set the marks by hand. Every change is saved at once in RUN/edits; RUN itself stays as it is.
     """
-    from planish.app.serve import serve
+    from planish.app.server import serve
     from planish.app.session import Session
     from planish.cli.options import build_params
 

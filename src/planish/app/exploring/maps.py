@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +16,7 @@ from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.overviews import halved
 from planish.core.results import LayerFacts, Results, Trust
+from planish.core.typing import Floats
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
 from planish.pipeline.checks import trust_of
@@ -37,7 +37,7 @@ _SPAN = (0.05, 99.95)  # per cent of the values that the scatter spans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Shown:
+class ShownMap:
     """One map of the page.
 
     Attributes
@@ -90,7 +90,7 @@ class Group:
 class MapsOfPage:
     """All maps, their common grid, and how often it was halved; ``headline`` are the values that lead, NaN outside."""
 
-    maps: tuple[Shown, ...]
+    maps: tuple[ShownMap, ...]
     groups: tuple[Group, ...]
     grid: Grid
     halvings: int
@@ -99,15 +99,15 @@ class MapsOfPage:
     @property
     def titles(self) -> dict[tuple[str, str], str]:
         """Titles by layer and name."""
-        return {(one.layer, one.name): one.title for one in self.maps}
+        return {(shown.layer, shown.name): shown.title for shown in self.maps}
 
     def letters(self) -> int:
         """Size of all that is packed."""
         more = [p for group in self.groups for p in (group.valid, *group.places.values()) if p is not None]
-        return sum(len(one.text) for one in (*(shown.packed for shown in self.maps), *more))
+        return sum(len(codes.text) for codes in (*(shown.packed for shown in self.maps), *more))
 
 
-def maps_of(taken: Taken) -> MapsOfPage:
+def maps_of(source: Taken) -> MapsOfPage:
     """Read and pack the maps of a run, halved until they fit into the budget.
 
     Raises
@@ -115,103 +115,96 @@ def maps_of(taken: Taken) -> MapsOfPage:
     InputError
         If the run holds no maps.
     """
-    wanted = _wanted(taken)
-    shape = next(iter(_sizes(taken, wanted)))
+    wanted = _wanted(source)
+    shape = Grid.of(source.group(wanted[0][0])).shape
     most = min(
         _MOST_PIXELS, 2 * BUDGET // max(1, sum(len(names) for _, names in wanted))
     )  # two pixels a letter at best
     halvings = max(0, math.ceil(math.log(shape[0] * shape[1] / most, 4)))
-    while (found := _packed(taken, wanted, halvings)).letters() > BUDGET:
+    while (maps := _packed(source, wanted, halvings)).letters() > BUDGET:
         halvings += 1
-    return found
+    return maps
 
 
-def _wanted(taken: Taken) -> list[tuple[str, list[str]]]:
+def _wanted(source: Taken) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: the headline of each first, then what it is compared with."""
-    results, groups = taken.results, taken.groups
+    results, groups = source.results, source.groups
     names = ["linked"] if "linked" in groups else [f"layers/{one.name}" for one in results.layers]
     names = [name for name in names if name in groups] or [name for name in ("maps",) if name in groups]
     if not names:
         raise InputError(f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}.")
     out: list[tuple[str, list[str]]] = []
     for name in names:
-        data = taken.group(name)
-        known = [str(k) for k, v in data.data_vars.items() if v.ndim == 2 and v.dtype.kind == "f"]
-        maps = [k for k in known if not k.startswith(_NOT_SHOWN) and k not in _PLACES and not k.endswith("_se")]
+        data = source.group(name)
+        float_maps = [str(k) for k, v in data.data_vars.items() if v.ndim == 2 and v.dtype.kind == "f"]
+        maps = [k for k in float_maps if not k.startswith(_NOT_SHOWN) and k not in _PLACES and not k.endswith("_se")]
         first = [layer.headline for layer in results.layers if name in ("linked", "maps", f"layers/{layer.name}")]
         listed = [k for layer in results.layers if layer.sheet for k in layer.sheet.properties]
-        order = {k: at for at, k in reversed([*enumerate([*first, *listed])])}
+        order = {k: rank for rank, k in reversed([*enumerate([*first, *listed])])}
         out.append((name, sorted(maps, key=lambda k: (order.get(k, len(order)), k))))
     return out
 
 
-def _sizes(taken: Taken, wanted: list[tuple[str, list[str]]]) -> Iterator[tuple[int, int]]:
-    for name, _ in wanted:
-        data = taken.group(name)
-        yield Grid.of(data).shape
-
-
-def _packed(taken: Taken, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
-    results = taken.results
-    maps: list[Shown] = []
+def _packed(source: Taken, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+    results = source.results
+    maps: list[ShownMap] = []
     groups: list[Group] = []
     grid, headline = None, None
-    for at, (name, names) in enumerate(wanted):
+    for group, (name, names) in enumerate(wanted):
         places = [f"volume_{axis}" for axis in "xyz"]
-        there = taken.group(name)
-        placed = all(place in there for place in places)
-        data = _smaller(taken, name, [*names, *(places if placed else []), *(["valid"] if "valid" in there else [])],
+        stored = source.group(name)
+        placed = all(place in stored for place in places)
+        data = _smaller(source, name, [*names, *(places if placed else []), *(["valid"] if "valid" in stored else [])],
                         halvings)  # fmt: skip
         grid = grid or Grid.of(data)
         valid = data["valid"].values.astype(bool) if "valid" in data else None
         groups.append(Group(
             valid=None if valid is None else packed(np.where(valid, 1.0, np.nan)),
             places={axis: packed(data[f"volume_{axis}"].values, bits=16) for axis in "xyz"} if placed else {},
-            sheet=_sheet_of(results, name).name if placed else "",
+            sheet=_layer_of(results, name, "").name if placed else "",
         ))  # fmt: skip
         for key in names:
             layer = _layer_of(results, name, key)
-            one = data[key].rename(key)
-            values = one.values
+            layer_map = data[key].rename(key)
+            values = layer_map.values
             counted = values[np.isfinite(values) & (True if valid is None else valid)].astype(np.float64)
             if headline is None:
                 headline = np.where(True if valid is None else valid, values, np.nan).astype(np.float32)
-            maps.append(_shown(one, counted, layer, results, at))
+            maps.append(_shown(layer_map, counted, layer, results, group))
     assert grid is not None
     assert headline is not None
-    lead = [one for one in maps if one.name == _layer_of(results, wanted[one.group][0], one.name).headline]
-    rest = [one for one in maps if one not in lead]
-    return MapsOfPage(maps=(*lead, *rest), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline)
+    maps.sort(key=lambda shown: shown.name != _layer_of(results, wanted[shown.group][0], shown.name).headline)
+    return MapsOfPage(maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline)
 
 
-def _shown(data: xr.DataArray, counted: NDArray[np.float64], layer: LayerFacts, results: Results, group: int) -> Shown:
+def _shown(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Results, group: int) -> ShownMap:
     name = str(data.name)
     figure = POSITION if name == "expected_error" else name
-    found = concerned(results.checks, (layer.name,), (figure,))
+    checks = concerned(results.checks, (layer.name,), (figure,))
     scale = colours_of(data, counted)
     pack = packed(data.values)
     if (scale.high - scale.low) / pack.step < _LEAST_STEPS:  # single values, such as holes, take most of them
         pack = packed(data.values, bits=16)
     span = tuple(float(v) for v in np.percentile(counted, _SPAN)) if counted.size else (0.0, 1.0)
-    return Shown(
+    return ShownMap(
         layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=pack, scale=scale,
         span=(span[0], span[-1]) if span[0] < span[-1] else (span[0] - 0.5, span[0] + 0.5),
         group=group, trust=trust_of(results.checks, (layer.name,), (figure,)),
-        why=tuple(check.name for check in found if check.state in ("fail", "look")),
+        why=tuple(check.name for check in checks if check.state in ("fail", "look")),
     )  # fmt: skip
 
 
-def _smaller(taken: Taken, name: str, names: list[str], halvings: int) -> xr.Dataset:
+def _smaller(source: Taken, name: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
-    k, data = halvings, None
-    while k and data is None:
-        held = taken.folder is not None and not taken.all_held
-        if held and (taken.folder / MAPS / OVERVIEWS / name / str(k)).is_dir():  # type: ignore[operator]
-            data = read_group(taken.folder / MAPS, f"{OVERVIEWS}/{name}/{k}", names)  # type: ignore[operator]
-        else:
-            k -= 1
-    data = (taken.group(name)[names] if data is None else data).load()
-    for _ in range(halvings - k):
+    data, stored = source.group(name)[names], 0
+    if source.folder is not None and not source.all_held:
+        store = source.folder / MAPS
+        levels = range(halvings, 0, -1)
+        stored = next((k for k in levels if (store / OVERVIEWS / name / str(k)).is_dir()), 0)
+        if stored:
+            data = read_group(store, f"{OVERVIEWS}/{name}/{stored}", names)
+    data = data.load()
+    for _ in range(halvings - stored):
         data = halved(data)
     return data
 
@@ -224,15 +217,11 @@ def _layer_of(results: Results, group: str, name: str) -> LayerFacts:
     return next(layer for layer in results.layers if layer.kind == kind)
 
 
-def _sheet_of(results: Results, group: str) -> LayerFacts:
-    return _layer_of(results, group, "")
-
-
-def extra(one: Shown) -> dict[str, Any]:
-    """What the script needs of a map, beside its values."""
-    digits = max(0, min(6, math.ceil(-math.log10(one.packed.step))))
+def map_spec(shown: ShownMap) -> dict[str, Any]:
+    """Give what the script needs of a map, beside its values."""
+    digits = max(0, min(6, math.ceil(-math.log10(shown.packed.step))))
     return {
-        "title": one.title, "layer": one.layer, "units": one.units, "digits": digits, "error": one.packed.error,
-        "range": [one.scale.low, one.scale.high], "colours": one.scale.colours, "span": list(one.span),
-        "group": one.group, "trust": one.trust, "why": list(one.why),
+        "title": shown.title, "layer": shown.layer, "units": shown.units, "digits": digits, "error": shown.packed.error,
+        "range": [shown.scale.low, shown.scale.high], "colours": shown.scale.colours, "span": list(shown.span),
+        "group": shown.group, "trust": shown.trust, "why": list(shown.why),
     }  # fmt: skip

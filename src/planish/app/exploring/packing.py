@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
+
 Codes = NDArray[np.unsignedinteger[Any]]
 
 _TYPES = {8: np.uint8, 16: np.uint16}
@@ -72,37 +73,37 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     there are codes enough, nothing is lost.
     """
     data = np.asarray(values, dtype=np.float64)
-    known = data[np.isfinite(data)]
-    low, high = _range(known)
+    finite = data[np.isfinite(data)]
+    low, high = _range(finite)
     most = 2**bits - 1
-    spacing = _spacing(known, most - 3)
+    spacing = _spacing(finite, most - 3)
     step = spacing or (high - low) / (most - 3)
-    low = float(known.min()) if spacing else low
+    low = float(finite.min()) if spacing else low
     codes = np.zeros(data.shape, _TYPES[bits])
-    at = np.rint((np.where(np.isfinite(data), data, low) - low) / step)
-    shown = np.clip(at, -1, most - 2) + 2
+    step_counts = np.rint((np.where(np.isfinite(data), data, low) - low) / step)
+    shown = np.clip(step_counts, -1, most - 2) + 2
     codes[:] = np.where(np.isfinite(data), shown, 0)
-    order, text = min(((k, _deflated(codes, k)) for k in (1, 2)), key=lambda found: len(found[1]))
+    order, text = min(((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1]))
     return Packed(
         text=base64.b64encode(text).decode("ascii"), shape=(data.shape[0], data.shape[1]), bits=bits, order=order,
         low=low, step=step, beyond=int(np.count_nonzero((codes == 1) | (codes == most))), exact=spacing is not None,
     )  # fmt: skip
 
 
-def _range(known: Array) -> tuple[float, float]:
-    if not known.size:
+def _range(finite: Floats) -> tuple[float, float]:
+    if not finite.size:
         return 0.0, 1.0
-    least, most = float(known.min()), float(known.max())
-    low, high = (float(v) for v in np.percentile(known, [_BEYOND, 100 - _BEYOND]))
+    least, most = float(finite.min()), float(finite.max())
+    low, high = (float(v) for v in np.percentile(finite, [_BEYOND, 100 - _BEYOND]))
     if high > low and most - least > _MUCH * (high - low):
         least, most = low, high
     tiny = 1e-9 * max(abs(least), abs(most), 1e-300)
     return (least, most) if most - least > tiny else (least - 0.5, least + 0.5)
 
 
-def _spacing(known: Array, most: int) -> float | None:
+def _spacing(finite: Floats, most: int) -> float | None:
     """The step that all values lie a whole number of apart, where so few of them span the range; else None."""
-    values = np.unique(known)
+    values = np.unique(finite)
     if values.size < 2:
         return None
     steps = np.diff(values)
@@ -117,12 +118,12 @@ def _deflated(codes: Codes, order: int) -> bytes:
     """Deflate differences along the rows and, of second order, of those down the columns."""
     along = codes.copy()
     along[:, 1:] -= codes[:, :-1]
-    found = along.copy()
+    differences = along.copy()
     if order == 2:
-        found[1:] -= along[:-1]
-    if found.dtype == np.uint8:
-        return zlib.compress(found.tobytes(), _LEVEL)
+        differences[1:] -= along[:-1]
+    if differences.dtype == np.uint8:
+        return zlib.compress(differences.tobytes(), _LEVEL)
     # Small differences of either sign have a high byte of 0, and all high bytes stand together.
-    signed = found.view(np.int16)
+    signed = differences.view(np.int16)
     folded = ((signed << 1) ^ (signed >> 15)).view(np.uint16)
     return zlib.compress((folded & 255).astype(np.uint8).tobytes() + (folded >> 8).astype(np.uint8).tobytes(), _LEVEL)

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from planish.app.exploring.maps import MapsOfPage, extra
+from planish.app.exploring.maps import MapsOfPage, map_spec
 from planish.app.exploring.packing import Packed
 from planish.app.exploring.slices import Stack
 from planish.core.area import area_mean
@@ -73,8 +73,8 @@ def _json(data: Any) -> str:
 
 def _blocks(maps: MapsOfPage, stacks: Sequence[Stack]) -> Iterator[Block]:
     """All packed data, under names of the page's own."""
-    for k, one in enumerate(maps.maps):
-        yield Block(f"m{k}", one.packed.text)
+    for k, shown in enumerate(maps.maps):
+        yield Block(f"m{k}", shown.packed.text)
     for k, group in enumerate(maps.groups):
         yield from (Block(f"g{k}{axis}", place.text) for axis, place in group.places.items())
         if group.valid is not None:
@@ -90,7 +90,7 @@ def _data(results: Results, maps: MapsOfPage, stacks: Sequence[Stack]) -> dict[s
     grid = maps.grid
     linked = results.is_link
     return {
-        "maps": [_spec(f"m{k}", one.packed) | extra(one) for k, one in enumerate(maps.maps)],
+        "maps": [_spec(f"m{k}", shown.packed) | map_spec(shown) for k, shown in enumerate(maps.maps)],
         "groups": [
             {
                 "sheet": group.sheet,

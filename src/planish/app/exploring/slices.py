@@ -81,39 +81,40 @@ class Stack:
 
     def letters(self) -> int:
         """Size of all that is packed."""
-        return sum(map(len, self.pictures)) + sum(len(one.text) for one in (*self.lines.values(), self.used))
+        return sum(map(len, self.pictures)) + sum(len(line.text) for line in (*self.lines.values(), self.used))
 
 
-def stack_of(taken: Taken, facts: LayerFacts, budget: int, compute: Compute, progress: Progress) -> Stack | None:
+def stack_of(source: Taken, facts: LayerFacts, budget: int, compute: Compute, progress: Progress) -> Stack | None:
     """The slices of a sheet; None where the run that holds its surfaces is not there."""
-    run = taken.sheet_run(facts.name)
+    run = source.sheet_run(facts.name)
     if run is None or run.sheet is None:
         return None
-    kept, surfaces = run.group("slices"), run.group("surfaces")
-    scale = limits(kept["grey"].values.ravel()[:: max(1, kept["grey"].size // 600_000)], GREYS, percent=0.3)
-    source = facts.source.name
+    run_slices, surfaces = run.group("slices"), run.group("surfaces")
+    scale = limits(run_slices["grey"].values.ravel()[:: max(1, run_slices["grey"].size // 600_000)], GREYS, percent=0.3)
+    file_name = facts.source.name
     try:
         data, under, every = _from_volume(run, run.sheet, surfaces, scale, compute, progress)
-        note = f"one in {every} rows of {source}" if every > 1 else f"every row of {source}"
-    except _NotThere as reason:
-        at = kept["row"].values
-        under = surfaces[_needed(surfaces)].isel(y=at).load()
-        data = kept.assign(
-            grey=kept["grey"].copy(data=_greys(kept["grey"].values, scale)), row=("slice", np.arange(at.size))
+        note = f"one in {every} rows of {file_name}" if every > 1 else f"every row of {file_name}"
+    except _VolumeUnavailable as reason:
+        rows = run_slices["row"].values
+        under = surfaces[_needed(surfaces)].isel(y=rows).load()
+        data = run_slices.assign(
+            grey=run_slices["grey"].copy(data=_greys(run_slices["grey"].values, scale)),
+            row=("slice", np.arange(rows.size)),
         )
-        note = f"the {at.size} that the run keeps, as {reason}"
+        note = f"the {rows.size} that the run keeps, as {reason}"
     cuts = [take_slice(data, under, k) for k in range(data.sizes["slice"])]
     cuts = [cut for cut in cuts if any(np.isfinite(line).any() for line in cut.lines.values())]
     if not cuts:
         return None
-    made = _stack(cuts, facts.name, Frame.of(surfaces), note)
-    while made.letters() > budget and len(cuts) > 1:
+    stack = _stack(cuts, facts.name, Frame.of(surfaces), note)
+    while stack.letters() > budget and len(cuts) > 1:
         cuts = cuts[::2]
-        made = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}, thinned out to {len(cuts)}")
-    return made if made.letters() <= budget else None
+        stack = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}, thinned out to {len(cuts)}")
+    return stack if stack.letters() <= budget else None
 
 
-class _NotThere(Exception):
+class _VolumeUnavailable(Exception):
     """Why no slices are read from the volume, in words that end a sentence."""
 
 
@@ -124,11 +125,11 @@ def _from_volume(
     try:
         params = run.volume_of(facts, progress)
         if is_section_folder(params.path):
-            raise _NotThere(f"{facts.source.name} holds sections, which would have to be aligned again")
+            raise _VolumeUnavailable(f"{facts.source.name} holds sections, which would have to be aligned again")
         volume = read_whole(params, compute, progress)
     except PlanishError as error:
         progress("slices", f"only those of the run: {error.text}")
-        raise _NotThere(f"{facts.source.name} was not there unchanged when this page was made") from error
+        raise _VolumeUnavailable(f"{facts.source.name} was not there unchanged when this page was made") from error
     frame = Frame.of(surfaces)
     depth = volume.coords[frame.through].values
     wide = round(_pitch(surfaces["y"].values) / _pitch(volume.coords[frame.rows].values))
@@ -150,25 +151,24 @@ def _needed(surfaces: xr.Dataset) -> list[str]:
     return [name for name, *_ in LINES if name in surfaces] + ["thickness"]
 
 
-def _pitch(at: NDArray[Any]) -> float:
-    return float(at[1] - at[0]) if at.size > 1 else 1.0
+def _pitch(places: NDArray[Any]) -> float:
+    return float(places[1] - places[0]) if places.size > 1 else 1.0
 
 
 def _span(surfaces: xr.Dataset, depth: NDArray[Any]) -> tuple[int, int]:
     """Which planes of the volume hold the surfaces, with a margin."""
-    found = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
-    found = found[np.isfinite(found)]
-    if not found.size:
+    heights = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
+    heights = heights[np.isfinite(heights)]
+    if not heights.size:
         return 0, depth.size
-    margin = _margin(surfaces)
-    inside = np.flatnonzero((depth >= found.min() - margin) & (depth <= found.max() + margin))
+    margin = _margin(np.abs(surfaces["thickness"].values))
+    inside = np.flatnonzero((depth >= heights.min() - margin) & (depth <= heights.max() + margin))
     return int(inside[0]), int(inside[-1]) + 1
 
 
-def _margin(surfaces: xr.Dataset) -> float:
-    thickness = np.abs(surfaces["thickness"].values)
-    known = thickness[np.isfinite(thickness)]
-    return max(0.3 * float(np.median(known)) if known.size else 0.0, _LEAST_MARGIN_UM)
+def _margin(thickness_um: NDArray[Any]) -> float:
+    finite = thickness_um[np.isfinite(thickness_um)]
+    return max(0.3 * float(np.median(finite)) if finite.size else 0.0, _LEAST_MARGIN_UM)
 
 
 def _read(
@@ -180,10 +180,10 @@ def _read(
     out = np.zeros((rows.size, depth.stop - depth.start, cols), np.uint8)
     for block in _blocks(volume, frame, rows, depth):
         if frame.rows == "z":
-            own = (rows >= block.start) & (rows < block.stop)
-            if not own.any():
+            is_in_block = (rows >= block.start) & (rows < block.stop)
+            if not is_in_block.any():
                 continue
-            chosen, into = {"z": rows[own], frame.through: depth}, (own, slice(None))
+            chosen, into = {"z": rows[is_in_block], frame.through: depth}, (is_in_block, slice(None))
         else:
             chosen = {frame.rows: rows, "z": block}
             into = (slice(None), slice(block.start - depth.start, block.stop - depth.start))
@@ -211,10 +211,10 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], depth: s
 def _as_slices(chosen: dict[str, Any]) -> dict[str, slice]:
     """Evenly spaced places as slices, by which lazy arrays read no more than they must."""
     return {
-        axis: at
-        if isinstance(at, slice)
-        else slice(int(at[0]), int(at[-1]) + 1, int(at[1] - at[0]) if at.size > 1 else 1)
-        for axis, at in chosen.items()
+        axis: places
+        if isinstance(places, slice)
+        else slice(int(places[0]), int(places[-1]) + 1, int(places[1] - places[0]) if places.size > 1 else 1)
+        for axis, places in chosen.items()
     }
 
 
@@ -228,9 +228,7 @@ def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     """Cut every slice to the sheet in it, all to the same height, and pack it."""
     x, heights = cuts[0].x, cuts[0].heights
     dx, dz = _pitch(x), abs(_pitch(heights))
-    thick = [np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in cuts]
-    known = np.concatenate([one[np.isfinite(one)] for one in thick])
-    margin = max(0.3 * float(np.median(known)) if known.size else 0.0, _LEAST_MARGIN_UM)
+    margin = _margin(np.stack([np.abs(cut.lines["top"] - cut.lines["bottom"]) for cut in cuts]))
     windows = [cut.window(float(x[0]), float(x[-1]), margin) for cut in cuts]
     rows = min(math.ceil(max(high - low for _, _, low, high in windows) / dz) + 1, heights.size)
     first = [

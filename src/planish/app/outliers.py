@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
-Floats = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
+
 Complexes = NDArray[np.complex128]
 
 LEAST = 5
@@ -20,7 +21,7 @@ _STEPS = 5
 _CLEAR = 4.0  # standard deviations of one coordinate
 
 
-def standing_out(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> NDArray[np.bool_]:
+def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> Bools:
     """Pairs that the others do not expect, shape (n,).
 
     Parameters
@@ -43,30 +44,30 @@ def standing_out(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um:
     Rousseeuw and Van Driessen (2006), Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4.
     """
     n = len(moving)
-    named = np.zeros(n, dtype=np.bool_)
+    is_outlier = np.zeros(n, dtype=np.bool_)
     if n < LEAST:
-        return named
+        return is_outlier
     z = (-moving[:, 0] if mirrored else moving[:, 0]) + 1j * moving[:, 1]
     w = fixed[:, 0] + 1j * fixed[:, 1]
-    held = _best(z, w, n - n // 3)
+    inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
-        off, spread = _missed(z, w, held)
+        off, spread = _scaled_errors(z, w, inliers)
         # The held ones were chosen for being close: the chance counts how many choices there were.
-        limit = _CHANCE / comb(n, n - held.size) / max(n - held.size, 1)
-        free = 2 * held.size - 4
+        limit = _CHANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
+        free = 2 * inliers.size - 4
         chance = stats.f.sf(off**2 / (2 * spread), 2, free) if spread > 0 else (off == 0).astype(np.float64)
-        rest = np.setdiff1d(np.arange(n), held)
-        if not rest.size:
+        outside = np.setdiff1d(np.arange(n), inliers)
+        if not outside.size:
             break
-        nearest = rest[np.argmax(chance[rest])]
+        nearest = outside[np.argmax(chance[outside])]
         if chance[nearest] < limit or off[nearest] > max(tolerance_um, _CLEAR * np.sqrt(spread)):
-            named[rest] = True
+            is_outlier[outside] = True
             break
-        held = np.append(held, nearest)
-    return named
+        inliers = np.append(inliers, nearest)
+    return is_outlier
 
 
-def _best(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
+def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     """The marks that one similarity fits best."""
     pairs = np.array(list(combinations(range(len(z)), 2)) if len(z) < 56 else _some_pairs(len(z)))
     i, j = pairs.T
@@ -78,34 +79,34 @@ def _best(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
         return np.arange(len(z))
     off = np.abs(w - w[i][:, None] - turn[:, None] * (z - z[i][:, None])) ** 2
     best = np.argsort(np.sum(np.partition(off, count - 1, axis=1)[:, :count], axis=1), kind="stable")[:10]
-    found: list[tuple[float, NDArray[np.intp]]] = []
+    candidates: list[tuple[float, NDArray[np.intp]]] = []
     for k in best:
-        held = np.argsort(off[k], kind="stable")[:count]
+        inliers = np.argsort(off[k], kind="stable")[:count]
         for _ in range(_STEPS):
-            held = np.argsort(np.abs(_residuals(z, w, held)), kind="stable")[:count]
-        found.append((float(np.sum(np.abs(_residuals(z, w, held)[held]) ** 2)), np.sort(held)))
-    return min(found, key=lambda one: one[0])[1]
+            inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
+        candidates.append((float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers)))
+    return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
 def _some_pairs(n: int) -> NDArray[np.intp]:
     return np.random.default_rng(0).permuted(np.tile(np.arange(n), (_MOST_PAIRS, 1)), axis=1)[:, :2]
 
 
-def _residuals(z: Complexes, w: Complexes, held: NDArray[np.intp]) -> Complexes:
-    return w - _fit(z, w, held)
+def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
+    return w - _fit(z, w, inliers)
 
 
-def _fit(z: Complexes, w: Complexes, held: NDArray[np.intp]) -> Complexes:
-    source, target = z[held].mean(), w[held].mean()
-    away = z[held] - source
-    turn = np.sum(away.conj() * (w[held] - target)) / max(float(np.sum(np.abs(away) ** 2)), 1e-300)
+def _fit(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
+    source, target = z[inliers].mean(), w[inliers].mean()
+    away = z[inliers] - source
+    turn = np.sum(away.conj() * (w[inliers] - target)) / max(float(np.sum(np.abs(away) ** 2)), 1e-300)
     return target + turn * (z - source)
 
 
-def _missed(z: Complexes, w: Complexes, held: NDArray[np.intp]) -> tuple[Floats, float]:
+def _scaled_errors(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> tuple[Floats, float]:
     """How far a fit to the held marks is off each mark, over its own error in units of theirs; their variance."""
-    off = np.abs(_residuals(z, w, held))
-    away = np.abs(z - z[held].mean()) ** 2
-    lever = 1 / held.size + away / max(float(np.sum(away[held])), 1e-300)
-    variance = float(np.sum(off[held] ** 2)) / max(2 * held.size - 4, 1)
+    off = np.abs(_residuals(z, w, inliers))
+    away = np.abs(z - z[inliers].mean()) ** 2
+    lever = 1 / inliers.size + away / max(float(np.sum(away[inliers])), 1e-300)
+    variance = float(np.sum(off[inliers] ** 2)) / max(2 * inliers.size - 4, 1)
     return off / np.sqrt(1 + lever), variance

@@ -29,7 +29,7 @@ from planish.io.map_store import map_tiles
 CACHE_BYTES = 8 * 2**30
 """Above this the copies that were not used for the longest time are removed."""
 
-_ASKED = 3  # levels up to this one are made of the window that is asked for
+_LAST_ON_DEMAND = 3  # levels up to this one are made of the window that is asked for
 
 
 class Values(Protocol):
@@ -52,8 +52,8 @@ class Values(Protocol):
 
 def user_cache() -> Path:
     """Folder for what can be made again: that of ``PLANISH_CACHE``, or of the platform."""
-    if given := os.environ.get("PLANISH_CACHE"):
-        return Path(given)
+    if folder := os.environ.get("PLANISH_CACHE"):
+        return Path(folder)
     home = Path.home()
     if os.name == "nt":
         return Path(os.environ.get("LOCALAPPDATA") or home / "AppData" / "Local") / "planish" / "cache"
@@ -62,15 +62,15 @@ def user_cache() -> Path:
     return Path(os.environ.get("XDG_CACHE_HOME") or home / ".cache") / "planish"
 
 
-def cache_place(file: Path, *what: str) -> Path:
+def cache_place(file: Path, *parts: str) -> Path:
     """Where the copies of a picture of a file are kept: elsewhere once the file is another."""
-    found = file.resolve()
-    stat = found.stat()
-    text = "\n".join([str(found), str(stat.st_size), str(stat.st_mtime_ns), *what])
+    path = file.resolve()
+    stat = path.stat()
+    text = "\n".join([str(path), str(stat.st_size), str(stat.st_mtime_ns), *parts])
     return user_cache() / "levels" / hashlib.sha256(text.encode()).hexdigest()[:32]
 
 
-class MadeLevels:
+class ComputedLevels:
     """All levels of a picture, full resolution first.
 
     Parameters
@@ -87,9 +87,9 @@ class MadeLevels:
         self._values, self._place = values, place
         rows, cols = values.shape
         self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(count_of((rows, cols)) + 1)]
-        self._kept = {k for k in range(len(self._shapes)) if k > _ASKED or (k == 0 and keep_all)}
-        self._making = threading.Lock()
-        self._found: dict[int, NDArray[Any]] = {}
+        self._cached = {k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)}
+        self._lock = threading.Lock()
+        self._arrays: dict[int, NDArray[Any]] = {}
 
     def levels(self) -> list[LazyArray]:
         """One array a level; reading the first coarse one waits until all of them are made."""
@@ -102,44 +102,46 @@ class MadeLevels:
 
     def read(self, k: int, where: Where) -> NDArray[Any]:
         """A window of a level."""
-        if k in self._kept:
-            return np.array(self._made()[k][where])
-        window = tuple(slice(at.start << k, min(at.stop << k, n)) for at, n in zip(where, self._shapes[0], strict=True))
-        found = np.asarray((self._made()[0] if 0 in self._kept else self._values)[window])
+        if k in self._cached:
+            return np.array(self._cached_arrays()[k][where])
+        window = tuple(
+            slice(part.start << k, min(part.stop << k, n)) for part, n in zip(where, self._shapes[0], strict=True)
+        )
+        pixels = np.asarray((self._cached_arrays()[0] if 0 in self._cached else self._values)[window])
         for _ in range(k):
-            found = halved_values(found)
-        return found[:: where[0].step or 1, :: where[1].step or 1]
+            pixels = halved_values(pixels)
+        return pixels[:: where[0].step or 1, :: where[1].step or 1]
 
-    def _made(self) -> dict[int, NDArray[Any]]:
-        with self._making:
-            if not self._found:
+    def _cached_arrays(self) -> dict[int, NDArray[Any]]:
+        with self._lock:
+            if not self._arrays:
                 folder = self._place if self._place.is_dir() else self._make()
                 with suppress(OSError):
                     os.utime(folder)
-                self._found = {k: np.load(folder / f"{k}.npy", mmap_mode="r") for k in sorted(self._kept)}
-                self._values = self._found.get(0, self._values)  # a decoded file need not stay in memory
-        return self._found
+                self._arrays = {k: np.load(folder / f"{k}.npy", mmap_mode="r") for k in sorted(self._cached)}
+                self._values = self._arrays.get(0, self._values)  # a decoded file need not stay in memory
+        return self._arrays
 
     def _make(self) -> Path:
         """Make what is kept in one pass; in a folder that goes with the session where the cache takes nothing."""
         root = self._place.parent
         partial = root / f".{self._place.name}.{secrets.token_hex(4)}"
-        kept = True
+        is_cached = True
         try:
             partial.mkdir(parents=True)
         except OSError:
             partial = Path(tempfile.mkdtemp(prefix="planish-"))
             weakref.finalize(self, shutil.rmtree, partial, ignore_errors=True)
-            kept = False
+            is_cached = False
         try:
             self._write(partial)
-            if kept:
+            if is_cached:
                 with suppress(OSError):  # another process was as fast
                     partial.rename(self._place)
         except BaseException:
             shutil.rmtree(partial, ignore_errors=True)
             raise
-        if kept and self._place.is_dir():
+        if is_cached and self._place.is_dir():
             trim(root, keep=self._place)
             return self._place
         return partial
@@ -148,7 +150,7 @@ class MadeLevels:
         rows, cols = self._shapes[0]
         targets = {
             k: np.lib.format.open_memmap(folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k])
-            for k in self._kept
+            for k in self._cached
         }
         for tile in map_tiles((rows, cols)):
             part = np.asarray(self._values[tile.rows, tile.cols])
@@ -162,7 +164,7 @@ class MadeLevels:
 
 
 class _Level(LazyArray):
-    def __init__(self, of: MadeLevels, k: int, shape: tuple[int, int]) -> None:
+    def __init__(self, of: ComputedLevels, k: int, shape: tuple[int, int]) -> None:
         self._of, self._k = of, k
         self.shape, self.dtype = shape, of.dtype
 
@@ -174,13 +176,15 @@ class _Level(LazyArray):
 def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
     """Remove copies that were not used for the longest time until the others take no more than ``most_bytes``."""
     with suppress(OSError):
-        found = sorted((one for one in root.iterdir() if one != keep), key=lambda one: one.stat().st_mtime)
-        sizes = {one: _size(one.iterdir()) for one in [*found, keep]}
-        for one in found:
+        folders = sorted(
+            (folder for folder in root.iterdir() if folder != keep), key=lambda folder: folder.stat().st_mtime
+        )
+        sizes = {folder: _size(folder.iterdir()) for folder in [*folders, keep]}
+        for folder in folders:
             if sum(sizes.values()) <= most_bytes:
                 return
-            shutil.rmtree(one, ignore_errors=True)
-            del sizes[one]
+            shutil.rmtree(folder, ignore_errors=True)
+            del sizes[folder]
 
 
 def _size(files: Iterable[Path]) -> int:
