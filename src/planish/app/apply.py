@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -76,7 +76,7 @@ class Order:
     """What a new run is made of: its study, and texts of files by name, which the study finds in ``staged``."""
 
     study: Study
-    files: Mapping[str, str] = field(default_factory=dict[str, str])
+    files: Mapping[str, str]
 
 
 def order_of(original: OriginalRun, state: State, staged: Path) -> Order:

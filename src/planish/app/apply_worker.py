@@ -114,7 +114,7 @@ def _as_planish_error(error: Exception) -> PlanishError:
 
 
 def _line_writer() -> Any:
-    """A function that writes a line to whoever started this process; what others print goes to standard error."""
+    """Give a function that writes a line to whoever started this process; what others print goes to standard error."""
     stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
     os.dup2(2, 1)
 

@@ -174,17 +174,22 @@ class Applying:
             _end(ready)
 
     def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
-        """Hear what a process says until it ends."""
+        """Follow the progress that a process reports until it ends."""
         assert process.stdout is not None
         last: dict[str, Any] = {}
         for line in process.stdout:
             last = json.loads(line)
             if last["state"] == "working":
-                self._say(last["stage"], last["message"])
+                stage = last["stage"]
+                with self._lock:
+                    share = max(self._progress.share, _BEHIND.get(stage, 0.0))
+                    self._progress = Progress(state="working", stage=stage, share=share, message=last["message"])
         _end(process)
         state, message = str(last.get("state", "")), str(last.get("message", ""))
         if state == "done":
-            end = self._done(out)
+            ticket = secrets.token_urlsafe(24)
+            self.reports[ticket] = out / "report.html"
+            end = Progress(state="done", share=1.0, message=f"{out} is made.", run=str(out), report=f"/report/{ticket}")
         else:
             self._clean()
             sweep(out)
@@ -195,16 +200,6 @@ class Applying:
         with self._lock:
             self._process = self._reader = None
             self._progress = end
-
-    def _say(self, stage: str, message: str) -> None:
-        with self._lock:
-            share = max(self._progress.share, _BEHIND.get(stage, 0.0))
-            self._progress = Progress(state="working", stage=stage, share=share, message=message)
-
-    def _done(self, out: Path) -> Progress:
-        ticket = secrets.token_urlsafe(24)
-        self.reports[ticket] = out / "report.html"
-        return Progress(state="done", share=1.0, message=f"{out} is made.", run=str(out), report=f"/report/{ticket}")
 
     def _clean(self) -> None:
         """Remove the files of an order, and what there is of its run."""

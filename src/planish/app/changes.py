@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
@@ -272,7 +272,7 @@ class State:
     model: str = "auto"
     corrections: tuple[Correction, ...] = ()
     regions: tuple[Region, ...] = ()
-    first: str = field(default="")  # the layer of changes that name none
+    first: str = ""  # the layer of changes that name none
 
     def of(self, layer: str | None) -> tuple[Mark, ...]:
         """Marks of one registration, of the first where none is named; ChangeError for another name."""

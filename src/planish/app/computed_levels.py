@@ -14,7 +14,6 @@ import sys
 import tempfile
 import threading
 import weakref
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Protocol
@@ -179,13 +178,9 @@ def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:
         folders = sorted(
             (folder for folder in root.iterdir() if folder != keep), key=lambda folder: folder.stat().st_mtime
         )
-        sizes = {folder: _size(folder.iterdir()) for folder in [*folders, keep]}
+        sizes = {folder: sum(file.stat().st_size for file in folder.iterdir()) for folder in [*folders, keep]}
         for folder in folders:
             if sum(sizes.values()) <= most_bytes:
                 return
             shutil.rmtree(folder, ignore_errors=True)
             del sizes[folder]
-
-
-def _size(files: Iterable[Path]) -> int:
-    return sum(file.stat().st_size for file in files)

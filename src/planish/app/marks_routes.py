@@ -50,6 +50,10 @@ class _ImportBody(MarkFile):
     version: int | None = None
 
 
+def _session(request: Request) -> Session:
+    return request.app.state.session
+
+
 async def _body_of(request: Request, model: type[Any]) -> Any:
     """The body of a request; ChangeError where it is no such thing."""
     try:
@@ -63,8 +67,7 @@ async def _body_of(request: Request, model: type[Any]) -> Any:
 
 async def get_session(request: Request) -> Response:
     """What does not change while the server runs."""
-    session: Session = request.app.state.session
-    return JSONResponse(await run_sync(_session_of, session, request.app))
+    return JSONResponse(await run_sync(_session_of, _session(request), request.app))
 
 
 def _session_of(session: Session, app: Any) -> dict[str, Any]:
@@ -100,8 +103,7 @@ async def get_state(request: Request) -> Response:
 
 def _layer(request: Request) -> str:
     """The registration that is body for; the first where none is."""
-    session: Session = request.app.state.session
-    return request.query_params.get("layer") or session.state.first
+    return request.query_params.get("layer") or _session(request).state.first
 
 
 def _state_of(request: Request) -> dict[str, Any]:
@@ -111,12 +113,12 @@ def _state_of(request: Request) -> dict[str, Any]:
 
 async def get_events(request: Request) -> Response:
     """One line of JSON for each new version, and one each half second, by which a lost server is noticed."""
-    session: Session = request.app.state.session
-    news = anyio.Event()
+    session = _session(request)
+    news, loop = anyio.Event(), asyncio.get_running_loop()
 
     async def lines() -> AsyncIterator[bytes]:
         nonlocal news
-        stop = session.listen(_waker(lambda: news.set()))
+        stop = session.listen(lambda: loop.call_soon_threadsafe(lambda: news.set()) and None)  # from any thread
         try:
             while True:
                 yield json.dumps({"version": session.version}).encode() + b"\n"
@@ -129,40 +131,31 @@ async def get_events(request: Request) -> Response:
     return StreamingResponse(lines(), media_type="application/x-ndjson")
 
 
-def _waker(wake: Callable[[], None]) -> Callable[[], None]:
-    """A function for any thread that calls another in this loop."""
-    loop = asyncio.get_running_loop()
-    return lambda: loop.call_soon_threadsafe(wake) and None
-
-
 # --- what is changed -------------------------------------------------------------------------------------------------
 
 
 async def post_change(request: Request) -> Response:
     """Make a change."""
     body: _ChangeBody = await _body_of(request, _ChangeBody)
-    session: Session = request.app.state.session
-    return await _state_after(request, lambda: session.change(body.change, version=body.version))
+    return await _state_after(request, lambda: _session(request).change(body.change, version=body.version))
 
 
 async def post_undo(request: Request) -> Response:
     """Take the last change back."""
     body: _Body = await _body_of(request, _Body)
-    session: Session = request.app.state.session
-    return await _state_after(request, lambda: session.undo(version=body.version))
+    return await _state_after(request, lambda: _session(request).undo(version=body.version))
 
 
 async def post_redo(request: Request) -> Response:
     """Make it again."""
     body: _Body = await _body_of(request, _Body)
-    session: Session = request.app.state.session
-    return await _state_after(request, lambda: session.redo(version=body.version))
+    return await _state_after(request, lambda: _session(request).redo(version=body.version))
 
 
 async def post_snap(request: Request) -> Response:
     """Move both ends of a mark into the holes that they lie in."""
     body: _SnapBody = await _body_of(request, _SnapBody)
-    session: Session = request.app.state.session
+    session = _session(request)
 
     def snap() -> str:
         layer = body.layer or session.state.first
@@ -177,7 +170,7 @@ async def post_snap(request: Request) -> Response:
 async def post_import(request: Request) -> Response:
     """Take the marks of a file in place of all that are there."""
     body: _ImportBody = await _body_of(request, _ImportBody)
-    session: Session = request.app.state.session
+    session = _session(request)
 
     def take() -> str:
         layer = body.layer or session.state.first
@@ -230,7 +223,7 @@ def _number(text: str) -> float:
 
 async def get_export(request: Request) -> Response:
     """The marks as a file."""
-    session: Session = request.app.state.session
+    session = _session(request)
     live: Live = request.app.state.live
     layer, to = _layer(request), request.query_params.get("format", "json")
 

@@ -66,8 +66,7 @@ class Profile(Answer):
 
 def cursor(tiles: Tiles, picture: Picture, x: float, y: float) -> Cursor:
     """Values of all pictures on the pixels of one, at the pixel that holds a point."""
-    rows, cols = _pixels(picture, np.array([[x, y]]), 0)
-    inside = _inside(picture, 0, rows, cols)[0]
+    rows, cols, (inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
     value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in pictures}
     return Cursor(
@@ -93,8 +92,7 @@ def profile(tiles: Tiles, pictures: list[Picture], line: tuple[float, float, flo
     step = pixel * 2**level
     distances_um = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
     points = np.array([x0, y0]) + (distances_um / length)[:, None] * np.array([x1 - x0, y1 - y0])
-    rows, cols = _pixels(first, points, level)
-    inside = _inside(first, level, rows, cols)
+    rows, cols, inside = _pixels(first, points, level)
     lines: list[ProfileOf] = []
     for picture in pictures:
         values = np.full(distances_um.size, np.nan)
@@ -105,17 +103,16 @@ def profile(tiles: Tiles, pictures: list[Picture], line: tuple[float, float, flo
     return Profile(pixel_um=step, at_um=tuple(distances_um.tolist()), lines=tuple(lines))
 
 
-def _pixels(picture: Picture, points: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Rows and columns of the pixels of a level that hold points (n, 2: x, y); those of a level share one corner."""
+def _pixels(picture: Picture, points: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
+    """Rows and columns of the pixels of a level that hold points (n, 2: x, y), and which lie in the picture.
+
+    Pixels of all levels share one corner.
+    """
     (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
     rows = np.floor((points[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
     cols = np.floor((points[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
-    return rows, cols
-
-
-def _inside(picture: Picture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Bools:
     height, width = picture.levels[level].shape
-    return (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+    return rows, cols, (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
 
 
 def _volume(picture: Picture, pictures: list[Picture], value_of: dict[str, float | None]) -> VolumePlace | None:

@@ -105,9 +105,7 @@ class Stopped(Exception):
     """The page does not want the answer any more."""
 
 
-def density(
-    tiles: Tiles, a: Picture, b: Picture, window: Region | None = None, *, bins: int = _BINS
-) -> Density:  # fmt: skip
+def density(tiles: Tiles, a: Picture, b: Picture, window: Region | None = None) -> Density:
     """Count the points of two pictures in the plane of their values.
 
     The limits are those of all points, also where only a region is counted.
@@ -119,20 +117,20 @@ def density(
         x, y = x[part], y[part]
     is_valid = np.isfinite(x) & np.isfinite(y)
     places = [
-        np.floor((values[is_valid] - low) * (bins / (high - low))).astype(np.int64)
+        np.floor((values[is_valid] - low) * (_BINS / (high - low))).astype(np.int64)
         for values, (low, high) in zip((x, y), limits, strict=True)
     ]
-    shown = np.logical_and(*((at >= 0) & (at < bins) for at in places))
-    counts = np.bincount((places[1] * bins + places[0])[shown], minlength=bins * bins).astype("<u4")
+    shown = np.logical_and(*((at >= 0) & (at < _BINS) for at in places))
+    counts = np.bincount((places[1] * _BINS + places[0])[shown], minlength=_BINS**2).astype("<u4")
     n = int(np.count_nonzero(is_valid))
     (a_low, a_high), (b_low, b_high) = limits
     return Density(
-        pixel_um=_pixel(a, level), n=n, beyond=n - int(np.count_nonzero(shown)), bins=bins, a_low=a_low, a_high=a_high,
+        pixel_um=_pixel(a, level), n=n, beyond=n - int(np.count_nonzero(shown)), bins=_BINS, a_low=a_low, a_high=a_high,
         b_low=b_low, b_high=b_high, counts=base64.b64encode(counts.tobytes()).decode("ascii"),
     )  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, bins: int = _BINS) -> Histogram:
+def histogram(tiles: Tiles, picture: Picture, window: Region | None = None) -> Histogram:
     """Count the values of a picture where they are valid."""
     level, (values,) = _overview(tiles, picture)
     every = values[np.isfinite(values)]
@@ -140,7 +138,7 @@ def histogram(tiles: Tiles, picture: Picture, window: Region | None = None, *, b
     if window is not None:
         values = values[window.on(picture, level)]
     finite = values[np.isfinite(values)].astype(np.float64)
-    counts, _ = np.histogram(finite, bins=bins, range=(low, high))
+    counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
     return Histogram(
         pixel_um=_pixel(picture, level), n=finite.size, beyond=finite.size - int(counts.sum()), low=low, high=high,
         range=(float(usual[0]), float(usual[1])), counts=tuple(counts.tolist()),

@@ -29,6 +29,7 @@ from planish.study import Study
 from planish.surface import Corrections, preview_faces, uncorrected
 
 Direction = Literal["z", "y", "x", "straight"]
+Near = tuple[float | None, float | None]
 
 WIDEST = 2048
 """Voxels of a slice along either edge: a larger one is cut around the place that is asked for."""
@@ -159,7 +160,7 @@ class Sheet:
     # --- slices -------------------------------------------------------------------------------------------------------
 
     def cut(
-        self, direction: Direction, index: int, *, near_um: tuple[float | None, float | None] = (None, None),
+        self, direction: Direction, index: int, *, near_um: Near = (None, None),
         corrections: Corrections | None = None,
     ) -> Slice:  # fmt: skip
         """One slice.
@@ -188,9 +189,7 @@ class Sheet:
                 return self._along(index, near_um)
             return self._across(direction, index, near_um, corrections)
 
-    def _across(
-        self, direction: Axis, index: int, near_um: tuple[float | None, float | None], corrections: Corrections | None
-    ) -> Slice:
+    def _across(self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None) -> Slice:
         """A slice through the sheet, with its top up."""
         f = self.frame
         other: Axis = f.cols if direction == f.rows else f.rows
@@ -201,8 +200,8 @@ class Sheet:
         if f.top == "high":
             values, depth = values[::-1], depth[::-1]
         pixels, scale, offset, missing = self.coded(values)
-        line = min(index // self.step, self.surfaces.sizes["y" if direction == f.rows else "x"] - 1)
-        columns = slice(along.start // self.step, min(-(-along.stop // self.step), self._columns(other)))
+        line = min(index // self.step, self._column_places(direction).size - 1)
+        columns = slice(along.start // self.step, min(-(-along.stop // self.step), self._column_places(other).size))
         lines = self._lines(other, line, columns, corrections)
         facts = SliceFacts(
             layer=self.name, direction=direction, normal=direction, index=index,
@@ -212,7 +211,7 @@ class Sheet:
         )  # fmt: skip
         return Slice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
 
-    def _along(self, index: int, near_um: tuple[float | None, float | None]) -> Slice:
+    def _along(self, index: int, near_um: Near) -> Slice:
         """A slice along the sheet, with the contours of its surfaces."""
         f = self.frame
         cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
@@ -236,9 +235,7 @@ class Sheet:
         )  # fmt: skip
         return Slice(facts=facts, pixels=pixels, contours=[part.astype(np.float32) for part in contours.values()])
 
-    def _straight(
-        self, index: int, near_um: tuple[float | None, float | None], corrections: Corrections | None
-    ) -> Slice:
+    def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> Slice:
         """One row of columns, straightened along the normals."""
         f = self.frame
         places = self._column_places(f.cols)
@@ -299,9 +296,6 @@ class Sheet:
         return values
 
     # --- surfaces -----------------------------------------------------------------------------------------------------
-
-    def _columns(self, axis: str) -> int:
-        return self.surfaces.sizes["y" if axis == self.frame.rows else "x"]
 
     def _column_places(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)

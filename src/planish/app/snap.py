@@ -20,7 +20,7 @@ _WHERE = {"moving": "on the volume side", "fixed": "in the image"}
 
 
 def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Move:
-    """The move of a mark's ends into the holes that they lie in; an end where no hole is stays.
+    """Give the move of a mark's ends into the holes that they lie in; an end where no hole is stays.
 
     Raises
     ------
