@@ -14,7 +14,7 @@ import xarray as xr
 from planish.app import selection
 from planish.app.pictures import Pictures, group_pictures
 from planish.app.probe import cursor, profile
-from planish.app.selection import Brush, Region, Stopped, density, histogram, select
+from planish.app.selection import Brush, Rectangle, Stopped, density, histogram, select
 from planish.app.tiles import Tiles
 from planish.core.errors import InputError
 from planish.core.overviews import halved, overviews
@@ -142,7 +142,7 @@ def test_a_line_without_length_is_refused(tiles, pair):
 @pytest.mark.parametrize("region", [(200.0, 100.0, 1500.0, 900.0), (ORIGIN[0], ORIGIN[1], 1000.0, 500.0)])
 def test_n_and_r_of_a_region_are_those_of_its_pixels(maps, tiles, pair, region):
     a, b = known(maps, *region)
-    found = select(tiles, *pair, region=Region(*region))
+    found = select(tiles, *pair, region=Rectangle(*region))
     assert found.n == a.size
     assert found.r == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6)
     assert found.interval is not None
@@ -153,7 +153,7 @@ def test_n_and_r_of_a_region_are_those_of_its_pixels(maps, tiles, pair, region):
 
 
 def test_corners_of_a_region_may_stand_in_any_order(tiles, pair):
-    one, other = (select(tiles, *pair, region=Region(*at)) for at in ((200, 100, 900, 400), (900, 400, 200, 100)))
+    one, other = (select(tiles, *pair, region=Rectangle(*at)) for at in ((200, 100, 900, 400), (900, 400, 200, 100)))
     assert one == other
 
 
@@ -164,14 +164,14 @@ def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):
     assert found.n == np.count_nonzero((a >= 78) & (a <= 82.5) & (b >= 95) & (b <= 120))
     assert (found.r, found.interval) == (None, None)
     a, _ = known(maps, 200, 100, 900, 400)
-    assert select(tiles, *pair, brushes=brushes[:1], region=Region(200, 100, 900, 400)).n == np.count_nonzero(
+    assert select(tiles, *pair, brushes=brushes[:1], region=Rectangle(200, 100, 900, 400)).n == np.count_nonzero(
         (a >= 78) & (a <= 82.5)
     )
 
 
 def test_a_region_beside_the_map_is_refused(tiles, pair):
     with pytest.raises(InputError, match="No pixel"):
-        select(tiles, *pair, region=Region(1e6, 1e6, 2e6, 2e6))
+        select(tiles, *pair, region=Rectangle(1e6, 1e6, 2e6, 2e6))
 
 
 def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):
@@ -213,7 +213,7 @@ def test_a_large_map_is_drawn_from_an_overview_which_is_said(maps, tiles, pair, 
 def test_points_of_a_region_lie_within_the_same_limits(maps, tiles, pair):
     region = (200.0, 100.0, 900.0, 400.0)
     a, _ = known(maps, *region)
-    whole, part = density(tiles, *pair), density(tiles, *pair, Region(*region))
+    whole, part = density(tiles, *pair), density(tiles, *pair, Rectangle(*region))
     assert part.n == a.size
     assert (part.a_low, part.a_high, part.b_low, part.b_high) == (
         whole.a_low, whole.a_high, whole.b_low, whole.b_high,

@@ -119,7 +119,7 @@ def _with_corrections(study: Study, original: OriginalRun, state: State, staged:
 
 
 def place_of(run: Path, *, linked: bool) -> Path:
-    """Where the new run will stand: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
+    """Choose the folder of the new run: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
     if linked and (suffix := _OF_A_MAP.search(run.name)) and suffix.start():
         return free_path(run.with_name(run.name[: suffix.start()]))
     return free_path(run)

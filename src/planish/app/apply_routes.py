@@ -27,7 +27,7 @@ def _answer(progress: Progress, status: int = 200) -> Response:
 
 
 async def get_apply(request: Request) -> Response:
-    """How far it is."""
+    """Give the progress of the run that is made."""
     return _answer(_applying(request).progress)
 
 

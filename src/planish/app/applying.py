@@ -38,7 +38,7 @@ _LOST = (
 
 
 class Progress(Facts):
-    """How far it is.
+    """Progress of an Apply.
 
     Attributes
     ----------
@@ -96,7 +96,7 @@ class Applying:
 
     @property
     def progress(self) -> Progress:
-        """How far it is now."""
+        """Progress of the run that is made."""
         with self._lock:
             return self._progress
 

@@ -237,7 +237,7 @@ def change_of(data: bytes | str) -> Change:
 
 
 def faults_of(error: ValidationError) -> str:
-    """What is wrong with data from outside, without the data themselves."""
+    """Name the faults of data from outside, without the data themselves."""
     faults = error.errors(include_url=False, include_input=False, include_context=False)
     return "; ".join(f"{'.'.join(map(str, e['loc'])) or 'content'}: {e['msg']}" for e in faults[:8])
 

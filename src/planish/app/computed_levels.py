@@ -62,7 +62,7 @@ def user_cache() -> Path:
 
 
 def cache_place(file: Path, *parts: str) -> Path:
-    """Where the copies of a picture of a file are kept: elsewhere once the file is another."""
+    """Give the folder for the copies of a picture of a file: another one once the file has changed."""
     path = file.resolve()
     stat = path.stat()
     text = "\n".join([str(path), str(stat.st_size), str(stat.st_mtime_ns), *parts])

@@ -42,7 +42,7 @@ class MarkFile(BaseModel):
 
     @property
     def suffix(self) -> str:
-        """Of its name, where it means something: nothing else of the name is used."""
+        """Suffix of its name that says the format; nothing else of the name is used."""
         name = PurePosixPath(self.name).name.lower()
         return next((suffix for suffix in _SUFFIXES if name.endswith(suffix)), ".csv")
 
@@ -139,7 +139,7 @@ def dataset_of(marks: Sequence[Mark], fitted: Fitted, about: Mapping[str, Mappin
 
 
 def formats() -> list[dict[str, str]]:
-    """What marks can be exported as."""
+    """List the formats that marks can be exported as."""
     return [{"name": name, "title": FORMATS[name].title} for name in TARGETS]
 
 

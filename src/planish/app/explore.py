@@ -84,7 +84,7 @@ def _stacks(source: Taken, maps: MapsOfPage, compute: Compute, progress: Progres
 
 
 def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
-    """What the page holds, and what was left out of it, with ASCII units."""
+    """Say what the page holds, and what was left out of it, with ASCII units."""
     down, across = maps.grid.pixel_um
     size = f"{across:.4g} um" if abs(down - across) < 1e-6 * across else f"{across:.4g} x {down:.4g} um"
     rows, cols = maps.grid.shape

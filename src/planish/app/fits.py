@@ -73,7 +73,7 @@ class Fitted:
 
     @property
     def message(self) -> str:
-        """How well the marks agree, and which stand out, in a sentence."""
+        """Agreement of the marks, and those that stand out, in a sentence."""
         out = np.flatnonzero(self.outliers)
         if out.size and np.isfinite(self.leave_one_out_um[out]).all():  # else there is no fit, and the error says why
             far = np.argsort(-self.leave_one_out_um[out], kind="stable")
@@ -193,7 +193,7 @@ def holes_of(rows: Sequence[Mark], plane: Plane) -> xr.Dataset:
 
 
 def _fits_mirrored(moving: Floats, fixed: Floats) -> bool:
-    """Whether a mirrored similarity fits better."""
+    """Tell whether a mirrored similarity fits better."""
     try:
         return _least_squares(moving, fixed, "similarity", None, inspect=False).mirrored
     except PlanishError:
@@ -217,7 +217,7 @@ def _leave_one_out(
 
 
 def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, None, str]:
-    """What one or two pairs say: a shift, or a similarity."""
+    """Fit one or two pairs: a shift, or a similarity."""
     is_mirrored = bool(mirrored)
     if len(moving) == 1:
         from planish.core.transform import Similarity
@@ -277,7 +277,7 @@ def _warnings_of_marks(
 
 
 def _warnings_of_fit(fit: FittedTransform) -> list[FitWarning]:
-    """What the fit says of all marks; what it says of single ones stands beside them."""
+    """Give the warnings of a fit about all marks; those about single ones stand beside them."""
     return [FitWarning(text=text) for text in fit.warnings if _ROW_NUMBERS not in text and "marks only" not in text]
 
 

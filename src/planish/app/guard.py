@@ -117,7 +117,7 @@ class Guard:
 
 
 def _needs_token(path: str) -> bool:
-    """Whether a path gives data: all but the files of the page, and a report, whose address is a secret itself."""
+    """Tell whether a path gives data: all but the files of the page, and a report, whose address is a secret itself."""
     return path.startswith("/api/") or path == "/api"
 
 

@@ -142,7 +142,7 @@ class Live:
 
 
 def _source(mark: Mark) -> str:
-    """How the ends of a mark were found, in a word or two."""
+    """Give the sources of the ends of a mark, in a word or two."""
     return " and ".join(dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None))
 
 

@@ -15,7 +15,7 @@ from starlette.routing import Route
 
 from planish.app.picture import Picture
 from planish.app.probe import cursor, profile
-from planish.app.selection import Brush, Region, Selected, Stopped, density, histogram, select
+from planish.app.selection import Brush, Rectangle, Selected, Stopped, density, histogram, select
 from planish.app.tiles import Tiles
 from planish.core.errors import InputError, PlanishError
 
@@ -75,7 +75,7 @@ async def get_selection(request: Request) -> Response:
         stop.set()
 
     def selected() -> Selected | PlanishError | None:
-        """What was found; a fault as a value, which the group of tasks would wrap otherwise."""
+        """Select the pixels; a fault is a value, which the group of tasks would wrap otherwise."""
         try:
             return select(tiles, a, b, region=region, brushes=brushes, stop=stop)
         except Stopped:
@@ -95,7 +95,7 @@ async def get_selection(request: Request) -> Response:
 
 
 async def _answer(make: Callable[[], BaseModel]) -> Response:
-    """What a thread finds, as JSON."""
+    """Compute an answer in a thread and send it as JSON."""
     text = await run_sync(lambda: make().model_dump_json())
     return Response(text, media_type="application/json")
 
@@ -116,9 +116,9 @@ def _pair(request: Request) -> tuple[Picture, Picture]:
     return a, b
 
 
-def _region(request: Request) -> Region | None:
+def _region(request: Request) -> Rectangle | None:
     corners = _numbers(request, "region", 4)
-    return None if corners is None else Region(*corners)
+    return None if corners is None else Rectangle(*corners)
 
 
 def _number(request: Request, key: str) -> float:

@@ -66,7 +66,7 @@ async def _body_of(request: Request, model: type[Any]) -> Any:
 
 
 async def get_session(request: Request) -> Response:
-    """What does not change while the server runs."""
+    """Give what does not change while the server runs."""
     return JSONResponse(await run_sync(_session_of, _session(request), request.app))
 
 
@@ -97,7 +97,7 @@ def _models() -> list[str]:
 
 
 async def get_state(request: Request) -> Response:
-    """What stands now."""
+    """Give the state as it stands."""
     return JSONResponse(await run_sync(_state_of, request))
 
 
@@ -198,7 +198,7 @@ async def _state_after(request: Request, action: Callable[[], object]) -> Respon
 
 
 async def get_predict(request: Request) -> Response:
-    """Where a point of one plane lies in the other."""
+    """Predict where a point of one plane lies in the other."""
     live: Live = request.app.state.live
     side, x, y = (request.query_params.get(key, "") for key in ("side", "x", "y"))
     if side not in PLANES:

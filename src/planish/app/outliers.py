@@ -52,7 +52,7 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
         off, spread = _scaled_errors(z, w, inliers)
-        # The held ones were chosen for being close: the chance counts how many choices there were.
+        # The inliers were chosen for being close: the chance counts how many choices there were.
         limit = _CHANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
         free = 2 * inliers.size - 4
         chance = stats.f.sf(off**2 / (2 * spread), 2, free) if spread > 0 else (off == 0).astype(np.float64)
@@ -104,7 +104,7 @@ def _fit(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
 
 
 def _scaled_errors(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> tuple[Floats, float]:
-    """How far a fit to the held marks is off each mark, over its own error in units of theirs; their variance."""
+    """Give how far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance."""
     off = np.abs(_residuals(z, w, inliers))
     away = np.abs(z - z[inliers].mean()) ** 2
     lever = 1 / inliers.size + away / max(float(np.sum(away[inliers])), 1e-300)

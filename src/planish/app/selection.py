@@ -83,7 +83,7 @@ class Brush:
 
 
 @dataclass(frozen=True, slots=True)
-class Region:
+class Rectangle:
     """Pixels whose middle lies in a rectangle, in um of the plane."""
 
     x0: float
@@ -105,7 +105,7 @@ class Stopped(Exception):
     """The page does not want the answer any more."""
 
 
-def density(tiles: Tiles, a: Picture, b: Picture, window: Region | None = None) -> Density:
+def density(tiles: Tiles, a: Picture, b: Picture, window: Rectangle | None = None) -> Density:
     """Count the points of two pictures in the plane of their values.
 
     The limits are those of all points, also where only a region is counted.
@@ -130,7 +130,7 @@ def density(tiles: Tiles, a: Picture, b: Picture, window: Region | None = None) 
     )  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: Picture, window: Region | None = None) -> Histogram:
+def histogram(tiles: Tiles, picture: Picture, window: Rectangle | None = None) -> Histogram:
     """Count the values of a picture where they are valid."""
     level, (values,) = _overview(tiles, picture)
     every = values[np.isfinite(values)]
@@ -157,7 +157,7 @@ def _between(places: Floats, low: float, high: float, step: float) -> slice:
 
 
 def select(
-    tiles: Tiles, a: Picture, b: Picture, *, region: Region | None = None, brushes: Sequence[Brush] = (),
+    tiles: Tiles, a: Picture, b: Picture, *, region: Rectangle | None = None, brushes: Sequence[Brush] = (),
     stop: threading.Event | None = None,
 ) -> Selected:  # fmt: skip
     """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.

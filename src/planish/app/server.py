@@ -135,7 +135,7 @@ def _listening(host: str, port: int) -> socket.socket:
 
 
 def _names(host: str) -> list[str]:
-    """What the server may be called in requests."""
+    """List the names of the server in requests."""
     loopback = ["127.0.0.1", "localhost"]
     if host in loopback:
         return loopback

@@ -332,7 +332,7 @@ def _journal(path: Path, *, of: str, read_only: bool) -> tuple[Journal, str]:
 
 
 def _image_params(run: Path, image: Path | ImageParams | None, results: Results) -> ImageParams | None:
-    """How the image of a refused link is read: as it is asked for, as it was then, or by its own metadata."""
+    """Give the options of the image of a refused link: as it is asked for, as it was then, or by its own metadata."""
     place = Path(image.path) if isinstance(image, ImageParams) else image
     if results.is_link:
         if place is not None:
@@ -363,7 +363,7 @@ def _marks_of(marks: xr.Dataset) -> tuple[Mark, ...]:
 
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
-    """Where marks of a file lie in a plane, with all that is known of them."""
+    """Give the ends of a file's marks in a plane, with all that is known of them."""
     names = {key: f"{plane}_{key}" for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
     columns = {key: np.asarray(marks[name].values, dtype=np.float64) for key, name in names.items()}
     sources = marks[f"{plane}_source"].values if f"{plane}_source" in marks else None

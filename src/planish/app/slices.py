@@ -143,7 +143,7 @@ class Sheet:
         return max(1, self.volume.sizes[self.frame.rows] // max(self.surfaces.sizes["y"], 1))
 
     def places(self, axis: str) -> Floats:
-        """Where the voxels lie along an axis."""
+        """Places of the voxels along an axis, um."""
         return np.asarray(self.volume.coords[axis].values, dtype=np.float64)
 
     def count(self, direction: Direction) -> int:
@@ -306,7 +306,7 @@ class Sheet:
         return self.surfaces[list(names)].isel(y=rows, x=cols).load()
 
     def _lines(self, along: str, index: int, columns: slice, corrections: Corrections | None) -> dict[str, Floats]:
-        """What was found in one row, or column, of the surfaces."""
+        """Read one row, or column, of the surfaces, with its normals."""
         of_rows = along == self.frame.cols
         neighbours = slice(max(index - 1, 0), index + 2)
         if neighbours.stop - neighbours.start < 2:

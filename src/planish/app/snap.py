@@ -42,7 +42,7 @@ def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Mov
 
 
 def not_snapped(mark: Mark, move: Move) -> str:
-    """What to say where only one end lies in a hole."""
+    """Name the end that lies in no hole, where the other one does."""
     missing = [_WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
     return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
 
@@ -91,7 +91,7 @@ def _searched(
 
 
 def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
-    """What shows the holes of a plane: an image, or the layers of material of a sheet."""
+    """Give what shows the holes of a plane: an image, or the layers of material of a sheet."""
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}
     shown, owner = session.shown_by(layer, plane)

@@ -110,6 +110,6 @@ class Tiles:
 
 
 def _shared(of: slice, k: int, length: int) -> tuple[slice, slice]:
-    """Where the k-th block lies in a window, and the window in the block."""
+    """Give the place of the k-th block in a window, and of the window in the block."""
     start, stop = max(of.start, k * CHUNK), min(of.stop, k * CHUNK + length)
     return slice(start - of.start, stop - of.start), slice(start - k * CHUNK, stop - k * CHUNK)

@@ -58,7 +58,7 @@ class Packed:
         return 0.0 if self.exact else self.step / 2
 
     def spec(self) -> dict[str, Any]:
-        """What the script needs to unpack it."""
+        """Give what the script needs to unpack it."""
         return {
             "rows": self.shape[0], "cols": self.shape[1], "bits": self.bits, "order": self.order, "low": self.low,
             "step": self.step,

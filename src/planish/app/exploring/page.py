@@ -86,7 +86,7 @@ def _blocks(maps: MapsOfPage, stacks: Sequence[Stack]) -> Iterator[Block]:
 
 
 def _data(results: Results, maps: MapsOfPage, stacks: Sequence[Stack]) -> dict[str, Any]:
-    """What the script needs beside the blocks."""
+    """Give what the script needs beside the blocks."""
     grid = maps.grid
     linked = results.is_link
     return {

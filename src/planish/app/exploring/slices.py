@@ -156,7 +156,7 @@ def _pitch(places: NDArray[Any]) -> float:
 
 
 def _span(surfaces: xr.Dataset, depth: NDArray[Any]) -> tuple[int, int]:
-    """Which planes of the volume hold the surfaces, with a margin."""
+    """Give the first and last plane of the volume that hold the surfaces, with a margin."""
     heights = np.concatenate([surfaces[name].values.ravel() for name in surfaces.data_vars if name != "thickness"])
     heights = heights[np.isfinite(heights)]
     if not heights.size:
