@@ -15,7 +15,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.frame import Axis, End, Frame
 from planish.core.lazy import LazyArray, Where, held, labelled
 from planish.io.formats import full_scale
-from planish.io.lazy import settle, supported_type
+from planish.io.lazy import read_if_small, supported_type
 from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size
 
 Size = float | tuple[float, ...]
@@ -59,7 +59,7 @@ def volume(
     dtype = supported_type(given.dtype).newbyteorder("=")
     values: NDArray[Any] | LazyArray
     if isinstance(inner, np.ndarray) and inner.dtype == dtype:
-        values = settle(inner, memory_bytes=None)
+        values = read_if_small(inner, memory_bytes=None)
     elif isinstance(inner, np.ndarray) and not isinstance(inner, np.memmap):
         values = inner.astype(dtype)
     else:
