@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import hashlib
 import json
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -16,11 +17,11 @@ import zarr
 import planish as pl
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
+from planish.exports import FORMATS, ExportParams, formats_table, writer_of
+from planish.exports.formats import imported
 from planish.io import map_store
 from planish.io.run_folder import write_tree
 from planish.pipeline import open_run
-from planish.writers import FORMATS, ExportParams, formats_table, writer_of
-from planish.writers.params import FormatName
 
 SUFFIXES = {to: form.suffixes[0] for to, form in FORMATS.items() if form.suffixes}
 ONE = {"maps": ["coating_top"]}
@@ -32,12 +33,20 @@ OF_A_FILE = {
 """Options with which one file is written of the small run."""
 
 
-def test_the_names_of_the_formats_stand_in_two_places():
-    from typing import get_args
+@pytest.mark.parametrize("to", list(FORMATS))
+def test_a_row_of_the_table_names_functions_and_options_that_exist(to):
+    form = FORMATS[to]
+    assert callable(writer_of(to))
+    assert form.check is None or callable(imported(form.check))
+    assert set(form.options) <= set(ExportParams.model_fields)
+    assert form.suffixes or form.endings or form.holds == ("run",)
+    assert ExportParams(to=to).to == to
 
-    assert get_args(FormatName) == tuple(FORMATS)
-    options = {name for form in FORMATS.values() for name in form.options}
-    assert options <= set(ExportParams.model_fields)
+
+def test_an_option_says_in_its_help_which_formats_it_is_for():
+    for name in {option for form in FORMATS.values() for option in form.options}:
+        help_text = ExportParams.model_fields[name].description
+        assert help_text.startswith(f"{', '.join(to for to, form in FORMATS.items() if name in form.options)}: ")
 
 
 def files_of(path):
@@ -105,7 +114,7 @@ def test_large_maps_are_read_part_by_part_with_the_same_bytes(linked_run, tmp_pa
 @pytest.mark.study
 @pytest.mark.parametrize("maps", [["coating_top"], ["coating_top", "valid", "tilt"]])
 def test_chunks_of_a_store_are_copied_and_are_those_that_would_be_written(tmp_path, monkeypatch, linked_run, maps):
-    from planish.writers import ome_zarr
+    from planish.exports import ome_zarr
 
     run = stored_run(linked_run, tmp_path)
     copied = []
@@ -335,6 +344,15 @@ def test_what_cannot_be_is_refused(linked_run, tmp_path, options, out, error, wo
     assert list(tmp_path.iterdir()) == []
 
 
+def test_nodes_closer_than_columns_are_refused_before_work(linked_run, tmp_path):
+    steps = []
+    with pytest.raises(StudyError, match="--mesh-um 1 is less than a column of 4 um"):
+        pl.export(
+            linked_run, tmp_path / "o", to="ply", mesh_um=1.0, progress=lambda step, words: steps.append((step, words))
+        )
+    assert steps == []
+
+
 def test_what_is_there_stays(linked_run, tmp_path):
     (tmp_path / "maps.tif").write_text("mine")
     (tmp_path / "folder").mkdir()
@@ -349,14 +367,13 @@ def test_what_is_there_stays(linked_run, tmp_path):
 @pytest.mark.study
 @pytest.mark.parametrize(("to", "out"), [("tiff", "maps.tif"), ("netcdf", "o"), ("ome-zarr", "o.zarr"), ("ply", "o")])
 def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, to, out):
-    module = writer_of(to)
-    write = module.write
+    write = writer_of(to)
 
     def broken(content, path, history, params):
         write(content, path, history, params)
         raise OSError(28, "No space left on device")
 
-    monkeypatch.setattr(module, "write", broken)
+    monkeypatch.setattr(sys.modules[write.__module__], write.__name__, broken)
     with pytest.raises(ResourceError, match="The disk is full while writing"):
         pl.export(linked_run, tmp_path / out, to=to)
     assert list(tmp_path.iterdir()) == []

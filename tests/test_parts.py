@@ -1,4 +1,4 @@
-"""Volumes that are a part of a file, ``scan.h5:/entry/data``, in a folder with a colon: wherever a path is taken."""
+"""Volumes that are a part of a file, ``scan.h5:/entry/data``, in a folder with a colon: wherever a path is source."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ import zarr
 
 from planish.compute import silent
 from planish.core.errors import FileError, StudyError
+from planish.exports import ExportSource
 from planish.io import fingerprint
 from planish.io.formats import find_place
 from planish.io.params import VolumeParams
@@ -23,7 +24,6 @@ from planish.io.run_folder import read_tree, refuse_inside, write_tree
 from planish.io.store import write_store
 from planish.measure import surfaces_of
 from planish.pipeline.build import study_of
-from planish.pipeline.taken import Taken
 from planish.series import read_plan
 from planish.study import LayerParams, Study, read_study, write_study
 
@@ -82,12 +82,12 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) 
     for path, words in ((volume, ""), (f"{volume[:-1]}b", "is another file"), (f"{tmp_path}/a:b/v.h5:/a", "a:b/v.h5")):
         first = study.layers[0].model_copy(update={"volume": VolumeParams(path=path)})
         write_study(study.model_copy(update={"layers": (first, *study.layers[1:])}), run, home=run, version="1")
-        taken = Taken.of(run)
+        source = ExportSource.of(run)
         if not words:
-            assert taken.volume_of(taken.results.layers[0], silent).path == path
+            assert source.volume_of(source.results.layers[0], silent).path == path
             continue
         with pytest.raises(FileError, match=words):
-            taken.volume_of(taken.results.layers[0], silent)
+            source.volume_of(source.results.layers[0], silent)
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None:

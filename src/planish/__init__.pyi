@@ -2,6 +2,7 @@ from .analyze import correlate as correlate
 from .core.errors import PlanishError as PlanishError
 from .core.frame import Frame as Frame
 from .core.results import Results as Results
+from .exports import export as export
 from .flatten import flatten_sheet as flatten_sheet
 from .io import read_image as read_image
 from .io import read_volume as read_volume
@@ -11,7 +12,6 @@ from .measure import measure_properties as measure_properties
 from .pipeline import Registration as Registration
 from .pipeline import Run as Run
 from .pipeline import correlate_maps as correlate_maps
-from .pipeline import export as export
 from .pipeline import find_holes as find_holes
 from .pipeline import link as link
 from .pipeline import map_sheet as map_sheet

@@ -11,8 +11,8 @@ from planish.app.exploring.slices import BUDGET, Stack, stack_of
 from planish.compute import Compute, Progress, silent
 from planish.core.files import write_whole
 from planish.core.threads import limit_threads
+from planish.exports import ExportSource
 from planish.io.run_folder import refuse_existing, refuse_inside
-from planish.pipeline.taken import Taken
 
 LARGEST = 12_000_000
 """Bytes that no page exceeds."""
@@ -59,7 +59,7 @@ def explore(
     """
     compute, out = compute or Compute(), Path(out)
     refuse_existing(out)
-    source = Taken.of(run)
+    source = ExportSource.of(run)
     refuse_inside(out, [run])
     with limit_threads(compute.threads):
         progress("maps", str(run))
@@ -74,7 +74,7 @@ def explore(
     )
 
 
-def _stacks(source: Taken, maps: MapsOfPage, compute: Compute, progress: Progress) -> list[Stack]:
+def _stacks(source: ExportSource, maps: MapsOfPage, compute: Compute, progress: Progress) -> list[Stack]:
     """Slices of every sheet whose places in the volume the maps give, the budget shared among them."""
     sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
     stacks = (

@@ -11,7 +11,7 @@ import click
 from planish.cli.options import build_params, existing, given_options, json_option, options, out_option, verb
 from planish.compute import Compute
 from planish.core.errors import StudyError
-from planish.writers import FORMATS, ExportParams
+from planish.exports import FORMATS, ExportParams
 
 
 @verb(
@@ -35,7 +35,7 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     them; where the files come from travels with them.
     """
     from planish.cli.show import stages
-    from planish.pipeline import export as export_run
+    from planish.exports import export as export_run
 
     chosen = given_options(values, "export")
     build_params(ExportParams, values, "export")

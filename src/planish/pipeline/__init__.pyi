@@ -1,7 +1,6 @@
 from .build import link as link
 from .build import map_sheet as map_sheet
 from .compare import correlate_maps as correlate_maps
-from .exports import export as export
 from .layers import find_holes as find_holes
 from .onto import resample_maps as resample_maps
 from .registration import Registration as Registration

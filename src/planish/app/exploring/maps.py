@@ -17,11 +17,11 @@ from planish.core.grid import Grid
 from planish.core.overviews import halved
 from planish.core.results import LayerFacts, Results, Trust
 from planish.core.typing import Floats
+from planish.exports.source import ExportSource
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
 from planish.pipeline.checks import trust_of
 from planish.pipeline.run import MAPS
-from planish.pipeline.taken import IMAGE, Taken
 from planish.report.colours import Scale
 from planish.report.maps import colours_of
 from planish.report.text import title_of, unit_of
@@ -107,7 +107,7 @@ class MapsOfPage:
         return sum(len(codes.text) for codes in (*(shown.packed for shown in self.maps), *more))
 
 
-def maps_of(source: Taken) -> MapsOfPage:
+def maps_of(source: ExportSource) -> MapsOfPage:
     """Read and pack the maps of a run, halved until they fit into the budget.
 
     Raises
@@ -126,7 +126,7 @@ def maps_of(source: Taken) -> MapsOfPage:
     return maps
 
 
-def _wanted(source: Taken) -> list[tuple[str, list[str]]]:
+def _wanted(source: ExportSource) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: the headline of each first, then what it is compared with."""
     results, groups = source.results, source.groups
     names = ["linked"] if "linked" in groups else [f"layers/{one.name}" for one in results.layers]
@@ -145,7 +145,7 @@ def _wanted(source: Taken) -> list[tuple[str, list[str]]]:
     return out
 
 
-def _packed(source: Taken, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+def _packed(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
     results = source.results
     maps: list[ShownMap] = []
     groups: list[Group] = []
@@ -194,10 +194,10 @@ def _shown(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Resu
     )  # fmt: skip
 
 
-def _smaller(source: Taken, name: str, names: list[str], halvings: int) -> xr.Dataset:
+def _smaller(source: ExportSource, name: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
     data, stored = source.group(name)[names], 0
-    if source.folder is not None and not source.all_held:
+    if source.folder is not None and not source.is_in_memory:
         store = source.folder / MAPS
         levels = range(halvings, 0, -1)
         stored = next((k for k in levels if (store / OVERVIEWS / name / str(k)).is_dir()), 0)

@@ -18,8 +18,8 @@ from planish.compute import Compute, Progress
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.core.results import LayerFacts
+from planish.exports import ExportSource
 from planish.io.sections import is_section_folder
-from planish.pipeline.taken import Taken
 from planish.pipeline.volume import read_whole
 from planish.report.colours import GREYS, Scale, limits
 from planish.report.slices import LINES, Slice, take_slice
@@ -84,7 +84,9 @@ class Stack:
         return sum(map(len, self.pictures)) + sum(len(line.text) for line in (*self.lines.values(), self.used))
 
 
-def stack_of(source: Taken, facts: LayerFacts, budget: int, compute: Compute, progress: Progress) -> Stack | None:
+def stack_of(
+    source: ExportSource, facts: LayerFacts, budget: int, compute: Compute, progress: Progress
+) -> Stack | None:
     """The slices of a sheet; None where the run that holds its surfaces is not there."""
     run = source.sheet_run(facts.name)
     if run is None or run.sheet is None:
@@ -119,7 +121,7 @@ class _VolumeUnavailable(Exception):
 
 
 def _from_volume(
-    run: Taken, facts: LayerFacts, surfaces: xr.Dataset, scale: Scale, compute: Compute, progress: Progress
+    run: ExportSource, facts: LayerFacts, surfaces: xr.Dataset, scale: Scale, compute: Compute, progress: Progress
 ) -> tuple[xr.Dataset, xr.Dataset, int]:
     """Slices as the run keeps them, with the surfaces in their rows, and how many rows of voxels apart they are."""
     try:

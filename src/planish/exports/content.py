@@ -1,0 +1,202 @@
+"""What is exported, as writers take it: maps on one grid, read band by band, and the history that travels with them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.bands import band_of, bands
+from planish.core.errors import SizeError
+from planish.core.threads import thread_pool
+from planish.exports.chunks import Chunks
+
+_DIGITS = 12  # significant digits of a pixel size: sums of its multiples have no more
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportHistory:
+    """Where an export comes from: it travels with every file as one line of JSON.
+
+    Attributes
+    ----------
+    planish : str
+        Version that made the run.
+    exported_by : str
+        Version that exports it.
+    study_sha256 : str
+        SHA-256 of ``run.toml``.
+    inputs : tuple of dict
+        Of each layer its name, the name of its file, and the file's SHA-256.
+    """
+
+    planish: str
+    exported_by: str
+    study_sha256: str
+    inputs: tuple[Mapping[str, Any], ...]
+
+    def json(self, **more: Any) -> str:
+        """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
+        history = {
+            "planish": self.planish, "exported_by": self.exported_by, "study_sha256": self.study_sha256,
+            "inputs": [dict(layer) for layer in self.inputs], **more,
+        }  # fmt: skip
+        return json.dumps(history, allow_nan=False)
+
+    @property
+    def program(self) -> str:
+        """Program and version, for fields that name the software."""
+        return f"planish {self.exported_by}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Display:
+    """How a map is shown: its limits, and the colours between them, by matplotlib's name."""
+
+    low: float
+    high: float
+    colours: str = "viridis"
+
+
+_NOT_CHOSEN: Mapping[str, Display] = {}
+_NOT_STORED: Mapping[str, Sequence[Path]] = {}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Maps:
+    """Maps (rows, cols) on one regular grid, which may stay in their store.
+
+    Attributes
+    ----------
+    data : Dataset, dims (y, x) or (v, u)
+        Variables with ``units`` and ``long_name``; coordinates in um. NaN is missing.
+    group : str
+        Name of the group in the run.
+    display : dict of Display
+        How maps are shown, by name, as far as it is known.
+    levels : dict of sequences of Path
+        Folders of the arrays in a zarr store that hold a map and its overviews, the finest first, by name, where they
+        are there.
+    """
+
+    data: xr.Dataset
+    group: str
+    display: Mapping[str, Display] = field(default_factory=lambda: _NOT_CHOSEN)
+    levels: Mapping[str, Sequence[Path]] = field(default_factory=lambda: _NOT_STORED)
+
+    @property
+    def names(self) -> list[str]:
+        """Names of the maps."""
+        return [str(name) for name in self.data.data_vars]
+
+    @property
+    def dims(self) -> tuple[str, str]:
+        """Names of rows and columns: (y, x), or (v, u) of the flat sheet."""
+        return ("v", "u") if "v" in self.data.dims else ("y", "x")
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows, cols = self.dims
+        return self.data.sizes[rows], self.data.sizes[cols]
+
+    @property
+    def at_um(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Places of the middles of rows and of columns."""
+        rows, cols = self.dims
+        return self.data[rows].values, self.data[cols].values
+
+    @property
+    def pixel_um(self) -> tuple[float, float]:
+        """Pitch of rows and columns, without the rounding of their coordinates; SizeError where there is none."""
+        if min(self.shape) < 2:
+            raise SizeError(f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a size.")
+        return tuple(_exact((um[-1] - um[0]) / (um.size - 1)) for um in self.at_um)  # type: ignore[return-value]
+
+    @property
+    def origin_um(self) -> tuple[float, float]:
+        """Middle of the first pixel: (y, x)."""
+        return tuple(_exact(um[0]) for um in self.at_um)  # type: ignore[return-value]
+
+    def facts(self) -> dict[str, Any]:
+        """Group, pixel size and place, for the history."""
+        return {
+            "group": self.group, "axes": "".join(self.dims), "pixel_um": list(self.pixel_um),
+            "first_pixel_um": list(self.origin_um), "missing": "NaN",
+        }  # fmt: skip
+
+    def title(self, name: str) -> str:
+        """What a map shows."""
+        return str(self.data[name].attrs.get("long_name", name))
+
+    def units(self, name: str) -> str:
+        """Its unit; 1 where it has none."""
+        return str(self.data[name].attrs.get("units", "1"))
+
+    def only(self, name: str) -> Maps:
+        """One of the maps."""
+        return replace(self, data=self.data[[name]])
+
+    def bands(
+        self, name: str, dtype: np.dtype[Any] | type[np.generic] | None = None
+    ) -> Iterator[tuple[slice, NDArray[Any]]]:
+        """Give a map band by band; one is read while the other is worked on.
+
+        ``dtype``: type of the values; the map's own where not given, truth values as bytes.
+        """
+        data = self.data[name]
+        target = plain_type(data.dtype) if dtype is None else np.dtype(dtype)
+        levels = self.levels.get(name)
+        chunks = Chunks.of(levels[0], self.shape, data.dtype) if levels else None
+
+        def read(rows: slice) -> NDArray[Any]:
+            return np.ascontiguousarray(band_of(data, rows), dtype=target)
+
+        def start(rows: slice) -> Callable[[], NDArray[Any]]:
+            if chunks is None:
+                return pool.submit(read, rows).result
+            of_chunks = chunks.start(rows, target, pool)
+
+            def wait() -> NDArray[Any]:
+                try:
+                    return of_chunks()
+                except (OSError, RuntimeError, ValueError):
+                    return read(rows)  # says what is wrong with the store
+
+            return wait
+
+        parts = list(bands(self.shape[0]))
+        with thread_pool() as pool:
+            wait = None
+            for rows, following in zip(parts, [*parts[1:], None], strict=True):
+                band = (wait or start(rows))()
+                wait = None if following is None else start(following)
+                yield rows, band
+
+
+def percentile_limits(pixels: NDArray[np.float32]) -> tuple[float, float]:
+    """1st and 99th percentile of a map, between which it is shown first; 0 to 1 where it has no value."""
+    measured = pixels[np.isfinite(pixels)].astype(np.float64)
+    low, high = (float(v) for v in np.percentile(measured, (1.0, 99.0))) if measured.size else (0.0, 1.0)
+    return low, high if high > low else low + 1.0
+
+
+def plain_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
+    """Type in which values are written: truth values become bytes of 0 and 1."""
+    return np.dtype(np.uint8) if dtype.kind == "b" else dtype
+
+
+def column_of(name: str, units: str) -> str:
+    """Name of a column or property with its unit: ``coating_top_um``; no unit for plain numbers."""
+    word = units.replace("/", "_per_").replace("%", "percent")
+    return name if units in ("", "1") or name.endswith(f"_{word}") else f"{name}_{word}"
+
+
+def _exact(value: float) -> float:
+    return float(f"{value:.{_DIGITS}g}")

@@ -1,0 +1,306 @@
+"""The formats of an export: a row of one table each, and the function that writes it.
+
+A row names its function as ``module:function`` of this package: ``function(content, path, history, params)``. What it
+gets depends on what is written:
+
+============ ============================================================ ============================================
+Holds        Content                                                      From
+============ ============================================================ ============================================
+maps         :class:`~planish.exports.content.Maps`                       a group of maps on one grid, or of surfaces
+volume       ``DataArray (z, y, x)``                                      the straightened volume
+surface      :class:`~planish.exports.meshes.Surface`                     one surface with the maps that it carries
+registration :class:`~planish.exports.displacements.DirectedTransform`    one direction; where one file holds both,
+                                                                          ``TransformPair``
+marks        ``Dataset (mark)``                                           the marks of a registration
+run          ``Path``                                                     a run folder
+============ ============================================================ ============================================
+
+``path`` is new, and stays hidden until it is whole. The same content gives the same bytes. The command line, the
+documents and all messages are made from the table.
+"""
+
+from __future__ import annotations
+
+import importlib
+import re
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+from planish.core.errors import FileError, InputError
+
+Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportFormat:
+    """A format of an export.
+
+    Attributes
+    ----------
+    title : str
+        Its name in messages and documents.
+    writer : str
+        The function that writes it: ``module:function`` of this package.
+    check : str or None
+        A function of ``(content, params)`` that refuses before work what the format does not hold.
+    holds : tuple of str
+        What it can hold; the first is what is meant where nothing else is asked for.
+    suffixes : tuple of str
+        Ends of the names of its files, the usual one first. None: it is always a folder.
+    endings : tuple of str
+        Of one that is always a folder: ends of the files of a registration. Those behind the first one are there only
+        where no affine map is all of it.
+    is_folder : bool
+        Whether what has such a name is a folder.
+    stack : bool
+        Whether one file holds several maps.
+    apart : bool
+        Whether a folder gets a file for each map, or each direction of a registration; otherwise one for all of them.
+    shows_limits : bool
+        Whether its file says between which limits a map is shown first.
+    gives, opens, missing : str
+        For the documents: what is written, programs that open it, and how a missing value is written.
+    most : int or None
+        Largest map in pixels, or surface in nodes, where all of it is held in memory; None: it is written part by part.
+    byte_cost : int
+        Bytes of memory that a pixel or node of such a map takes.
+    needs : str or None
+        Library of the extra ``export``.
+    options : tuple of str
+        Options of :class:`~planish.exports.params.ExportParams` that mean something for some formats, and for this one.
+    note : str
+        What has to be known when the files are used.
+    """
+
+    title: str
+    writer: str
+    check: str | None = None
+    holds: tuple[Holds, ...]
+    suffixes: tuple[str, ...]
+    endings: tuple[str, ...] = ()
+    is_folder: bool = False
+    stack: bool = False
+    apart: bool = True
+    shows_limits: bool = False
+    gives: str
+    opens: str
+    missing: str
+    most: int | None = None
+    byte_cost: int = 0
+    needs: str | None = None
+    options: tuple[str, ...] = ()
+    note: str = ""
+
+    @property
+    def counts(self) -> str:
+        """What its size is counted in: nodes of a surface, or pixels."""
+        return "nodes" if "surface" in self.holds else "pixels"
+
+    def endings_of(self, *, affine: bool) -> tuple[str, ...]:
+        """Ends of the files of one direction of a registration."""
+        return (self.endings or self.suffixes)[: 1 if affine or not self.endings else None]
+
+
+_ENDING = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")  # of a file; a folder may be called run.2
+
+_BOTH = (
+    "SOURCE_to_TARGET takes points of SOURCE to TARGET, x and y of planish; programs take the same file to resample an "
+    "image of TARGET onto SOURCE."
+)
+
+_MESH = ("mesh_um", "as_seen")
+
+FORMATS: dict[str, ExportFormat] = {
+    "tiff": ExportFormat(
+        title="TIFF", writer="tiff:write_imagej", check="tiff:check_imagej", holds=("maps", "volume"),
+        suffixes=(".tif", ".tiff"), stack=True, shows_limits=True,
+        gives="32-bit maps with pixel size in um; several in one file as channels with names; history under Show Info",
+        opens="ImageJ, Fiji", missing="NaN",
+    ),
+    "ome-tiff": ExportFormat(
+        title="OME-TIFF", writer="tiff:write_ome", holds=("maps", "volume"), suffixes=(".ome.tif", ".ome.tiff"),
+        stack=True,
+        gives="the same with OME metadata: pixel size, place of the first pixel, names of channels",
+        opens="Fiji (Bio-Formats), QuPath", missing="NaN",
+    ),
+    "ome-zarr": ExportFormat(
+        title="OME-Zarr", writer="ome_zarr:write", holds=("maps", "volume"), suffixes=(".ome.zarr", ".zarr"),
+        is_folder=True, stack=True,
+        gives="OME-Zarr 0.5 with overviews, each half as fine; size and place in um",
+        opens="napari, MoBIE", missing="NaN",
+    ),
+    "netcdf": ExportFormat(
+        title="NetCDF", writer="netcdf:write", holds=("maps",), suffixes=(".nc",), stack=True, needs="h5netcdf",
+        gives="NetCDF-4 by the CF conventions: maps in their own type, coordinates, units",
+        opens="R, Python, MATLAB", missing="NaN as `_FillValue`",
+    ),
+    "mat": ExportFormat(
+        title="MATLAB", writer="matlab:write", check="matlab:chosen_version", holds=("maps",), suffixes=(".mat",),
+        stack=True, options=("mat_version",),
+        gives="a variable for each map, `x_um`, `y_um`, `pixel_um`, `units`, `titles`, `history`; version 5 or 7.3",
+        opens="MATLAB, GNU Octave", missing="NaN",
+    ),
+    "gwy": ExportFormat(
+        title="Gwyddion", writer="gwyddion:write", holds=("maps",), suffixes=(".gwy",), stack=True, needs="gwyfile",
+        gives="a channel for each map, lengths in metres, with its mask; history under Metadata Browser",
+        opens="Gwyddion", missing="the mask; below it the mean of the map",
+        most=100_000_000, byte_cost=26,
+    ),
+    "txt": ExportFormat(
+        title="plain text", writer="tables:write_matrix", holds=("maps",), suffixes=(".txt",),
+        gives="one map as a matrix: a line for each row, tabs between; what it is stands in lines with `#`",
+        opens="GNU Octave, MATLAB, Origin", missing="`NaN`",
+    ),
+    "csv": ExportFormat(
+        title="CSV", writer="tables:write_points", holds=("maps",), suffixes=(".csv",), stack=True, apart=False,
+        options=("point_um",),
+        gives="a table of points or pixels: place, every map, image, place in the volume, share that is valid",
+        opens="GNU Octave, R, Origin, Excel", missing="`NaN`; points that show nothing are left out",
+    ),
+    "png": ExportFormat(
+        title="PNG", writer="picture:write_png", holds=("maps",), suffixes=(".png",), shows_limits=True,
+        gives="a picture with colour bar, axes and scale bar, at most 2000 pixels of the map across",
+        opens="anything", missing="grey",
+    ),
+    "svg": ExportFormat(
+        title="SVG", writer="picture:write_svg", holds=("maps",), suffixes=(".svg",), shows_limits=True,
+        gives="the same picture to edit: lines and text stay lines and text",
+        opens="browsers, Inkscape", missing="grey",
+    ),
+    "ply": ExportFormat(
+        title="PLY", writer="meshes:write_ply", holds=("surface",), suffixes=(".ply",),
+        options=_MESH,
+        gives="a surface in um with all maps as properties of its nodes, one as colour",
+        opens="MeshLab, CloudCompare, ParaView (colour only)", missing="NaN, coloured grey; holes stay holes",
+        most=25_000_000, byte_cost=250,
+    ),
+    "obj": ExportFormat(
+        title="OBJ", writer="meshes:write_obj", holds=("surface",), suffixes=(".obj",),
+        options=_MESH,
+        gives="a surface in um as text, one map as colour of its nodes",
+        opens="MeshLab, Blender", missing="coloured grey; holes stay holes", most=10_000_000, byte_cost=400,
+    ),
+    "stl": ExportFormat(
+        title="STL", writer="meshes:write_stl", holds=("surface",), suffixes=(".stl",),
+        options=_MESH,
+        gives="a surface in um as triangles, one map as their colour (15 bits)",
+        opens="MeshLab, CAD, simulation", missing="coloured grey; holes stay holes",
+        most=10_000_000, byte_cost=450,
+    ),
+    "vtk": ExportFormat(
+        title="VTK", writer="meshes:write_vtu", holds=("surface",), suffixes=(".vtu",),
+        options=_MESH,
+        gives="a surface in um with all maps as point data",
+        opens="ParaView", missing="NaN; holes stay holes", most=25_000_000, byte_cost=350,
+    ),
+    "itk": ExportFormat(
+        title="ITK", writer="transforms:write_itk", holds=("registration",), suffixes=(".tfm",),
+        options=("unit",),
+        gives="the registration as a transform, in both directions",
+        opens="ITK, SimpleITK", missing="–", note=_BOTH,
+    ),
+    "elastix": ExportFormat(
+        title="elastix", writer="transforms:write_elastix", holds=("registration",), suffixes=(),
+        endings=(".txt", "_local.txt"),
+        options=("unit",),
+        gives="the registration as transform parameters, in both directions",
+        opens="elastix, transformix", missing="–",
+        note=f"{_BOTH} Start transformix in the folder: it looks for NAME_local.txt where it was started.",
+    ),
+    "bigwarp": ExportFormat(
+        title="BigWarp", writer="transforms:write_landmarks", holds=("marks",), suffixes=(".csv",),
+        gives="the marks as landmarks, from the centres of the first pixels",
+        opens="BigWarp in Fiji", missing="–",
+        note="Moving is the map of the sheet, target the image, in um as Fiji has them. BigWarp's spline passes "
+        "through the marks; that of planish leaves the residuals in marks.csv.",
+    ),
+    "nrrd": ExportFormat(
+        title="NRRD", writer="nrrd:write", holds=("registration", "maps"), suffixes=(".nrrd",),
+        options=("unit",),
+        gives="the registration as displacement fields; with a group, its maps with size and place",
+        opens="ITK, SimpleITK, elastix", missing="NaN",
+        note="Of a registration: beside a field other programs take 0, so nothing moves there.",
+    ),
+    "zarr": ExportFormat(
+        title="zarr", writer="transforms:write_zarr", holds=("registration",), suffixes=(".zarr",),
+        is_folder=True, apart=False,
+        gives="the registration as displacement fields to read with xarray", opens="Python", missing="–",
+    ),
+    "crate": ExportFormat(
+        title="RO-Crate", writer="crate:write", holds=("run",), suffixes=(), needs="rocrate",
+        gives="the whole run with `ro-crate-metadata.json`: what was made by which program from which files",
+        opens="archives for research data", missing="as in the run",
+    ),
+}  # fmt: skip
+"""In the order of the documents."""
+
+
+def formats_with(option: str) -> str:
+    """Name the formats that an option is for."""
+    return ", ".join(name for name, form in FORMATS.items() if option in form.options)
+
+
+def writer_of(name: str) -> Callable[..., Any]:
+    """Import the function that writes a format.
+
+    Raises
+    ------
+    InputError
+        If it needs a library that is not installed.
+    """
+    form = FORMATS[name]
+    if form.needs is not None:
+        try:
+            importlib.import_module(form.needs)
+        except ImportError as error:
+            raise InputError(
+                f"{form.title} needs the library {form.needs}, which is not installed. Run: pip install "
+                '"planish[export]"'
+            ) from error
+    return imported(form.writer)
+
+
+def check_content(name: str, content: Any, params: Any) -> None:
+    """Refuse what a format does not hold, with an error of its module."""
+    if (check := FORMATS[name].check) is not None:
+        imported(check)(content, params)
+
+
+def imported(place: str) -> Callable[..., Any]:
+    """Import a function of this package that stands as ``module:function``."""
+    module, _, function = place.partition(":")
+    return getattr(importlib.import_module(f"planish.exports.{module}"), function)
+
+
+def is_file(name: str, out: Path) -> bool:
+    """Whether a path asks for one file of a format; otherwise it is a folder of such files.
+
+    Raises
+    ------
+    FileError
+        If it ends as files of another format do, or any file.
+    """
+    form, low = FORMATS[name], out.name.lower()
+    endings = [(end, other) for other in FORMATS for end in FORMATS[other].suffixes if low.endswith(end)]
+    longest = max((len(end) for end, _ in endings), default=0)
+    meant = [other for end, other in endings if len(end) == longest]
+    if name in meant:
+        return True
+    if not meant and not _ENDING.fullmatch(out.suffix):
+        return False
+    ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
+    whose = f"ends as {FORMATS[meant[0]].title} does (--to {meant[0]})" if meant else f"has the ending {out.suffix}"
+    raise FileError(f"{out.name} {whose}, and --to says {name}. Give {ends}a folder without an ending.")
+
+
+def formats_table() -> str:
+    """Write the table of ``docs/export.md``."""
+    head = ("Format", "PATH ends in", "Gives", "Opens in", "Missing values", "Largest")
+    rows: list[tuple[str, ...]] = [head, ("---",) * len(head)]
+    for name, form in FORMATS.items():
+        ends = " ".join(f"`{end}`" for end in form.suffixes) or "(always a folder)"
+        largest = "any" if form.most is None else f"{form.most / 1e6:.0f} million {form.counts}"
+        rows.append((f"`{name}`", ends, form.gives, form.opens, form.missing, largest))
+    return "".join(f"| {' | '.join(row)} |\n" for row in rows)

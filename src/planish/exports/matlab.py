@@ -1,0 +1,132 @@
+"""MATLAB: version 5 by scipy, and version 7.3, an HDF5 file with MATLAB's classes and its order of axes, by h5py."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import h5py
+import numpy as np
+from numpy.typing import NDArray
+from scipy import io
+
+from planish.core.errors import ResourceError
+from planish.core.threads import thread_pool
+from planish.exports.content import ExportHistory, Maps, plain_type
+from planish.exports.params import ExportParams
+
+MOST_5 = 2**31 - 2**20
+"""Bytes that the maps of a file of version 5 may take together."""
+
+_USUAL_5 = 200_000_000  # bytes up to which version 5 is taken where none is chosen: all of it is held in memory
+_CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
+_HEAD = 512  # bytes before an HDF5 file of MATLAB
+_CLASSES = {"float32": "single", "float64": "double"}
+_TEXT = 116  # bytes of free text in front of both versions; the date that stands there usually is left out
+
+
+def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Write a variable for each map, and what it needs to be read.
+
+    ``x_um`` and ``y_um`` (rows; ``u_um`` and ``v_um`` of flat maps) are the middles of the pixels, ``pixel_um`` their
+    size (y, x), ``units`` and ``titles`` structures with the maps' names, ``history`` a text. Maps are (rows, columns);
+    truth values are logical.
+
+    Raises
+    ------
+    ResourceError
+        Version 5 was asked for, and the maps take 2 GB or more.
+    """
+    about: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
+    about |= {
+        "pixel_um": np.array([maps.pixel_um]), "units": {n: maps.units(n) for n in maps.names},
+        "titles": {n: maps.title(n) for n in maps.names}, "history": history.json(**maps.facts()),
+    }  # fmt: skip
+    version = chosen_version(maps, params)
+    if version == "5":
+        _write_5(maps, path, about)
+        version, ending = "5.0", b""
+    else:
+        _write_73(maps, path, about)
+        ending = (b"\0" * 8 + b"\x00\x02IM").ljust(_HEAD - _TEXT, b"\0")
+    heading = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(_TEXT)[:_TEXT]
+    with path.open("rb+") as file:
+        file.write(heading + ending)
+
+
+def chosen_version(maps: Maps, params: ExportParams) -> str:
+    """Choose the version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
+    size = sum(plain_type(data.dtype).itemsize for data in maps.data.data_vars.values()) * maps.shape[0] * maps.shape[1]
+    if params.mat_version == "5" and size > MOST_5:
+        raise ResourceError(
+            f"The maps take {size / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out --mat-version, "
+            "choose fewer maps with --map, or give a folder for a file each."
+        )
+    return params.mat_version or ("5" if size <= _USUAL_5 else "7.3")
+
+
+def _write_5(maps: Maps, path: Path, about: dict[str, Any]) -> None:
+    variables: dict[str, Any] = {}
+    for name in maps.names:
+        pixels = np.concatenate([band for _, band in maps.bands(name)])
+        variables[name] = pixels.astype(np.bool_) if maps.data[name].dtype.kind == "b" else pixels
+    io.savemat(
+        str(path), variables | about, appendmat=False, format="5", oned_as="row", long_field_names=True
+    )  # fmt: skip
+
+
+def _write_73(maps: Maps, path: Path, about: dict[str, Any]) -> None:
+    with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
+        for name in maps.names:
+            _put_map(file, maps, name)
+        for name, variable in about.items():
+            _put(file, name, variable)
+
+
+def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
+    """Write a map chunk by chunk, turned: MATLAB's first index runs fastest."""
+    dtype, (rows, cols) = plain_type(maps.data[name].dtype), maps.shape
+    # As many columns in each chunk: what reaches beyond the map is written, too.
+    chunk = (-(-cols // -(-cols // _CHUNK)), min(_CHUNK, rows))
+    dataset = file.create_dataset(name, shape=(cols, rows), dtype=dtype, chunks=chunk, fill_time="never")
+    begins = range(0, cols, chunk[0])
+    with thread_pool() as pool:
+        for rows_of_band, band in maps.bands(name):
+            blocks = pool.map(partial(_turned, band, chunk), begins)
+            for begin, block in zip(begins, blocks, strict=True):
+                dataset.id.write_direct_chunk((begin, rows_of_band.start), block.data)
+    if maps.data[name].dtype.kind == "b":
+        _set_class(dataset, "logical", decode=1)
+    else:
+        _set_class(dataset, _CLASSES.get(dtype.name, dtype.name))
+
+
+def _turned(band: NDArray[Any], chunk: tuple[int, int], begin: int) -> NDArray[Any]:
+    """A chunk of a band (rows, cols) as (cols, rows), with zeros beyond the map."""
+    part = band[:, begin : begin + chunk[0]].T
+    if part.shape == chunk:
+        return np.ascontiguousarray(part)
+    block = np.zeros(chunk, band.dtype)
+    block[: part.shape[0], : part.shape[1]] = part
+    return block
+
+
+def _put(place: h5py.Group, name: str, variable: Any) -> None:
+    """Write a matrix, a text or a structure of texts."""
+    if isinstance(variable, dict):
+        group = place.create_group(name)
+        group.attrs["MATLAB_class"] = np.bytes_("struct")
+        for key, text in variable.items():
+            _put(group, key, text)
+    elif isinstance(variable, str):
+        letters = np.frombuffer(variable.encode("utf-16-le"), dtype="<u2")
+        _set_class(place.create_dataset(name, data=letters[:, None]), "char", decode=2)
+    else:
+        _set_class(place.create_dataset(name, data=np.asarray(variable, dtype=np.float64).T), "double")
+
+
+def _set_class(dataset: h5py.Dataset, name: str, *, decode: int | None = None) -> None:
+    dataset.attrs["MATLAB_class"] = np.bytes_(name)
+    if decode is not None:
+        dataset.attrs["MATLAB_int_decode"] = np.int32(decode)

@@ -1,0 +1,266 @@
+"""A surface of the sheet as a mesh in space, and its files: PLY, OBJ, STL and VTK.
+
+Nodes lie in um of the volume, with quadrilaterals between them, maps and a colour on them.
+"""
+
+from __future__ import annotations
+
+import base64
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import IO, Any
+from xml.sax.saxutils import escape, quoteattr
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import StudyError
+from planish.core.frame import Frame
+from planish.exports.content import Display, ExportHistory, column_of
+from planish.exports.params import ExportParams
+
+SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
+"""What can be a surface, of the group ``surfaces``."""
+
+_COLOURLESS = np.array([212, 214, 216], np.uint8)
+
+_LINES = 100_000  # of an OBJ that are made at a time
+
+_STL_HEAD = 80  # bytes
+_STL_TRIANGLE = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
+_STL_COLOURED = 1 << 15
+
+_VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
+_VTK_QUAD = 9
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Surface:
+    """A surface of the sheet and what it carries.
+
+    Attributes
+    ----------
+    data : Dataset, dims (y, x)
+        Heights and maps on the columns of the volume, in um; the frame in its attributes.
+    name : str
+        One of `SURFACES`.
+    maps : tuple of str
+        Maps that its nodes carry; the first one is their colour where the format has a colour only.
+    display : dict of Display
+        Colours of maps, by name.
+    """
+
+    data: xr.Dataset
+    name: str
+    maps: tuple[str, ...]
+    display: Mapping[str, Display]
+
+    @property
+    def nodes(self) -> int:
+        """Number of columns."""
+        return self.data.sizes["y"] * self.data.sizes["x"]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Mesh:
+    """A mesh.
+
+    Attributes
+    ----------
+    points : (n, 3) float32
+        x, y, z in um.
+    quads : (m, 4) int32
+        Nodes of each cell; seen from outside of the sheet they run anticlockwise.
+    maps : dict of (n,) float32
+        Maps, by name and unit (``coating_top_um``); NaN is missing.
+    colours : (n, 3) uint8 or None
+        Red, green, blue of the first map.
+    about : str
+        What places and colours are, in one line.
+    """
+
+    points: NDArray[np.float32]
+    quads: NDArray[np.int32]
+    maps: dict[str, NDArray[np.float32]]
+    colours: NDArray[np.uint8] | None
+    about: str
+
+
+def write_ply(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Write nodes with colour and all maps as properties, and quadrilaterals; binary.
+
+    What it is, and where it comes from, stands in comments.
+    """
+    mesh = mesh_of(surface, params)
+    columns: dict[str, NDArray[Any]] = dict(zip("xyz", mesh.points.T, strict=True))
+    if mesh.colours is not None:
+        columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
+    columns |= mesh.maps
+    nodes = np.empty(len(mesh.points), [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
+    for name, column in columns.items():
+        nodes[name] = column
+    cells = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
+    cells["count"], cells["nodes"] = 4, mesh.quads
+    kinds = {name: "uchar" if column.dtype == np.uint8 else "float" for name, column in columns.items()}
+    head = [
+        "ply", "format binary_little_endian 1.0", f"comment {mesh.about}", f"comment {history.json()}",
+        f"element vertex {len(nodes)}", *(f"property {kind} {name}" for name, kind in kinds.items()),
+        f"element face {len(cells)}", "property list uchar int vertex_indices", "end_header",
+    ]  # fmt: skip
+    with path.open("wb") as file:
+        file.write(("\n".join(head) + "\n").encode("ascii"))
+        file.write(nodes.data)
+        file.write(cells.data)
+
+
+def write_obj(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Write nodes as text, and quadrilaterals.
+
+    Colours are three numbers from 0 to 1 behind each node, as MeshLab and Blender read them.
+    """
+    mesh = mesh_of(surface, params)
+    columns, form = mesh.points.astype(np.float64), "v %.9g %.9g %.9g"
+    if mesh.colours is not None:
+        columns, form = np.column_stack([columns, mesh.colours / 255.0]), f"{form} %.4f %.4f %.4f"
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write(f"# {mesh.about}\n# {history.json()}\no {surface.name}\n")
+        for rows, line in ((columns, form), (mesh.quads + 1, "f %d %d %d %d")):
+            for begin in range(0, len(rows), _LINES):
+                part = rows[begin : begin + _LINES]
+                file.write(f"{line}\n" * len(part) % tuple(part.ravel().tolist()))
+
+
+def write_stl(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Write two triangles for each cell, with a colour of 15 bits as VisCAM has it and MeshLab reads it; binary.
+
+    The head has room for 80 letters: the surface, the unit, the program and the start of the study's hash.
+    """
+    mesh = mesh_of(surface, params)
+    corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
+    triangles = np.zeros(len(corners), dtype=_STL_TRIANGLE)
+    points = mesh.points[corners]
+    normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]).astype(np.float64)
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    triangles["normal"] = normal / np.where(length > 0, length, 1.0)
+    triangles["corners"] = points
+    if mesh.colours is not None:
+        # Five bits each, blue the lowest; the sixteenth says that they hold.
+        red, green, blue = np.rint(mesh.colours[corners].mean(axis=1) / 255 * 31).astype(np.uint16).T
+        triangles["colour"] = _STL_COLOURED | red << 10 | green << 5 | blue
+    head = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode("ascii", "replace")
+    with path.open("wb") as file:
+        file.write(head[:_STL_HEAD].ljust(_STL_HEAD))
+        file.write(len(triangles).to_bytes(4, "little"))
+        file.write(triangles.data)
+
+
+def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Write an unstructured grid: XML with binary arrays, all maps as point data.
+
+    Colours are left to the program, which has all values.
+    """
+    mesh = mesh_of(surface, params)
+    cells = len(mesh.quads)
+    first = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
+    with path.open("w", encoding="utf-8", newline="\n") as file:
+        file.write('<?xml version="1.0"?>\n')
+        # Two dashes would end a comment.
+        note = f"{mesh.about} {history.json()}".replace("--", "- -")
+        file.write(f"<!-- {escape(note)} -->\n")
+        file.write('<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n')
+        file.write(f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cells}">\n<Points>\n')
+        _write_vtk_array(file, "Points", mesh.points)
+        file.write("</Points>\n<Cells>\n")
+        _write_vtk_array(file, "connectivity", mesh.quads)
+        _write_vtk_array(file, "offsets", 4 * np.arange(1, cells + 1, dtype=np.int64))
+        _write_vtk_array(file, "types", np.full(cells, _VTK_QUAD, np.uint8))
+        file.write(f"</Cells>\n<PointData{first}>\n")
+        for name, numbers in mesh.maps.items():
+            _write_vtk_array(file, name, numbers)
+        file.write("</PointData>\n</Piece></UnstructuredGrid>\n</VTKFile>\n")
+
+
+def _write_vtk_array(file: IO[str], name: str, numbers: NDArray[Any]) -> None:
+    """Write an array: its number of bytes and its bytes, as base64."""
+    kind = _VTK_TYPES[numbers.dtype.str[1:]]
+    components = f' NumberOfComponents="{numbers.shape[1]}"' if numbers.ndim == 2 and name == "Points" else ""
+    file.write(f'<DataArray type="{kind}" Name={quoteattr(name)}{components} format="binary">\n')
+    packed = np.ascontiguousarray(numbers, numbers.dtype.newbyteorder("<")).tobytes()
+    file.write(base64.b64encode(len(packed).to_bytes(8, "little") + packed).decode("ascii"))
+    file.write("\n</DataArray>\n")
+
+
+def mesh_of(surface: Surface, params: ExportParams) -> Mesh:
+    """Make the mesh of a surface; a cell is there where all four of its corners are.
+
+    Raises
+    ------
+    StudyError
+        ``mesh_um`` is less than the pitch of the columns, or so large that no cell is left.
+    """
+    frame = Frame.of(surface.data)
+    rows, cols = steps_of(surface.data, params.mesh_um)
+    data = surface.data.isel(y=slice(None, None, rows), x=slice(None, None, cols))
+    heights = data[surface.name].values
+    is_node = np.isfinite(heights)
+    number = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
+    corners = [(slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None)),
+               (slice(1, None), slice(1, None)), (slice(1, None), slice(None, -1))]  # fmt: skip
+    is_cell = np.all([is_node[corner] for corner in corners], axis=0)
+    if not is_cell.any():
+        raise StudyError(
+            f"The surface {surface.name} has no cell at these nodes: {int(is_node.sum())} nodes are known. Give a "
+            "smaller --mesh-um, or another surface."
+        )
+    quads = np.stack([number[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
+    axes = {frame.rows: data["y"].values[:, None], frame.cols: data["x"].values[None, :], frame.through: heights}
+    points = np.stack([np.broadcast_to(axes[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1)
+    if params.as_seen:
+        points[:, 1] *= -1
+    if _clockwise(frame, up=not surface.name.endswith("bottom"), mirrored=params.as_seen):
+        quads = quads[:, ::-1]
+    maps = {column_of(n, _units(data[n])): data[n].values[is_node].astype(np.float32) for n in surface.maps}
+    about = f"surface {surface.name}; um; "
+    about += "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
+    first = surface.maps[0] if surface.maps else None
+    colours = None
+    if first is not None and (display := surface.display.get(first)) is not None:
+        colours = _colours(data[first].values[is_node], display)
+        units = _units(data[first])
+        about += f"; colour: {first} from {display.low:.6g} to {display.high:.6g}{f' {units}' if units != '1' else ''}"
+    return Mesh(
+        points=np.ascontiguousarray(points, np.float32), quads=np.ascontiguousarray(quads), maps=maps,
+        colours=colours, about=about,
+    )  # fmt: skip
+
+
+def steps_of(data: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
+    """Give how many rows and columns lie between nodes; StudyError where ``mesh_um`` is less than a column."""
+    if mesh_um is None:
+        return 1, 1
+    pitch = [float(data[axis].values[1] - data[axis].values[0]) for axis in ("y", "x")]
+    if mesh_um < 0.999 * max(pitch):
+        raise StudyError(f"--mesh-um {mesh_um:g} is less than a column of {max(pitch):g} um. Give a multiple of it.")
+    return max(1, round(mesh_um / pitch[0])), max(1, round(mesh_um / pitch[1]))
+
+
+def _clockwise(frame: Frame, *, up: bool, mirrored: bool) -> bool:
+    """Whether cells of (row, col), (row, col + 1) ... run clockwise as seen from outside of the sheet."""
+    unit = {axis: np.eye(3)[k] for k, axis in enumerate("xyz")}
+    outside = unit[frame.through] * frame.sign * (1 if up else -1)
+    anticlockwise = float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0
+    return anticlockwise == mirrored
+
+
+def _colours(numbers: NDArray[np.floating], display: Display) -> NDArray[np.uint8]:
+    from planish.exports.picture import colours_of  # matplotlib is needed for colours alone
+
+    share = (numbers.astype(np.float64) - display.low) / (display.high - display.low)
+    colours = colours_of(display)(np.clip(share, 0, 1), bytes=True)[:, :3]
+    return np.where(np.isfinite(share)[:, None], colours, _COLOURLESS).astype(np.uint8)
+
+
+def _units(data: xr.DataArray) -> str:
+    return str(data.attrs.get("units", "1"))

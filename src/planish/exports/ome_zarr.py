@@ -1,0 +1,168 @@
+"""OME-Zarr 0.5: maps as an image of several resolutions. Chunks of a run's store are copied, others are written."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Sequence
+from concurrent.futures import Executor, Future
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import zarr
+from numpy.typing import NDArray
+from zarr.codecs import BloscCodec, Crc32cCodec
+
+from planish.core.overviews import count_of, halved_values
+from planish.core.threads import thread_pool
+from planish.exports.content import ExportHistory, Maps, percentile_limits
+from planish.exports.params import ExportParams
+
+# As the large maps of a run are stored, so that their chunks are those of the image, too.
+_CHUNK = 512
+_CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
+
+
+def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+    """Write maps as one image: (y, x), or (c, y, x) of several, float32.
+
+    An overview is the mean of the pixels that have a value. Scale and translation place the middle of each pixel in um.
+    """
+    names, shape = maps.names, maps.shape
+    several = len(names) > 1
+    group = zarr.open_group(path, mode="w-", zarr_format=3)
+    sizes = [shape]
+    for _ in range(count_of(shape)):
+        sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
+    channels = (len(names),) if several else ()
+    arrays: list[Any] = [
+        group.create_array(
+            str(level), shape=(*channels, *size), dtype=np.float32,
+            chunks=(*(1 for _ in channels), *(min(n, _CHUNK) for n in size)), fill_value=np.nan, compressors=_CODECS,
+            dimension_names=[*("c" for _ in channels), "y", "x"], config={"write_empty_chunks": True},
+        )
+        for level, size in enumerate(sizes)
+    ]  # fmt: skip
+    windows: list[dict[str, float]] = []
+    with thread_pool() as pool:
+        for k, name in enumerate(names):
+            channel = k if several else None
+            if not _copied(path, maps.levels.get(name, ()), len(arrays), channel, pool):
+                levels = [_Level(array, channel, pool) for array in arrays]
+                for rows, band in maps.bands(name, np.float32):
+                    levels[0].add(band, coarser=levels[1:], last=rows.stop == shape[0])
+                for level in levels:
+                    level.finish()
+            windows.append(_window(np.asarray(arrays[-1][... if channel is None else channel])))
+    group.attrs.update(_attributes(maps, windows, len(arrays), history))
+
+
+# --- chunks that are there already -----------------------------------------------------------------------------------
+
+
+def _copied(path: Path, sources: Sequence[Path], levels: int, channel: int | None, pool: Executor) -> bool:
+    """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
+    targets = [path / str(k) for k in range(levels)]
+    if len(sources) != levels or not all(_alike(*pair) for pair in zip(sources, targets, strict=True)):
+        return False
+    jobs: list[Future[Any]] = []
+    for source, target in zip(sources, targets, strict=True):
+        place = target / "c" if channel is None else target / "c" / str(channel)
+        for row in (source / "c").iterdir():
+            (place / row.name).mkdir(parents=True)
+            jobs += [pool.submit(shutil.copyfile, file, place / row.name / file.name) for file in row.iterdir()]
+    for job in jobs:
+        job.result()
+    return True
+
+
+def _alike(source: Path, target: Path) -> bool:
+    """Whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
+    abouts = [json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)]
+    keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
+    forms = [[about.get(key) for key in keys] for about in abouts]
+    chunks = [about["chunk_grid"]["configuration"]["chunk_shape"][-2:] for about in abouts]
+    return forms[0] == forms[1] and chunks[0] == chunks[1] and abouts[0]["shape"] == abouts[1]["shape"][-2:]
+
+
+# --- chunks that are made --------------------------------------------------------------------------------------------
+
+
+class _Level:
+    """One resolution of a map, of which rows are added; it hands on means of them to the next.
+
+    What was added before is written by another thread meanwhile.
+    """
+
+    def __init__(self, array: Any, channel: int | None, pool: Executor) -> None:
+        self._array, self._channel, self._pool, self._done = array, channel, pool, 0
+        self._writing: Future[None] | None = None
+        self._waiting: list[NDArray[np.float32]] = []
+
+    def add(self, rows: NDArray[np.float32], *, coarser: list[_Level], last: bool) -> None:
+        """Add rows; whole chunks are written, and what is left over at the end."""
+        self._waiting.append(rows)
+        high = sum(len(part) for part in self._waiting)
+        if high < _CHUNK and not last:
+            return
+        part = np.concatenate(self._waiting) if len(self._waiting) > 1 else rows
+        begin, self._waiting = self._done, []
+        self._done += high
+        self.finish()
+        rows_of_part = slice(begin, self._done)
+        place = rows_of_part if self._channel is None else (self._channel, rows_of_part)
+        self._writing = self._pool.submit(self._array.__setitem__, place, part)
+        if coarser:
+            coarser[0].add(halved_values(part), coarser=coarser[1:], last=last)
+
+    def finish(self) -> None:
+        """Wait for what is being written."""
+        if self._writing is not None:
+            self._writing.result()
+
+
+# --- what is said of them --------------------------------------------------------------------------------------------
+
+
+def _window(overview: NDArray[np.float32]) -> dict[str, float]:
+    """Limits between which viewers show a map, from its coarsest overview."""
+    low, high = percentile_limits(overview)
+    measured = overview[np.isfinite(overview)]
+    least, most = (float(measured.min()), float(measured.max())) if measured.size else (0.0, 1.0)
+    return {"min": least, "max": most, "start": low, "end": high}
+
+
+def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:
+    names = maps.names
+    several, pixel, first = len(names) > 1, maps.pixel_um, maps.origin_um
+    head: list[dict[str, str]] = [{"name": "c", "type": "channel"}] if several else []
+    space = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
+    ones, zeros = ([1.0], [0.0]) if several else ([], [])
+    datasets = [
+        {
+            "path": str(k),
+            "coordinateTransformations": [
+                {"type": "scale", "scale": [*ones, *(p * 2**k for p in pixel)]},
+                {
+                    "type": "translation",
+                    "translation": [*zeros, *(f + p * (2**k - 1) / 2 for f, p in zip(first, pixel, strict=True))],
+                },
+            ],
+        }
+        for k in range(levels)
+    ]
+    multiscale = {
+        "name": maps.group if several else names[0], "axes": [*head, *space], "datasets": datasets,
+        "type": "mean of 2 x 2 known pixels",
+    }  # fmt: skip
+    channels = [
+        {"label": f"{name} ({maps.units(name)})", "color": "FFFFFF", "active": k == 0, "window": window}
+        for k, (name, window) in enumerate(zip(names, windows, strict=True))
+    ]
+    units = {name: maps.units(name) for name in names}
+    titles = {name: maps.title(name) for name in names}
+    return {
+        "ome": {"version": "0.5", "multiscales": [multiscale], "omero": {"channels": channels}},
+        "planish": {"history": history.json(**maps.facts()), "units": units, "titles": titles},
+    }

@@ -1,0 +1,135 @@
+"""A map as a picture with colour bar, axes in um and scale bar: PNG, or SVG to edit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Generator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib import style
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.colors import Colormap
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from numpy.typing import NDArray
+
+from planish.core.area import area_mean
+from planish.core.bands import band_of, bands
+from planish.exports.content import Display, ExportHistory, Maps, percentile_limits
+from planish.exports.params import ExportParams
+
+MISSING = "#d4d6d8"
+MOST = 2000
+"""Pixels of the longer side of a map in a picture; a larger one is brought to it by means over areas."""
+
+_LEAST = 1000  # pixels of the longer side: those of a smaller map are drawn larger, by a whole number
+_DPI = 200
+_LEFT, _TOP, _RIGHT, _BELOW = 180, 84, 260, 160  # pixels around the map
+_UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
+_INK, _SOFT = "#22292f", "#66707a"
+_STYLE: dict[str, Any] = {
+    "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5, "svg.fonttype": "none",
+    "svg.hashsalt": "planish", "text.parse_math": False, "text.color": _INK, "axes.edgecolor": _SOFT,
+    "axes.labelcolor": _INK,
+    "xtick.color": _SOFT, "ytick.color": _SOFT, "xtick.labelcolor": _INK, "ytick.labelcolor": _INK,
+    "axes.linewidth": 0.6, "xtick.major.width": 0.6, "ytick.major.width": 0.6, "axes.unicode_minus": True,
+}  # fmt: skip
+
+
+def write_png(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+    """Draw one map as PNG."""
+    with _drawn(maps, history) as (figure, title, note), path.open("wb") as file:
+        about = {"Software": history.program, "Title": title, "Description": note}
+        FigureCanvasAgg(figure).print_png(file, metadata=about)
+
+
+def write_svg(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+    """Draw one map as SVG; lines and text stay lines and text."""
+    with _drawn(maps, history) as (figure, title, note), path.open("wb") as file:
+        about = {"Date": None, "Creator": history.program, "Title": title, "Description": note}
+        FigureCanvasSVG(figure).print_svg(file, metadata=about)
+
+
+def colours_of(display: Display) -> Colormap:
+    """Return the colours of a display; missing values are grey."""
+    return mpl.colormaps[display.colours].with_extremes(bad=MISSING)
+
+
+@contextmanager
+def _drawn(maps: Maps, history: ExportHistory) -> Generator[tuple[Figure, str, str]]:
+    """Give the figure of one map, its title, and its history.
+
+    Colours span the limits that are chosen for it, otherwise its 1st to its 99th percentile.
+    """
+    (name,) = maps.names
+    pixels, times = _reduced(maps, name)
+    display = maps.display.get(name)
+    if display is None:
+        low, high = percentile_limits(pixels)
+        display = Display(low=low, high=high)
+    note = history.json(**maps.facts(), map=name, low=display.low, high=display.high, reduced=times)
+    with style.context(["default", _STYLE]):  # whatever the user has set
+        yield _figure(maps, pixels, times, display), maps.title(name), note
+
+
+def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
+    """Values of a map at most as fine as a picture shows them, and by how much they were reduced."""
+    data = maps.data[name]
+    times = max(1.0, max(maps.shape) / MOST)
+    if times > 1:
+        return area_mean(data, (times, times)).astype(np.float32), times
+    parts = [band_of(data, rows) for rows in bands(maps.shape[0])]
+    return np.concatenate(parts).astype(np.float32), times
+
+
+def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, display: Display) -> Figure:
+    """Lay the picture out in pixels, so that every pixel of the map is as many whole pixels wide and high."""
+    (name,) = maps.names
+    (down, across), (y0, x0) = maps.pixel_um, maps.origin_um
+    rows, cols = pixels.shape
+    tall = down / across
+    enlarged = max(1, math.ceil(_LEAST / max(rows * tall, cols)))
+    width, height = cols * enlarged, round(rows * tall * enlarged)
+    whole = (_LEFT + max(width, 420) + _RIGHT, _TOP + max(height, 300) + _BELOW)
+    figure = Figure(figsize=(whole[0] / _DPI, whole[1] / _DPI), dpi=_DPI, facecolor="white")
+
+    def box(x: float, y: float, w: float, h: float) -> Any:
+        """Axes at pixels from the upper left corner."""
+        return figure.add_axes((x / whole[0], 1 - (y + h) / whole[1], w / whole[0], h / whole[1]))
+
+    x0, y0 = x0 - across / 2, y0 - down / 2
+    extent = (x0, x0 + cols * across * times, y0 + rows * down * times, y0)
+    axes = box(_LEFT, _TOP, width, height)
+    drawn = axes.imshow(
+        np.ma.masked_invalid(pixels), cmap=colours_of(display), vmin=display.low, vmax=display.high, extent=extent,
+        interpolation="nearest", aspect="auto",
+    )  # fmt: skip
+    axes.locator_params(nbins=max(3, min(9, width // 160)), axis="x")
+    axes.locator_params(nbins=max(3, min(9, height // 110)), axis="y")
+    axes.set_xlabel(f"{maps.dims[1]} / µm")
+    axes.set_ylabel(f"{maps.dims[0]} / µm")
+    bar = box(_LEFT + width + 40, _TOP, 36, max(height, 300))
+    colours = figure.colorbar(drawn, cax=bar)
+    colours.outline.set_linewidth(0.6)  # pyright: ignore
+    colours.set_label(_UNITS.get(maps.units(name), maps.units(name)))
+    figure.text(
+        _LEFT / whole[0], 1 - 0.6 * _TOP / whole[1], maps.title(name), fontsize=10, fontweight="bold", va="center"
+    )
+    _scale_bar(figure, whole, width, um=cols * across * times)
+    return figure
+
+
+def _scale_bar(figure: Figure, whole: tuple[int, int], width: int, *, um: float) -> None:
+    """Draw a round length of at most a quarter of the map below it."""
+    power = 10.0 ** math.floor(math.log10(um / 4))
+    length = power * max(k for k in (1, 2, 5) if k * power <= um / 4 * (1 + 1e-9))
+    y = 30 / whole[1]
+    ends = _LEFT / whole[0], (_LEFT + length / um * width) / whole[0]
+    figure.add_artist(Line2D(ends, (y, y), color=_INK, lw=2.4, solid_capstyle="butt"))
+    text = f"{length / 1000:g} mm" if length >= 1000 else f"{length:g} µm"
+    figure.text(ends[1] + 18 / whole[0], y, text, va="center")

@@ -1,5 +1,0 @@
-"""Maps, surfaces and registrations as files of other programs: one table of formats, one module for each family."""
-
-import lazy_loader as lazy
-
-__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)
