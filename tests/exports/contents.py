@@ -8,16 +8,8 @@ import xarray as xr
 from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.core.transform import Affine
-from planish.exports import (
-    DirectedTransform,
-    Display,
-    ExportHistory,
-    ExportParams,
-    Maps,
-    Surface,
-    TransformPair,
-    writer_of,
-)
+from planish.exports import DirectedTransform, ExportHistory, ExportParams, Maps, Surface, TransformPair, writer_of
+from planish.report.colours import Scale
 
 PIXEL_UM = (2.6, 1.37)
 FIRST_UM = (-18.2, -66.0)
@@ -66,8 +58,8 @@ def surface(through: str = "z", top: str = "high", name: str = "top") -> Surface
         {name: (("y", "x"), heights, {"units": "um"}), "coating_top": (("y", "x"), number, {"units": "um"})},
         coords={"y": rows, "x": cols}, attrs=frame.attrs(),
     )  # fmt: skip
-    display = {"coating_top": Display(low=0.0, high=float(heights.size))}
-    return Surface(data=data, name=name, maps=("coating_top",), display=display)
+    scales = {"coating_top": Scale(low=0.0, high=float(heights.size))}
+    return Surface(data=data, name=name, maps=("coating_top",), scales=scales)
 
 
 def transform_pair(*, bent: bool) -> TransformPair:

@@ -15,10 +15,11 @@ from pymatreader import read_mat
 from tests.exports.contents import FIRST_UM, HISTORY, PIXEL_UM, maps, written
 
 from planish.core.errors import ResourceError, StudyError
-from planish.exports import Display, ExportParams, matlab
+from planish.exports import ExportParams, matlab
 from planish.exports.content import Maps
 from planish.exports.formats import check_content
 from planish.io import read_topography
+from planish.report.colours import Scale
 
 OME = "{http://www.openmicroscopy.org/Schemas/OME/2016-06}"
 
@@ -234,7 +235,7 @@ def test_a_point_below_a_pixel_is_refused(tmp_path):
 
 def test_pictures_show_the_pixels_in_their_colours(tmp_path):
     content = Maps(
-        data=maps((60, 110)).data[["coating_top"]], group="linked", display={"coating_top": Display(low=0.0, high=40.0)}
+        data=maps((60, 110)).data[["coating_top"]], group="linked", scales={"coating_top": Scale(low=0.0, high=40.0)}
     )
     with Image.open(written(content, tmp_path / "map.png", "png")) as image:
         pixels = np.asarray(image.convert("RGB"))

@@ -1,4 +1,3 @@
-from .content import Display as Display
 from .content import ExportHistory as ExportHistory
 from .content import Maps as Maps
 from .displacements import DirectedTransform as DirectedTransform

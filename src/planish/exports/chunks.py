@@ -37,7 +37,7 @@ class Chunks:
     def of(cls, folder: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Chunks | None:
         """Chunks of a map with this shape and type; None where they have another form."""
         about = json.loads((folder / "zarr.json").read_text(encoding="utf-8"))
-        codecs = [one["name"] for one in about["codecs"]]
+        codecs = [codec["name"] for codec in about["codecs"]]
         order = about["codecs"][0].get("configuration", {}).get("endian", "little")
         keys = about["chunk_key_encoding"]
         plain = (
@@ -58,16 +58,16 @@ class Chunks:
 
         It raises OSError, RuntimeError or ValueError where a chunk is damaged or not there.
         """
-        values = np.empty((rows.stop - rows.start, self.shape[1]), target)
+        band = np.empty((rows.stop - rows.start, self.shape[1]), target)
         jobs = [
-            pool.submit(self._read, rows.start // BAND, k, values[:, k * self.wide : (k + 1) * self.wide])
+            pool.submit(self._read, rows.start // BAND, k, band[:, k * self.wide : (k + 1) * self.wide])
             for k in range(-(-self.shape[1] // self.wide))
         ]
 
         def done() -> NDArray[Any]:
             for job in jobs:
                 job.result()
-            return values
+            return band
 
         return done
 

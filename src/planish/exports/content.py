@@ -1,4 +1,4 @@
-"""What is exported, as writers take it: maps on one grid, read band by band, and the history that travels with them."""
+"""Contents of an export: maps on one grid, read band by band, and the history that travels with them."""
 
 from __future__ import annotations
 
@@ -16,13 +16,14 @@ from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
 from planish.exports.chunks import Chunks
+from planish.report.colours import Scale
 
 _DIGITS = 12  # significant digits of a pixel size: sums of its multiples have no more
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportHistory:
-    """Where an export comes from: it travels with every file as one line of JSON.
+    """Origin of an export, which travels with every file as one line of JSON.
 
     Attributes
     ----------
@@ -56,19 +57,6 @@ class ExportHistory:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Display:
-    """How a map is shown: its limits, and the colours between them, by matplotlib's name."""
-
-    low: float
-    high: float
-    colours: str = "viridis"
-
-
-_NOT_CHOSEN: Mapping[str, Display] = {}
-_NOT_STORED: Mapping[str, Sequence[Path]] = {}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Maps:
     """Maps (rows, cols) on one regular grid, which may stay in their store.
 
@@ -78,8 +66,8 @@ class Maps:
         Variables with ``units`` and ``long_name``; coordinates in um. NaN is missing.
     group : str
         Name of the group in the run.
-    display : dict of Display
-        How maps are shown, by name, as far as it is known.
+    scales : dict of Scale
+        Limits and colours with which maps are shown, by name, where they are chosen.
     levels : dict of sequences of Path
         Folders of the arrays in a zarr store that hold a map and its overviews, the finest first, by name, where they
         are there.
@@ -87,8 +75,8 @@ class Maps:
 
     data: xr.Dataset
     group: str
-    display: Mapping[str, Display] = field(default_factory=lambda: _NOT_CHOSEN)
-    levels: Mapping[str, Sequence[Path]] = field(default_factory=lambda: _NOT_STORED)
+    scales: Mapping[str, Scale] = field(default_factory=dict[str, Scale])
+    levels: Mapping[str, Sequence[Path]] = field(default_factory=dict[str, Sequence[Path]])
 
     @property
     def names(self) -> list[str]:
@@ -131,16 +119,18 @@ class Maps:
             "first_pixel_um": list(self.origin_um), "missing": "NaN",
         }  # fmt: skip
 
-    def title(self, name: str) -> str:
-        """What a map shows."""
-        return str(self.data[name].attrs.get("long_name", name))
+    @property
+    def titles(self) -> dict[str, str]:
+        """Titles of the maps, by name."""
+        return {name: str(self.data[name].attrs.get("long_name", name)) for name in self.names}
 
-    def units(self, name: str) -> str:
-        """Its unit; 1 where it has none."""
-        return str(self.data[name].attrs.get("units", "1"))
+    @property
+    def units(self) -> dict[str, str]:
+        """Units of the maps, by name."""
+        return {name: units_of(self.data[name]) for name in self.names}
 
     def only(self, name: str) -> Maps:
-        """One of the maps."""
+        """Take a single map."""
         return replace(self, data=self.data[[name]])
 
     def bands(
@@ -150,13 +140,12 @@ class Maps:
 
         ``dtype``: type of the values; the map's own where not given, truth values as bytes.
         """
-        data = self.data[name]
-        target = plain_type(data.dtype) if dtype is None else np.dtype(dtype)
-        levels = self.levels.get(name)
-        chunks = Chunks.of(levels[0], self.shape, data.dtype) if levels else None
+        variable, levels = self.data[name], self.levels.get(name)
+        target = plain_type(variable.dtype) if dtype is None else np.dtype(dtype)
+        chunks = Chunks.of(levels[0], self.shape, variable.dtype) if levels else None
 
         def read(rows: slice) -> NDArray[Any]:
-            return np.ascontiguousarray(band_of(data, rows), dtype=target)
+            return np.ascontiguousarray(band_of(variable, rows), dtype=target)
 
         def start(rows: slice) -> Callable[[], NDArray[Any]]:
             if chunks is None:
@@ -192,11 +181,16 @@ def plain_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
     return np.dtype(np.uint8) if dtype.kind == "b" else dtype
 
 
+def units_of(variable: xr.DataArray) -> str:
+    """Unit of a map; 1 where it has none."""
+    return str(variable.attrs.get("units", "1"))
+
+
 def column_of(name: str, units: str) -> str:
     """Name of a column or property with its unit: ``coating_top_um``; no unit for plain numbers."""
     word = units.replace("/", "_per_").replace("%", "percent")
     return name if units in ("", "1") or name.endswith(f"_{word}") else f"{name}_{word}"
 
 
-def _exact(value: float) -> float:
-    return float(f"{value:.{_DIGITS}g}")
+def _exact(length_um: float) -> float:
+    return float(f"{length_um:.{_DIGITS}g}")

@@ -88,7 +88,7 @@ class DisplacementField:
         return self.vectors.shape[0], self.vectors.shape[1]
 
     def facts(self) -> dict[str, float]:
-        """How exact it is, for the history."""
+        """Errors of the field, for the history."""
         return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.filled}
 
     @property

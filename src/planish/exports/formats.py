@@ -95,7 +95,7 @@ class ExportFormat:
 
     @property
     def counts(self) -> str:
-        """What its size is counted in: nodes of a surface, or pixels."""
+        """Word for the parts that its size is counted in: nodes of a surface, or pixels."""
         return "nodes" if "surface" in self.holds else "pixels"
 
     def endings_of(self, *, affine: bool) -> tuple[str, ...]:
@@ -145,8 +145,7 @@ FORMATS: dict[str, ExportFormat] = {
     "gwy": ExportFormat(
         title="Gwyddion", writer="gwyddion:write", holds=("maps",), suffixes=(".gwy",), stack=True, needs="gwyfile",
         gives="a channel for each map, lengths in metres, with its mask; history under Metadata Browser",
-        opens="Gwyddion", missing="the mask; below it the mean of the map",
-        most=100_000_000, byte_cost=26,
+        opens="Gwyddion", missing="the mask; below it the mean of the map", most=100_000_000, byte_cost=26,
     ),
     "txt": ExportFormat(
         title="plain text", writer="tables:write_matrix", holds=("maps",), suffixes=(".txt",),
@@ -154,8 +153,8 @@ FORMATS: dict[str, ExportFormat] = {
         opens="GNU Octave, MATLAB, Origin", missing="`NaN`",
     ),
     "csv": ExportFormat(
-        title="CSV", writer="tables:write_points", holds=("maps",), suffixes=(".csv",), stack=True, apart=False,
-        options=("point_um",),
+        title="CSV", writer="tables:write_points", holds=("maps",), suffixes=(".csv",), stack=True,
+        apart=False, options=("point_um",),
         gives="a table of points or pixels: place, every map, image, place in the volume, share that is valid",
         opens="GNU Octave, R, Origin, Excel", missing="`NaN`; points that show nothing are left out",
     ),
@@ -170,41 +169,34 @@ FORMATS: dict[str, ExportFormat] = {
         opens="browsers, Inkscape", missing="grey",
     ),
     "ply": ExportFormat(
-        title="PLY", writer="meshes:write_ply", holds=("surface",), suffixes=(".ply",),
-        options=_MESH,
+        title="PLY", writer="meshes:write_ply", holds=("surface",), suffixes=(".ply",), options=_MESH,
         gives="a surface in um with all maps as properties of its nodes, one as colour",
         opens="MeshLab, CloudCompare, ParaView (colour only)", missing="NaN, coloured grey; holes stay holes",
         most=25_000_000, byte_cost=250,
     ),
     "obj": ExportFormat(
-        title="OBJ", writer="meshes:write_obj", holds=("surface",), suffixes=(".obj",),
-        options=_MESH,
+        title="OBJ", writer="meshes:write_obj", holds=("surface",), suffixes=(".obj",), options=_MESH,
         gives="a surface in um as text, one map as colour of its nodes",
         opens="MeshLab, Blender", missing="coloured grey; holes stay holes", most=10_000_000, byte_cost=400,
     ),
     "stl": ExportFormat(
-        title="STL", writer="meshes:write_stl", holds=("surface",), suffixes=(".stl",),
-        options=_MESH,
+        title="STL", writer="meshes:write_stl", holds=("surface",), suffixes=(".stl",), options=_MESH,
         gives="a surface in um as triangles, one map as their colour (15 bits)",
-        opens="MeshLab, CAD, simulation", missing="coloured grey; holes stay holes",
-        most=10_000_000, byte_cost=450,
+        opens="MeshLab, CAD, simulation", missing="coloured grey; holes stay holes", most=10_000_000, byte_cost=450,
     ),
     "vtk": ExportFormat(
-        title="VTK", writer="meshes:write_vtu", holds=("surface",), suffixes=(".vtu",),
-        options=_MESH,
+        title="VTK", writer="meshes:write_vtu", holds=("surface",), suffixes=(".vtu",), options=_MESH,
         gives="a surface in um with all maps as point data",
         opens="ParaView", missing="NaN; holes stay holes", most=25_000_000, byte_cost=350,
     ),
     "itk": ExportFormat(
-        title="ITK", writer="transforms:write_itk", holds=("registration",), suffixes=(".tfm",),
-        options=("unit",),
+        title="ITK", writer="transforms:write_itk", holds=("registration",), suffixes=(".tfm",), options=("unit",),
         gives="the registration as a transform, in both directions",
         opens="ITK, SimpleITK", missing="–", note=_BOTH,
     ),
     "elastix": ExportFormat(
         title="elastix", writer="transforms:write_elastix", holds=("registration",), suffixes=(),
-        endings=(".txt", "_local.txt"),
-        options=("unit",),
+        endings=(".txt", "_local.txt"), options=("unit",),
         gives="the registration as transform parameters, in both directions",
         opens="elastix, transformix", missing="–",
         note=f"{_BOTH} Start transformix in the folder: it looks for NAME_local.txt where it was started.",
@@ -217,8 +209,7 @@ FORMATS: dict[str, ExportFormat] = {
         "through the marks; that of planish leaves the residuals in marks.csv.",
     ),
     "nrrd": ExportFormat(
-        title="NRRD", writer="nrrd:write", holds=("registration", "maps"), suffixes=(".nrrd",),
-        options=("unit",),
+        title="NRRD", writer="nrrd:write", holds=("registration", "maps"), suffixes=(".nrrd",), options=("unit",),
         gives="the registration as displacement fields; with a group, its maps with size and place",
         opens="ITK, SimpleITK, elastix", missing="NaN",
         note="Of a registration: beside a field other programs take 0, so nothing moves there.",
@@ -275,7 +266,7 @@ def imported(place: str) -> Callable[..., Any]:
 
 
 def is_file(name: str, out: Path) -> bool:
-    """Whether a path asks for one file of a format; otherwise it is a folder of such files.
+    """Tell whether a path asks for one file of a format; otherwise it is a folder of such files.
 
     Raises
     ------

@@ -26,11 +26,11 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     }  # fmt: skip
     for k, name in enumerate(maps.names):
         # Gwyddion takes units without prefix and chooses the prefix itself.
-        units, factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units(name), (maps.units(name), 1.0))
+        units, factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units[name], (maps.units[name], 1.0))
         pixels = np.concatenate([band for _, band in maps.bands(name, np.float64)])
         missing = ~np.isfinite(pixels)
         pixels[missing] = 0.0 if missing.all() else float(pixels[~missing].mean())
-        file[f"/{k}/data/title"] = maps.title(name)
+        file[f"/{k}/data/title"] = maps.titles[name]
         file[f"/{k}/data"] = GwyDataField(
             pixels * factor, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=units), **place
         )

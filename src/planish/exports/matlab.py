@@ -40,8 +40,8 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     """
     about: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
     about |= {
-        "pixel_um": np.array([maps.pixel_um]), "units": {n: maps.units(n) for n in maps.names},
-        "titles": {n: maps.title(n) for n in maps.names}, "history": history.json(**maps.facts()),
+        "pixel_um": np.array([maps.pixel_um]), "units": maps.units,
+        "titles": maps.titles, "history": history.json(**maps.facts()),
     }  # fmt: skip
     version = chosen_version(maps, params)
     if version == "5":
@@ -57,7 +57,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
 
 def chosen_version(maps: Maps, params: ExportParams) -> str:
     """Choose the version in which maps are written; ResourceError where the one that was asked for cannot hold them."""
-    size = sum(plain_type(data.dtype).itemsize for data in maps.data.data_vars.values()) * maps.shape[0] * maps.shape[1]
+    size = sum(plain_type(maps.data[name].dtype).itemsize for name in maps.names) * maps.shape[0] * maps.shape[1]
     if params.mat_version == "5" and size > MOST_5:
         raise ResourceError(
             f"The maps take {size / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out --mat-version, "

@@ -18,11 +18,12 @@ from numpy.typing import NDArray
 
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
-from planish.exports.content import Display, ExportHistory, column_of
+from planish.exports.content import ExportHistory, column_of, units_of
 from planish.exports.params import ExportParams
+from planish.report.colours import Scale
 
 SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
-"""What can be a surface, of the group ``surfaces``."""
+"""Names of the surfaces in the group ``surfaces``."""
 
 _COLOURLESS = np.array([212, 214, 216], np.uint8)
 
@@ -48,19 +49,14 @@ class Surface:
         One of `SURFACES`.
     maps : tuple of str
         Maps that its nodes carry; the first one is their colour where the format has a colour only.
-    display : dict of Display
-        Colours of maps, by name.
+    scales : dict of Scale
+        Limits and colours of maps, by name.
     """
 
     data: xr.Dataset
     name: str
     maps: tuple[str, ...]
-    display: Mapping[str, Display]
-
-    @property
-    def nodes(self) -> int:
-        """Number of columns."""
-        return self.data.sizes["y"] * self.data.sizes["x"]
+    scales: Mapping[str, Scale]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -202,8 +198,8 @@ def mesh_of(surface: Surface, params: ExportParams) -> Mesh:
     """
     frame = Frame.of(surface.data)
     rows, cols = steps_of(surface.data, params.mesh_um)
-    data = surface.data.isel(y=slice(None, None, rows), x=slice(None, None, cols))
-    heights = data[surface.name].values
+    nodes = surface.data.isel(y=slice(None, None, rows), x=slice(None, None, cols))
+    heights = nodes[surface.name].values
     is_node = np.isfinite(heights)
     number = np.cumsum(is_node.ravel()).reshape(is_node.shape) - 1
     corners = [(slice(None, -1), slice(None, -1)), (slice(None, -1), slice(1, None)),
@@ -215,52 +211,48 @@ def mesh_of(surface: Surface, params: ExportParams) -> Mesh:
             "smaller --mesh-um, or another surface."
         )
     quads = np.stack([number[corner][is_cell] for corner in corners], axis=1).astype(np.int32)
-    axes = {frame.rows: data["y"].values[:, None], frame.cols: data["x"].values[None, :], frame.through: heights}
+    axes = {frame.rows: nodes["y"].values[:, None], frame.cols: nodes["x"].values[None, :], frame.through: heights}
     points = np.stack([np.broadcast_to(axes[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1)
     if params.as_seen:
         points[:, 1] *= -1
     if _clockwise(frame, up=not surface.name.endswith("bottom"), mirrored=params.as_seen):
         quads = quads[:, ::-1]
-    maps = {column_of(n, _units(data[n])): data[n].values[is_node].astype(np.float32) for n in surface.maps}
+    maps = {column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32) for n in surface.maps}
     about = f"surface {surface.name}; um; "
     about += "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
     first = surface.maps[0] if surface.maps else None
     colours = None
-    if first is not None and (display := surface.display.get(first)) is not None:
-        colours = _colours(data[first].values[is_node], display)
-        units = _units(data[first])
-        about += f"; colour: {first} from {display.low:.6g} to {display.high:.6g}{f' {units}' if units != '1' else ''}"
+    if first is not None and (scale := surface.scales.get(first)) is not None:
+        colours = _colours(nodes[first].values[is_node], scale)
+        units = units_of(nodes[first])
+        about += f"; colour: {first} from {scale.low:.6g} to {scale.high:.6g}{f' {units}' if units != '1' else ''}"
     return Mesh(
         points=np.ascontiguousarray(points, np.float32), quads=np.ascontiguousarray(quads), maps=maps,
         colours=colours, about=about,
     )  # fmt: skip
 
 
-def steps_of(data: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
+def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
     """Give how many rows and columns lie between nodes; StudyError where ``mesh_um`` is less than a column."""
     if mesh_um is None:
         return 1, 1
-    pitch = [float(data[axis].values[1] - data[axis].values[0]) for axis in ("y", "x")]
+    pitch = [float(columns[axis].values[1] - columns[axis].values[0]) for axis in ("y", "x")]
     if mesh_um < 0.999 * max(pitch):
         raise StudyError(f"--mesh-um {mesh_um:g} is less than a column of {max(pitch):g} um. Give a multiple of it.")
     return max(1, round(mesh_um / pitch[0])), max(1, round(mesh_um / pitch[1]))
 
 
 def _clockwise(frame: Frame, *, up: bool, mirrored: bool) -> bool:
-    """Whether cells of (row, col), (row, col + 1) ... run clockwise as seen from outside of the sheet."""
+    """Tell whether cells of (row, col), (row, col + 1) ... run clockwise as seen from outside of the sheet."""
     unit = {axis: np.eye(3)[k] for k, axis in enumerate("xyz")}
     outside = unit[frame.through] * frame.sign * (1 if up else -1)
     anticlockwise = float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0
     return anticlockwise == mirrored
 
 
-def _colours(numbers: NDArray[np.floating], display: Display) -> NDArray[np.uint8]:
-    from planish.exports.picture import colours_of  # matplotlib is needed for colours alone
+def _colours(numbers: NDArray[np.floating], scale: Scale) -> NDArray[np.uint8]:
+    from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
 
-    share = (numbers.astype(np.float64) - display.low) / (display.high - display.low)
-    colours = colours_of(display)(np.clip(share, 0, 1), bytes=True)[:, :3]
+    share = (numbers.astype(np.float64) - scale.low) / (scale.high - scale.low)
+    colours = colormap_of(scale)(np.clip(share, 0, 1), bytes=True)[:, :3]
     return np.where(np.isfinite(share)[:, None], colours, _COLOURLESS).astype(np.uint8)
-
-
-def _units(data: xr.DataArray) -> str:
-    return str(data.attrs.get("units", "1"))

@@ -48,13 +48,13 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 
 
 def _attributes(maps: Maps, name: str) -> dict[str, Any]:
-    data = maps.data[name]
-    attrs: dict[str, Any] = {"long_name": maps.title(name), "units": _UDUNITS.get(maps.units(name), maps.units(name))}
-    if data.dtype.kind == "b":
+    variable, units = maps.data[name], maps.units[name]
+    attrs: dict[str, Any] = {"long_name": maps.titles[name], "units": _UDUNITS.get(units, units)}
+    if variable.dtype.kind == "b":
         attrs |= {"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"}
-    elif "flag_values" in data.attrs:
+    elif "flag_values" in variable.attrs:
         attrs |= {
-            "flag_values": np.asarray(data.attrs["flag_values"]).astype(data.dtype),
-            "flag_meanings": str(data.attrs["flag_meanings"]),
+            "flag_values": np.asarray(variable.attrs["flag_values"]).astype(variable.dtype),
+            "flag_meanings": str(variable.attrs["flag_meanings"]),
         }
     return attrs

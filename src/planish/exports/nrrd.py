@@ -38,9 +38,9 @@ def write(content: DirectedTransform | Maps, path: Path, history: ExportHistory,
         parts: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
     else:
         (name,) = content.names
-        title, dtype, components, shape = content.title(name), plain_type(content.data[name].dtype), [], content.shape
+        title, dtype, components, shape = content.titles[name], plain_type(content.data[name].dtype), [], content.shape
         (y, x), (down, across) = content.origin_um, content.pixel_um
-        about = {"value_unit": content.units(name), "planish": history.json(**content.facts())}
+        about = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
         parts = (band for _, band in content.bands(name))
     x, y, across, down = (f"{v * UNITS[unit]:.12g}" for v in (x, y, across, down))
     sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]

@@ -49,11 +49,13 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
         for k, name in enumerate(names):
             channel = k if several else None
             if not _copied(path, maps.levels.get(name, ()), len(arrays), channel, pool):
-                levels = [_Level(array, channel, pool) for array in arrays]
+                finest = None
+                for array in reversed(arrays):
+                    finest = _Level(array, channel, pool, finest)
+                assert finest is not None
                 for rows, band in maps.bands(name, np.float32):
-                    levels[0].add(band, coarser=levels[1:], last=rows.stop == shape[0])
-                for level in levels:
-                    level.finish()
+                    finest.add(band, last=rows.stop == shape[0])
+                finest.finish()
             windows.append(_window(np.asarray(arrays[-1][... if channel is None else channel])))
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
@@ -78,7 +80,7 @@ def _copied(path: Path, sources: Sequence[Path], levels: int, channel: int | Non
 
 
 def _alike(source: Path, target: Path) -> bool:
-    """Whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
+    """Tell whether two arrays differ in nothing but a first axis, so that their chunks have the same bytes."""
     abouts = [json.loads((path / "zarr.json").read_text(encoding="utf-8")) for path in (source, target)]
     keys = ("data_type", "codecs", "chunk_key_encoding", "fill_value")
     forms = [[about.get(key) for key in keys] for about in abouts]
@@ -95,31 +97,33 @@ class _Level:
     What was added before is written by another thread meanwhile.
     """
 
-    def __init__(self, array: Any, channel: int | None, pool: Executor) -> None:
-        self._array, self._channel, self._pool, self._done = array, channel, pool, 0
+    def __init__(self, array: Any, channel: int | None, pool: Executor, coarser: _Level | None) -> None:
+        self._array, self._channel, self._pool, self._coarser, self._done = array, channel, pool, coarser, 0
         self._writing: Future[None] | None = None
         self._waiting: list[NDArray[np.float32]] = []
 
-    def add(self, rows: NDArray[np.float32], *, coarser: list[_Level], last: bool) -> None:
+    def add(self, rows: NDArray[np.float32], *, last: bool) -> None:
         """Add rows; whole chunks are written, and what is left over at the end."""
         self._waiting.append(rows)
         high = sum(len(part) for part in self._waiting)
         if high < _CHUNK and not last:
             return
         part = np.concatenate(self._waiting) if len(self._waiting) > 1 else rows
-        begin, self._waiting = self._done, []
+        place, self._waiting = slice(self._done, self._done + high), []
         self._done += high
-        self.finish()
-        rows_of_part = slice(begin, self._done)
-        place = rows_of_part if self._channel is None else (self._channel, rows_of_part)
-        self._writing = self._pool.submit(self._array.__setitem__, place, part)
-        if coarser:
-            coarser[0].add(halved_values(part), coarser=coarser[1:], last=last)
-
-    def finish(self) -> None:
-        """Wait for what is being written."""
         if self._writing is not None:
             self._writing.result()
+        index = place if self._channel is None else (self._channel, place)
+        self._writing = self._pool.submit(self._array.__setitem__, index, part)
+        if self._coarser is not None:
+            self._coarser.add(halved_values(part), last=last)
+
+    def finish(self) -> None:
+        """Wait for what is being written, here and of the coarser levels."""
+        if self._writing is not None:
+            self._writing.result()
+        if self._coarser is not None:
+            self._coarser.finish()
 
 
 # --- what is said of them --------------------------------------------------------------------------------------------
@@ -135,34 +139,27 @@ def _window(overview: NDArray[np.float32]) -> dict[str, float]:
 
 def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:
     names = maps.names
-    several, pixel, first = len(names) > 1, maps.pixel_um, maps.origin_um
-    head: list[dict[str, str]] = [{"name": "c", "type": "channel"}] if several else []
-    space = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
-    ones, zeros = ([1.0], [0.0]) if several else ([], [])
-    datasets = [
-        {
-            "path": str(k),
-            "coordinateTransformations": [
-                {"type": "scale", "scale": [*ones, *(p * 2**k for p in pixel)]},
-                {
-                    "type": "translation",
-                    "translation": [*zeros, *(f + p * (2**k - 1) / 2 for f, p in zip(first, pixel, strict=True))],
-                },
-            ],
-        }
-        for k in range(levels)
-    ]
+    several = len(names) > 1
+    axes = [{"name": "c", "type": "channel"}] if several else []
+    axes += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
+    datasets: list[dict[str, Any]] = []
+    for k in range(levels):
+        scale = [pitch * 2**k for pitch in maps.pixel_um]
+        first = [um + pitch * (2**k - 1) / 2 for um, pitch in zip(maps.origin_um, maps.pixel_um, strict=True)]
+        transformations = [
+            {"type": "scale", "scale": [1.0, *scale] if several else scale},
+            {"type": "translation", "translation": [0.0, *first] if several else first},
+        ]
+        datasets.append({"path": str(k), "coordinateTransformations": transformations})
     multiscale = {
-        "name": maps.group if several else names[0], "axes": [*head, *space], "datasets": datasets,
+        "name": maps.group if several else names[0], "axes": axes, "datasets": datasets,
         "type": "mean of 2 x 2 known pixels",
     }  # fmt: skip
     channels = [
-        {"label": f"{name} ({maps.units(name)})", "color": "FFFFFF", "active": k == 0, "window": window}
-        for k, (name, window) in enumerate(zip(names, windows, strict=True))
+        {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0], "window": window}
+        for (name, units), window in zip(maps.units.items(), windows, strict=True)
     ]
-    units = {name: maps.units(name) for name in names}
-    titles = {name: maps.title(name) for name in names}
     return {
         "ome": {"version": "0.5", "multiscales": [multiscale], "omero": {"channels": channels}},
-        "planish": {"history": history.json(**maps.facts()), "units": units, "titles": titles},
+        "planish": {"history": history.json(**maps.facts()), "units": maps.units, "titles": maps.titles},
     }

@@ -38,7 +38,7 @@ class ExportRequest:
 
     @property
     def form(self) -> ExportFormat:
-        """Its format."""
+        """Row of its format."""
         return FORMATS[self.params.to]
 
     def write(self, content: object, path: Path) -> None:
@@ -131,12 +131,12 @@ def _file_of_maps(request: ExportRequest, maps: Maps, name: str) -> OutputFile:
 
     def write(path: Path) -> None:
         request.progress("write", ", ".join(maps.names) if len(maps.names) < _NAMED else f"{len(maps.names)} maps")
-        display = maps.display
+        scales = maps.scales
         if form.shows_limits and maps.shape[0] * maps.shape[1] <= _SMALL:
             # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
             group = source.group(maps.group).assign(maps.data.data_vars)
-            display = {name: source.display(group, name) for name in maps.names}
-        request.write(replace(maps, display=display), path)
+            scales = {name: source.scale_of(group, name) for name in maps.names}
+        request.write(replace(maps, scales=scales), path)
 
     return OutputFile(names=(f"{name}{form.suffixes[0]}",), write=write)
 
@@ -188,12 +188,14 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
             "The run holds no surfaces of one sheet. Give the run of the volume itself, in layers/NAME where several "
             "were linked."
         )
-    data = source.group("surfaces")
-    measured = [name for name in SURFACES if name in data and bool(np.isfinite(data[name].values).any())]
-    numeric = [str(k) for k, variable in data.data_vars.items() if variable.ndim == 2 and variable.dtype.kind in "fiub"]
+    surfaces = source.group("surfaces")
+    measured = [name for name in SURFACES if name in surfaces and bool(np.isfinite(surfaces[name].values).any())]
+    numeric = [
+        str(k) for k, variable in surfaces.data_vars.items() if variable.ndim == 2 and variable.dtype.kind in "fiub"
+    ]
     asked = checked_names(params.maps, numeric, "surfaces")
     chosen = [name for name in asked if name in SURFACES] or measured
-    maps = tuple(name for name in asked if name not in SURFACES) or _usual_maps(data, facts)
+    maps = tuple(name for name in asked if name not in SURFACES) or _usual_maps(surfaces, facts)
     if lacking := [name for name in chosen if name not in measured]:
         raise InputError(f"The sheet has no {' and no '.join(lacking)}; it has {', '.join(measured)}.")
     if request.single and len(chosen) > 1:
@@ -201,11 +203,11 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
             f"{out.name} holds one surface, and there are {len(chosen)}. Choose one of {', '.join(chosen)} with --map, "
             "or give a folder."
         )
-    data = data[[*chosen, *maps]]
-    (rows, cols), (down, across) = (data.sizes["y"], data.sizes["x"]), steps_of(data, params.mesh_um)
+    exported = surfaces[[*chosen, *maps]]
+    (rows, cols), (down, across) = (exported.sizes["y"], exported.sizes["x"]), steps_of(exported, params.mesh_um)
     count = -(-rows // down) * -(-cols // across)
     _check_size(request, count, f"{count / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
-    display = {name: source.display(data, name) for name in maps[:1]}
+    scales = {name: source.scale_of(exported, name) for name in maps[:1]}
 
     def file_of(surface: Surface) -> OutputFile:
         def write(path: Path) -> None:
@@ -214,12 +216,12 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
 
         return OutputFile(names=(f"{surface.name}{request.form.suffixes[0]}",), write=write)
 
-    return [file_of(Surface(data=data, name=name, maps=maps, display=display)) for name in chosen]
+    return [file_of(Surface(data=exported, name=name, maps=maps, scales=scales)) for name in chosen]
 
 
-def _usual_maps(data: xr.Dataset, facts: LayerFacts) -> tuple[str, ...]:
+def _usual_maps(surfaces: xr.Dataset, facts: LayerFacts) -> tuple[str, ...]:
     """Choose the properties on the surfaces, the headline of the sheet first."""
-    names = [str(k) for k, variable in data.data_vars.items() if is_property(variable) and str(k) not in SURFACES]
+    names = [str(k) for k, variable in surfaces.data_vars.items() if is_property(variable) and str(k) not in SURFACES]
     return tuple(sorted(names, key=lambda name: (name != facts.headline, name)))
 
 

@@ -18,7 +18,7 @@ Length = Annotated[float, Field(ge=0)]
 
 
 class ExportParams(Params):
-    """What is exported, and how."""
+    """Options of an export."""
 
     to: FormatName = option(help="Format to write (docs/export.md).")
     maps: tuple[str, ...] = option(

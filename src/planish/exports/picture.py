@@ -20,17 +20,17 @@ from numpy.typing import NDArray
 
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
-from planish.exports.content import Display, ExportHistory, Maps, percentile_limits
+from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.params import ExportParams
+from planish.report.colours import MISSING, Scale
+from planish.report.text import unit
 
-MISSING = "#d4d6d8"
 MOST = 2000
 """Pixels of the longer side of a map in a picture; a larger one is brought to it by means over areas."""
 
 _LEAST = 1000  # pixels of the longer side: those of a smaller map are drawn larger, by a whole number
 _DPI = 200
 _LEFT, _TOP, _RIGHT, _BELOW = 180, 84, 260, 160  # pixels around the map
-_UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 _INK, _SOFT = "#22292f", "#66707a"
 _STYLE: dict[str, Any] = {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans"], "font.size": 8.5, "svg.fonttype": "none",
@@ -55,9 +55,9 @@ def write_svg(maps: Maps, path: Path, history: ExportHistory, _params: ExportPar
         FigureCanvasSVG(figure).print_svg(file, metadata=about)
 
 
-def colours_of(display: Display) -> Colormap:
-    """Return the colours of a display; missing values are grey."""
-    return mpl.colormaps[display.colours].with_extremes(bad=MISSING)
+def colormap_of(scale: Scale) -> Colormap:
+    """Return the colours of a scale; missing values are grey."""
+    return mpl.colormaps[scale.colours].with_extremes(bad=MISSING)
 
 
 @contextmanager
@@ -68,26 +68,23 @@ def _drawn(maps: Maps, history: ExportHistory) -> Generator[tuple[Figure, str, s
     """
     (name,) = maps.names
     pixels, times = _reduced(maps, name)
-    display = maps.display.get(name)
-    if display is None:
-        low, high = percentile_limits(pixels)
-        display = Display(low=low, high=high)
-    note = history.json(**maps.facts(), map=name, low=display.low, high=display.high, reduced=times)
+    scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
+    note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=times)
     with style.context(["default", _STYLE]):  # whatever the user has set
-        yield _figure(maps, pixels, times, display), maps.title(name), note
+        yield _figure(maps, pixels, times, scale), maps.titles[name], note
 
 
 def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
     """Values of a map at most as fine as a picture shows them, and by how much they were reduced."""
-    data = maps.data[name]
+    variable = maps.data[name]
     times = max(1.0, max(maps.shape) / MOST)
     if times > 1:
-        return area_mean(data, (times, times)).astype(np.float32), times
-    parts = [band_of(data, rows) for rows in bands(maps.shape[0])]
+        return area_mean(variable, (times, times)).astype(np.float32), times
+    parts = [band_of(variable, rows) for rows in bands(maps.shape[0])]
     return np.concatenate(parts).astype(np.float32), times
 
 
-def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, display: Display) -> Figure:
+def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, scale: Scale) -> Figure:
     """Lay the picture out in pixels, so that every pixel of the map is as many whole pixels wide and high."""
     (name,) = maps.names
     (down, across), (y0, x0) = maps.pixel_um, maps.origin_um
@@ -106,7 +103,7 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, display: Disp
     extent = (x0, x0 + cols * across * times, y0 + rows * down * times, y0)
     axes = box(_LEFT, _TOP, width, height)
     drawn = axes.imshow(
-        np.ma.masked_invalid(pixels), cmap=colours_of(display), vmin=display.low, vmax=display.high, extent=extent,
+        np.ma.masked_invalid(pixels), cmap=colormap_of(scale), vmin=scale.low, vmax=scale.high, extent=extent,
         interpolation="nearest", aspect="auto",
     )  # fmt: skip
     axes.locator_params(nbins=max(3, min(9, width // 160)), axis="x")
@@ -116,9 +113,9 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, display: Disp
     bar = box(_LEFT + width + 40, _TOP, 36, max(height, 300))
     colours = figure.colorbar(drawn, cax=bar)
     colours.outline.set_linewidth(0.6)  # pyright: ignore
-    colours.set_label(_UNITS.get(maps.units(name), maps.units(name)))
+    colours.set_label(unit(maps.units[name]))
     figure.text(
-        _LEFT / whole[0], 1 - 0.6 * _TOP / whole[1], maps.title(name), fontsize=10, fontweight="bold", va="center"
+        _LEFT / whole[0], 1 - 0.6 * _TOP / whole[1], maps.titles[name], fontsize=10, fontweight="bold", va="center"
     )
     _scale_bar(figure, whole, width, um=cols * across * times)
     return figure

@@ -21,7 +21,7 @@ from planish.core.grid import Grid
 from planish.core.results import LayerFacts, Results
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
-from planish.exports.content import Display, ExportHistory
+from planish.exports.content import ExportHistory
 from planish.exports.displacements import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
 from planish.io.map_store import OVERVIEWS
@@ -31,6 +31,7 @@ from planish.measure import straightened
 from planish.pipeline.registration import Registration
 from planish.pipeline.run import MAPS, Run, marks_file, open_results
 from planish.pipeline.volume import read_sheet_volume
+from planish.report.colours import Scale
 from planish.report.maps import colours_of, partner_of
 from planish.resample import image_attrs, resample_image
 from planish.study import LayerParams, Study, read_study, to_dict
@@ -84,18 +85,15 @@ class ExportSource:
 
     @cached_property
     def history(self) -> ExportHistory:
-        """What made it."""
+        """Versions, study and inputs of the run."""
         if self.folder is not None:
             text = (self.folder / "run.toml").read_bytes()
         else:
             text = tomli_w.dumps({"planish": self.results.planish} | to_dict(self.study)).encode()
-        inputs = [
-            {"layer": layer.name, "name": layer.source.name, "sha256": layer.source.sha256}
-            for layer in self.results.layers
-        ]
+        sources = [(layer.name, layer.source) for layer in self.results.layers]
         return ExportHistory(
             planish=self.results.planish, exported_by=__version__, study_sha256=hashlib.sha256(text).hexdigest(),
-            inputs=tuple(inputs),
+            inputs=tuple({"layer": layer, "name": s.name, "sha256": s.sha256} for layer, s in sources),
         )  # fmt: skip
 
     # --- maps ---------------------------------------------------------------------------------------------------
@@ -149,10 +147,10 @@ class ExportSource:
 
     def maps(self, group: str, names: Sequence[str]) -> xr.Dataset:
         """Maps of a group in the order of their names, the image on the flat sheet among those of the sheet."""
-        data = self.group(group)
-        if IMAGE in names and IMAGE not in data:
-            data = data.assign({IMAGE: self.image_on_sheet(data)})
-        return data[list(names)]
+        maps = self.group(group)
+        if IMAGE in names and IMAGE not in maps:
+            maps = maps.assign({IMAGE: self.image_on_sheet(maps)})
+        return maps[list(names)]
 
     def levels(self, group: str, name: str) -> list[Path]:
         """Folders of a map and its overviews in the store of the run, the finest first; none where it has no store."""
@@ -175,17 +173,16 @@ class ExportSource:
         attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
         return xr.DataArray(grey, dims=("v", "u"), coords={k: maps[k] for k in ("v", "u")}, attrs=attrs)
 
-    def display(self, data: xr.Dataset, name: str) -> Display:
-        """Colours and limits of a map, those of the page: both sides of the sheet share theirs."""
-        partner = partner_of(name, [str(key) for key in data.data_vars])
-        pooled = [data[name]] if partner is None else [data[name], data[partner]]
-        masked = name == IMAGE and "valid" in data  # the holes of an image would take most of the colours
-        _, parts = thinned(*pooled, *([data["valid"]] if masked else []))
+    def scale_of(self, maps: xr.Dataset, name: str) -> Scale:
+        """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
+        partner = partner_of(name, [str(key) for key in maps.data_vars])
+        pooled = [maps[name]] if partner is None else [maps[name], maps[partner]]
+        masked = name == IMAGE and "valid" in maps  # the holes of an image would take most of the colours
+        _, parts = thinned(*pooled, *([maps["valid"]] if masked else []))
         if masked:
             parts = [np.where(parts[1], parts[0], np.nan)]
         measured = np.concatenate([part[np.isfinite(part)] for part in parts]).astype(np.float64)
-        scale = colours_of(data[name].rename(name), measured)
-        return Display(low=float(scale.low), high=float(scale.high), colours=scale.colours)
+        return colours_of(maps[name].rename(name), measured)
 
     # --- the sheet ----------------------------------------------------------------------------------------------
 
@@ -289,7 +286,7 @@ class ExportSource:
         return [layer for layer in moving if wanted in (None, layer.name)]
 
     def is_affine(self, name: str) -> bool:
-        """Whether the registration of a moving layer is an affine map."""
+        """Tell whether the registration of a moving layer is an affine map."""
         return isinstance(self.registration(name).fit.transform, Similarity | Affine)
 
     def transforms(self, layer: LayerFacts) -> TransformPair:

@@ -28,7 +28,7 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     (name,) = maps.names
     (down, across), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
     head = [
-        f"{name}: {maps.title(name)}", f"unit: {maps.units(name)}",
+        f"{name}: {maps.titles[name]}", f"unit: {maps.units[name]}",
         f"pixel: {across!r} um along {x}, {down!r} um along {y}",
         f"middle of the first pixel: {x} = {x0!r} um, {y} = {y0!r} um",
         f"{maps.shape[0]} rows, {maps.shape[1]} columns; missing: NaN", history.json(**maps.facts()),
@@ -61,7 +61,7 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
         )
     y, x = maps.dims
     names = [name for name in maps.names if name != "valid" or not size]
-    titles = [f"{x}_um", f"{y}_um", *(column_of(name, maps.units(name)) for name in names)]
+    titles = [f"{x}_um", f"{y}_um", *(column_of(name, maps.units[name]) for name in names)]
     kind = f"points of {size:g} um" if size else "pixels"
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {history.json(**maps.facts(), rows=kind)}\n")

@@ -110,8 +110,8 @@ class _Stack:
                 content=content, axes="CYX" if several else "YX", dtype=dtype,
                 shape=(len(names), *content.shape) if several else content.shape,
                 pixel_um=content.pixel_um, first_um=content.origin_um,
-                labels=[f"{name} ({content.units(name)})".removesuffix(" (1)") for name in names],
-                facts=content.facts() | {"maps": {name: content.title(name) for name in names}},
+                labels=[f"{name} ({content.units[name]})".removesuffix(" (1)") for name in names],
+                facts=content.facts() | {"maps": content.titles},
             )  # fmt: skip
         pixel, first = zip(*(_axis(content, dim) for dim in content.dims), strict=True)
         facts = {str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"}
@@ -159,12 +159,12 @@ class _Stack:
 
 def _imagej_limits(maps: Maps) -> dict[str, Any]:
     """Limits between which ImageJ shows maps at first, where those of all of them are chosen."""
-    displays = [maps.display[name] for name in maps.names if name in maps.display]
-    if len(displays) < len(maps.names):
+    scales = [maps.scales[name] for name in maps.names if name in maps.scales]
+    if len(scales) < len(maps.names):
         return {}
-    limits = [float(v) for display in displays for v in (display.low, display.high)]
+    limits = [limit for scale in scales for limit in (scale.low, scale.high)]
     # ImageJ takes the ranges of up to seven channels; of more, one range for all.
-    return {"min": limits[0], "max": limits[1]} | ({"Ranges": limits} if len(displays) > 1 else {})
+    return {"min": limits[0], "max": limits[1]} | ({"Ranges": limits} if len(scales) > 1 else {})
 
 
 def _axis(volume: xr.DataArray, dim: Any) -> tuple[float, float]:
