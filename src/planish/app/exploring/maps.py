@@ -17,7 +17,7 @@ from planish.core.grid import Grid
 from planish.core.overviews import halved
 from planish.core.results import LayerFacts, Results, Trust
 from planish.core.typing import Floats
-from planish.exports.source import ExportSource
+from planish.exports.source import IMAGE, ExportSource
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
 from planish.pipeline.checks import trust_of
