@@ -24,9 +24,9 @@ from scipy import fft
 import planish as pl
 from planish.core.checks import Check
 from planish.core.errors import PlanishError
-from planish.core.results import LagFacts
 from planish.pipeline.build import link
 from planish.pipeline.texture import texture_of
+from planish.results import LagFacts
 from planish.synthetic import PRESETS, HoleParams, SpecimenParams, Warp, draw_params
 
 Array = NDArray[np.float64]

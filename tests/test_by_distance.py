@@ -8,9 +8,9 @@ import pytest
 from analyze.fields import gaussian_maps, related_maps
 from planish.analyze import bland_altman, cross_correlogram, deming, ring_correlation, variogram
 from planish.analyze.covariance import Lags
-from planish.core.results import EvidenceFacts, Results
 from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
 from planish.report.distance import draw_correlogram, draw_rings, draw_variograms, of_each, of_twice
+from planish.results import EvidenceFacts, Results
 
 CELL = (8.0, 8.0)
 

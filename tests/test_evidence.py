@@ -11,12 +11,12 @@ from planish.analyze import commonality, correlate, partial
 from planish.compute import Compute
 from planish.core.area import area_mean
 from planish.core.errors import InputError
-from planish.core.results import LayerFacts, Results
 from planish.pipeline.compare import correlate_layers, headline_of
 from planish.pipeline.evidence import evidence_of
 from planish.pipeline.request import check_request
 from planish.report.scale import sentences
 from planish.report.summary import cautions
+from planish.results import LayerFacts, Results
 from planish.study import as_study
 
 

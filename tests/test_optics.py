@@ -13,13 +13,13 @@ from planish.analyze import reflectance, spread_light, without_screen
 from planish.analyze.params import CorrelateParams
 from planish.compute import Compute
 from planish.core.errors import InputError, PlanishError
-from planish.core.results import EvidenceFacts, Results
 from planish.io.params import ImageParams
 from planish.pipeline import correlate_maps
 from planish.pipeline.compared import compared_image, image_facts
 from planish.pipeline.optics import density_of, kubelka_munk_of, light_of, mottle_of
 from planish.pipeline.request import check_request
 from planish.report.light import sentences
+from planish.results import EvidenceFacts, Results
 from planish.study import as_study
 
 

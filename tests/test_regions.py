@@ -18,12 +18,12 @@ from hypothesis import strategies as st
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.grid import Grid
-from planish.core.results import Results
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.regions import Region, Regions, geojson_text, read_regions
 from planish.marks.regions.model import nested
 from planish.pipeline import correlate_maps, link, open_run
 from planish.pipeline.regions import region_facts, regions_on
+from planish.results import Results
 from planish.study import LayerParams, Study, read_study, write_study
 from report.runs import a_run, page_of
 

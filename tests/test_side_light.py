@@ -9,8 +9,8 @@ from scipy import ndimage
 import planish as pl
 from planish.analyze import texture_lag, textures
 from planish.core.grid import Grid
-from planish.core.results import Results
 from planish.report.tables import _SIDE_LIGHT, comparison_sentence
+from planish.results import Results
 from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, make_specimen
 from planish.synthetic.camera import image_material
 from report.runs import a_run

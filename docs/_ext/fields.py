@@ -13,7 +13,7 @@ from pydantic.fields import FieldInfo
 
 from planish.core.checks import Check
 from planish.core.options import options_of
-from planish.core.results import Results
+from planish.results import Results
 from planish.study import LayerParams, Study
 
 _WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false"}

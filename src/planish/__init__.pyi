@@ -1,7 +1,6 @@
 from .analyze import correlate as correlate
 from .core.errors import PlanishError as PlanishError
 from .core.frame import Frame as Frame
-from .core.results import Results as Results
 from .exports import export as export
 from .flatten import flatten_sheet as flatten_sheet
 from .io import read_image as read_image
@@ -19,6 +18,7 @@ from .pipeline import open_run as open_run
 from .pipeline import register_marks as register_marks
 from .pipeline import resample_maps as resample_maps
 from .report import write_report as write_report
+from .results import Results as Results
 from .series import open_study as open_study
 from .surface import find_surfaces as find_surfaces
 from .synthetic import make_specimen as make_specimen

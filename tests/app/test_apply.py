@@ -21,8 +21,8 @@ from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
 from planish.app.server import create_app
 from planish.app.session import Session
-from planish.core.results import Results
 from planish.pipeline import open_run, run_study
+from planish.results import Results
 from planish.study import read_study
 
 UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")

@@ -10,8 +10,8 @@ import pytest
 
 import console
 from planish.cli.docs import page, schema, with_options
-from planish.core.results import Results
 from planish.core.series_results import SeriesResults
+from planish.results import Results
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

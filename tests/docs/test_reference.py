@@ -19,9 +19,9 @@ import xarray as xr
 from planish.cli import planish as group
 from planish.core import errors
 from planish.core.options import options_of
-from planish.core.results import Results
 from planish.measure import registered
 from planish.pipeline import open_run
+from planish.results import Results
 from planish.study import LayerParams, Study
 
 ROOT = Path(__file__).resolve().parents[2]

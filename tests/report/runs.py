@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.core.results import Results
 from planish.report.page import render_report
+from planish.results import Results
 
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",

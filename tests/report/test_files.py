@@ -10,11 +10,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from planish.core.results import Results
 from planish.report import write_report
 from planish.report.draw import Canvas
 from planish.report.files import standalone
 from planish.report.relation import block_means
+from planish.results import Results
 from report.pages import Page
 from report.runs import Run, a_run
 

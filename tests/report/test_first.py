@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planish.core.results import PropertyFacts, Results
 from planish.report.first import surer
 from planish.report.maps import draw_maps
+from planish.results import PropertyFacts, Results
 from report.pages import Page
 from report.runs import a_run, page_of
 from report.test_layers import layers

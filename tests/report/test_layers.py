@@ -13,11 +13,11 @@ import xarray as xr
 
 from planish.analyze import correlate
 from planish.analyze.correlation import PairAtSizes
-from planish.core.results import CorrelationRow, Results
 from planish.report import write_report
 from planish.report.relation import block_means, draw_pair, largest
 from planish.report.summary import by_pair
 from planish.report.text import beside
+from planish.results import CorrelationRow, Results
 from report.pages import Page
 from report.runs import lag_of, page_of, registration_of
 

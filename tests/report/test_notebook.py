@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from planish.core.results import Results
 from planish.report import map_html, results_html, run_html
+from planish.results import Results
 from report.pages import Page
 from report.runs import a_run
 

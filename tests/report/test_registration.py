@@ -11,7 +11,6 @@ import pytest
 import xarray as xr
 
 from planish.analyze import Registration
-from planish.core.results import LagFacts, RegistrationFacts
 from planish.report.draw import FULL, HALF, levels_between
 from planish.report.registration import (
     blank_ground,
@@ -22,6 +21,7 @@ from planish.report.registration import (
 )
 from planish.report.summary import lag_check
 from planish.report.text import REGISTERED, capital, typeset
+from planish.results import LagFacts, RegistrationFacts
 from report.pages import Page
 from report.runs import a_run, lag_of, page_of, registration_of
 

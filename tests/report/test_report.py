@@ -14,7 +14,6 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from planish.core.results import Results
 from planish.report import write_report
 from planish.report.colours import GREYS, MISSING, Scale, image_uri, limits
 from planish.report.draw import Canvas, multiples, reduced, round_step
@@ -22,6 +21,7 @@ from planish.report.maps import draw_outlines
 from planish.report.relation import block_means
 from planish.report.slices import take_slice
 from planish.report.text import beside, count, fixed, in_words, length, number, percent, plain
+from planish.results import Results
 from report.pages import Page
 from report.runs import PROPERTIES, a_run, page_of
 

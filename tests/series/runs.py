@@ -7,8 +7,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from planish.core.results import Results
 from planish.core.series import Member
+from planish.results import Results
 from report.runs import a_run
 
 

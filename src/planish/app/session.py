@@ -20,7 +20,6 @@ from planish.app.journal import InUse, Journal
 from planish.app.picture import PLANES, Plane
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
-from planish.core.results import Results
 from planish.core.typing import Floats
 from planish.io import fingerprint, read_image
 from planish.io.params import ImageParams
@@ -32,6 +31,7 @@ from planish.pipeline import Registration, find_holes
 from planish.pipeline.kept import noted_study
 from planish.pipeline.regions import REGIONS
 from planish.pipeline.run import MAPS, marks_file, open_results
+from planish.results import Results
 from planish.study import EDITS, Study, read_study
 
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'

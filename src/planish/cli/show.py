@@ -18,8 +18,8 @@ from planish.core.text import printable, quoted
 if TYPE_CHECKING:
     from planish.compute import Progress as Tell
     from planish.core.checks import State
-    from planish.core.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
     from planish.pipeline import Run
+    from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
 
 
 _SPOKEN: tuple[State, ...] = ("fail", "look", "unknown")

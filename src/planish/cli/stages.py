@@ -32,7 +32,7 @@ from planish.cli.runs import (
     volume_options,
 )
 from planish.compute import Compute, silent
-from planish.core.results import Side
+from planish.core.facts import Side
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams

@@ -24,6 +24,9 @@ Side = Literal["top", "bottom"]
 
 SIDES: tuple[Side, ...] = ("top", "bottom")
 
+Trust = Literal["ok", "doubtful", "withheld"]
+"""What the checks leave of a figure; numbers that are withheld are None."""
+
 
 class Facts(BaseModel):
     """A frozen part of the results."""

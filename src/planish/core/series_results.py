@@ -12,8 +12,7 @@ from pydantic import Field, ValidationError
 
 from planish.core.checks import State
 from planish.core.errors import FileError
-from planish.core.facts import Facts, KnownPair, Number
-from planish.core.results import Trust
+from planish.core.facts import Facts, KnownPair, Number, Trust
 from planish.core.series import Member
 from planish.core.tables import read_text
 

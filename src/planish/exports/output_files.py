@@ -12,7 +12,6 @@ import xarray as xr
 from planish.compute import Compute, Progress
 from planish.core.errors import InputError, ResourceError, StudyError
 from planish.core.grid import Grid
-from planish.core.results import LayerFacts
 from planish.exports.content import Maps
 from planish.exports.formats import FORMATS, ExportFormat, check_content, writer_of
 from planish.exports.meshes import SURFACES, Surface, steps_of
@@ -20,6 +19,7 @@ from planish.exports.params import ExportParams
 from planish.exports.source import IMAGE, STRAIGHTENED, ExportSource, checked_names
 from planish.io.store import write_store
 from planish.pipeline.compare import is_property
+from planish.results import LayerFacts
 
 _SMALL = 2**22  # pixels of a map that is read once more for the limits between which it is shown first
 _NAMED = 5  # maps that are named while they are written

@@ -18,7 +18,6 @@ from planish.compute import Compute, Progress
 from planish.core.bands import thinned
 from planish.core.errors import FileError, InputError
 from planish.core.grid import Grid
-from planish.core.results import LayerFacts, Results
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
 from planish.exports.content import ExportHistory
@@ -34,6 +33,7 @@ from planish.pipeline.volume import read_sheet_volume
 from planish.report.colours import Scale
 from planish.report.maps import colours_of, partner_of
 from planish.resample import image_attrs, resample_image
+from planish.results import LayerFacts, Results
 from planish.study import LayerParams, Study, read_study, to_dict
 
 IMAGE = "image"

@@ -12,8 +12,9 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError
+from planish.core.facts import Side
 from planish.core.grid import Grid
-from planish.core.results import HoleTiltFacts, Side
+from planish.core.results import HoleTiltFacts
 from planish.core.typing import Floats
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams

@@ -14,7 +14,7 @@ from planish.analyze.correlograms import Correlogram, correlogram_of
 from planish.analyze.covariance import Lags
 from planish.analyze.variograms import variogram_of
 from planish.core.errors import PlanishError
-from planish.core.results import CorrelogramFacts, LagProfile, RingFacts, TwiceFacts, VariogramFacts
+from planish.results import CorrelogramFacts, LagProfile, RingFacts, TwiceFacts, VariogramFacts
 
 Array = NDArray[np.float64]
 

@@ -9,18 +9,11 @@ import numpy as np
 import xarray as xr
 
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
+from planish.core.facts import Trust
 from planish.core.grid import Grid
-from planish.core.results import (
-    CorrelationRow,
-    HoleTiltFacts,
-    LayerFacts,
-    LinkedArea,
-    RegistrationFacts,
-    Results,
-    SheetFacts,
-    Trust,
-)
+from planish.core.results import HoleTiltFacts
 from planish.register import FittedTransform
+from planish.results import CorrelationRow, LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts
 
 _MD_LIMIT_DEG = 10.0
 _LEAST_COVERAGE, _LEAST_AREA, _LEAST_FIELD = 0.5, 0.5, 0.05

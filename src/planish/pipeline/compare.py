@@ -14,14 +14,15 @@ from planish.analyze import CorrelateParams, PairAtSizes, PairSums, holm, paired
 from planish.core.arrays import check_dataset
 from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
+from planish.core.facts import Side
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.options import params_of
-from planish.core.results import ComparisonRow, CorrelationRow, Side
 from planish.measure import PROPERTIES
 from planish.pipeline.evidence import CELLS
 from planish.pipeline.regions import regions_on
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
+from planish.results import ComparisonRow, CorrelationRow
 
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
 WAYS = (

@@ -7,8 +7,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import SCREEN_REACH, SCREEN_SIGMA, without_screen
-from planish.core.results import ImageFacts
 from planish.io.params import ImageParams
+from planish.results import ImageFacts
 
 REFLECTANCE = "Reflectance"
 """What the values of an image are where a dark and a white reference are known."""

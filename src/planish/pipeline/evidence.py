@@ -30,7 +30,10 @@ from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.errors import InputError, PlanishError
 from planish.core.grid import Grid
-from planish.core.results import (
+from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
+from planish.pipeline.halves import Columns, noise_ceiling, reliability_of
+from planish.pipeline.optics import density_of, light_of
+from planish.results import (
     BandFacts,
     CurveFacts,
     EvidenceFacts,
@@ -40,9 +43,6 @@ from planish.core.results import (
     SizeFacts,
     ThinRegionFacts,
 )
-from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
-from planish.pipeline.halves import Columns, noise_ceiling, reliability_of
-from planish.pipeline.optics import density_of, light_of
 
 Array = NDArray[np.float64]
 

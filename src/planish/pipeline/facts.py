@@ -11,21 +11,9 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.bands import band_of, bands, thinned
+from planish.core.facts import Side
 from planish.core.grid import Grid, pitch
-from planish.core.results import (
-    ExpectedError,
-    FlattenFacts,
-    InputFile,
-    LagFacts,
-    LayerFacts,
-    LinkedArea,
-    OrientationFacts,
-    PropertyFacts,
-    RegistrationFacts,
-    SectionFacts,
-    Side,
-    SurfaceFacts,
-)
+from planish.core.results import InputFile
 from planish.flatten import Flattened
 from planish.io import fingerprint
 from planish.pipeline.compare import headline_of, is_property
@@ -34,6 +22,18 @@ from planish.pipeline.layers import Layer
 from planish.pipeline.position_error import error_shares
 from planish.pipeline.registration import Registration
 from planish.register import Chain, FittedTransform
+from planish.results import (
+    ExpectedError,
+    FlattenFacts,
+    LagFacts,
+    LayerFacts,
+    LinkedArea,
+    OrientationFacts,
+    PropertyFacts,
+    RegistrationFacts,
+    SectionFacts,
+    SurfaceFacts,
+)
 from planish.study import Study, to_dict, with_paths
 
 Array = NDArray[np.float64]

@@ -6,8 +6,8 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from planish.core.checks import Check, concerned
-from planish.core.results import LayerFacts, Results
 from planish.core.tables import table_text
+from planish.results import LayerFacts, Results
 
 HEADER = ("layers", "figure", "statistic", "value", "standard_error", "units", "n", "trust", "checks")
 Row = Sequence[Any]

@@ -21,8 +21,8 @@ from planish.core.bands import bands
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.core.results import ReliabilityFacts
 from planish.core.transform import Similarity
+from planish.results import ReliabilityFacts
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]

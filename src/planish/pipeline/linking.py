@@ -20,7 +20,7 @@ from planish.checks import exposure_check
 from planish.compute import Compute, Progress
 from planish.core.bands import thinned
 from planish.core.checks import Check
-from planish.core.results import LayerFacts, Results, Side
+from planish.core.facts import Side
 from planish.core.sources import hash_sources
 from planish.core.transform import Similarity
 from planish.io import read_image
@@ -47,6 +47,7 @@ from planish.pipeline.through_scale import NAME as THROUGH_SCALE
 from planish.pipeline.through_scale import marks_scale_check
 from planish.register import Chain
 from planish.resample import SheetOnto
+from planish.results import LayerFacts, Results
 from planish.study import LayerParams, Study
 
 Array = NDArray[np.float64]

@@ -22,7 +22,7 @@ from planish.core.area import AreaMeans, area_mean
 from planish.core.bands import band_of, bands
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
-from planish.core.results import KubelkaMunkFacts, LightSpreadFacts, MottleBandFacts, MottleFacts
+from planish.results import KubelkaMunkFacts, LightSpreadFacts, MottleBandFacts, MottleFacts
 
 Array = NDArray[np.float64]
 

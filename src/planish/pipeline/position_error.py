@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from planish.core.bands import rms_of
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, filled, pitch
-from planish.core.results import ErrorShares
 from planish.flatten import flat_moves
 from planish.register import Chain
 from planish.resample import Lattice, covering_grid, find_places, resample
+from planish.results import ErrorShares
 
 Array = NDArray[np.float64]
 

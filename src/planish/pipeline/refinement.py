@@ -11,10 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 from planish.analyze import cross_fitted, in_band, searched_null
 from planish.core.errors import CannotMeasure
 from planish.core.grid import Grid
-from planish.core.results import RefinementFacts, RefinementR
 from planish.core.transform import Similarity
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.refinement import Refinement
+from planish.results import RefinementFacts, RefinementR
 
 Array = NDArray[np.float64]
 

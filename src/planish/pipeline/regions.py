@@ -9,8 +9,8 @@ import numpy as np
 from planish.core.bands import bands
 from planish.core.errors import InputError
 from planish.core.grid import Grid
-from planish.core.results import RegionFacts, RegionsFacts
 from planish.marks.regions import Regions, geojson_text, read_regions
+from planish.results import RegionFacts, RegionsFacts
 
 REGIONS = "regions.geojson"
 """Name of the file of a run that holds them, in um of the reference."""

@@ -12,12 +12,12 @@ import xarray as xr
 from planish.core.arrays import check_path
 from planish.core.checks import Check
 from planish.core.errors import FileError
-from planish.core.results import Results
 from planish.io.run_folder import read_groups, read_tree
 from planish.marks.regions import Regions, read_regions
 from planish.pipeline.layers import Layer
 from planish.pipeline.regions import REGIONS
 from planish.pipeline.registration import Registration
+from planish.results import Results
 from planish.study import RUN_TOML, Study, read_study
 
 MAPS = "maps.zarr"

@@ -15,7 +15,6 @@ from planish.compute import Compute, Progress, return_memory, run_key, silent
 from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.files import move
 from planish.core.overviews import overviews
-from planish.core.results import LayerFacts, Results
 from planish.core.sources import hash_sources
 from planish.core.text import quoted
 from planish.core.threads import limit_threads
@@ -35,6 +34,7 @@ from planish.pipeline.request import check_request
 from planish.pipeline.run import MAPS, Run, is_run, marks_file
 from planish.pipeline.sheet import changed, map_layer
 from planish.report import FIGURES, write_report
+from planish.results import LayerFacts, Results
 from planish.study import LayerParams, Study, to_dict, write_study
 
 _NONE: Mapping[str, Layer] = {}

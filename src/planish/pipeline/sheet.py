@@ -15,7 +15,6 @@ from planish.core.errors import CannotMeasure
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.options import Params
-from planish.core.results import SheetFacts
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place
@@ -27,6 +26,7 @@ from planish.pipeline.layers import Layer
 from planish.pipeline.through_scale import thickness_scale_check
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
+from planish.results import SheetFacts
 from planish.study import LayerParams
 from planish.surface import Corrections, correct_surfaces, correction_check, cutoff_check, find_surfaces
 

@@ -22,8 +22,9 @@ from planish.analyze import (
 from planish.core.bands import any_finite, rms_of, thinned
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
+from planish.core.facts import Side
 from planish.core.grid import Grid
-from planish.core.results import LagFacts, LagTile, Side
+from planish.results import LagFacts, LagTile
 
 Array = NDArray[np.float64]
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
-from planish.core.results import CorrelogramFacts, EvidenceFacts, LagProfile, TwiceFacts, VariogramFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
 from planish.report.scale import known, powers
 from planish.report.text import capital, count, fixed, in_words, left_out, number, percent, plain, unit
+from planish.results import CorrelogramFacts, EvidenceFacts, LagProfile, TwiceFacts, VariogramFacts
 
 _TOP, _HIGH, _WIDE = 40.0, 235.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0

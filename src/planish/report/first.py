@@ -9,13 +9,13 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
-from planish.core.results import CorrelationRow, Results
 from planish.report import maps, relation
 from planish.report.colours import Array
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.relation import Points, largest
 from planish.report.summary import Titles, density_of, lead_pair
 from planish.report.text import HOLES, capital, fixed, label_of, the, title_of, typeset, unit_of
+from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
     from planish.core.checks import Check

@@ -9,8 +9,8 @@ from itertools import count
 
 import xarray as xr
 
-from planish.core.results import LayerFacts, Results
 from planish.report.text import title_of
+from planish.results import LayerFacts, Results
 
 _MOST_DRAWN = 2**22  # pixels of a map: more than the widest figure has
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from planish.core.light import layer_over
-from planish.core.results import CorrelationRow, EvidenceFacts, KubelkaMunkFacts, LightSpreadFacts, MottleFacts
 from planish.report.draw import ACCENT, FULL, POINT, Canvas, Picture
 from planish.report.relation import Points, in_grams, points_axes, points_table, weighed
 from planish.report.text import NONE, REGISTERED, capital, count, fixed, in_words, left_out, number, plain
+from planish.results import CorrelationRow, EvidenceFacts, KubelkaMunkFacts, LightSpreadFacts, MottleFacts
 
 _BOX = (85.0, 30.0, FULL - 130.0, 300.0)
 _STEPS = 100

@@ -9,7 +9,6 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.core.results import PropertyFacts
 from planish.report.colours import CYCLIC, GREYS, PROPERTY, Array, Scale, limits
 from planish.report.draw import (
     ACCENT,
@@ -31,6 +30,7 @@ from planish.report.draw import (
 )  # fmt: skip
 from planish.report.registration import ARROW, EDGE, ground_of
 from planish.report.text import HOLES, count, in_words, label_of, length, number, percent, plain, title_of, unit_of
+from planish.results import PropertyFacts
 
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
 _BINS = 80

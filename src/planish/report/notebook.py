@@ -8,13 +8,13 @@ from html import escape
 import numpy as np
 import xarray as xr
 
-from planish.core.results import Results
 from planish.report.colours import image_uri
 from planish.report.draw import pitch
 from planish.report.groups import Groups
 from planish.report.maps import colours_of
 from planish.report.summary import check_summary, summarise
 from planish.report.text import label_of, number, typeset
+from planish.results import Results
 
 _WIDE, _HIGH = 300.0, 260.0  # CSS pixels of a small map
 _FAINT = "opacity:0.7;font-size:90%"

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from planish.core.arrays import check_path, not_taken
 from planish.core.files import write_whole
-from planish.core.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 from planish.report import (
     distance,
     first,
@@ -32,6 +31,7 @@ from planish.report import (
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.files import write_figures
 from planish.report.groups import Groups
+from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 
 if TYPE_CHECKING:
     from jinja2 import Template

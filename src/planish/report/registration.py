@@ -9,7 +9,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.results import LagFacts, RegistrationFacts
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
     BELOW,
@@ -30,6 +29,7 @@ from planish.report.draw import (
     reduced,
 )  # fmt: skip
 from planish.report.text import capital, count, in_words, length, plain, the, title_of
+from planish.results import LagFacts, RegistrationFacts
 
 ARROW, EDGE = "#ff5238", "#39c5ff"
 _MARK, _SILENT = "#ffb000", "#7d8790"

@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
-from planish.core.results import CorrelationRow
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Field, Picture, Table, pitch
 from planish.report.statement import r_interval_text, r_text
 from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
+from planish.results import CorrelationRow
 
 Points = tuple[Array, Array]
 """Values of two maps at the same larger points."""

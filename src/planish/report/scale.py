@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
-from planish.core.results import EvidenceFacts, PartialFacts, ReliabilityFacts
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
 from planish.report.statement import decimals_of_r
 from planish.report.text import REGISTERED, capital, count, fixed, left_out, number, percent, plain
+from planish.results import EvidenceFacts, PartialFacts, ReliabilityFacts
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0

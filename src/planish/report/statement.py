@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from planish.core.results import ComparisonRow, CorrelationRow
 from planish.report.text import NONE, count, fixed, number
+from planish.results import ComparisonRow, CorrelationRow
 
 Row = CorrelationRow | ComparisonRow
 

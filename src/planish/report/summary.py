@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
 from planish.core.checks import State
-from planish.core.results import CorrelationRow, LagFacts, LayerFacts, Results, Trust
+from planish.core.facts import Trust
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import (
@@ -25,6 +25,7 @@ from planish.report.text import (
     typeset,
     unit,
 )  # fmt: skip
+from planish.results import CorrelationRow, LagFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]
 """Layer and map -> title of the map."""

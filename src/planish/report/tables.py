@@ -5,12 +5,12 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
-from planish.core.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
 from planish.report.statement import limits_text, r_text
 from planish.report.summary import Titles, by_pair, headline_pair
 from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
+from planish.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 
 Facts = list[tuple[str, str]]
 

@@ -8,10 +8,10 @@ from pathlib import Path
 
 from planish.core.checks import State
 from planish.core.errors import FileError
-from planish.core.results import CorrelationRow, LayerFacts, Results
 from planish.core.series import Member
 from planish.core.series_results import InstrumentFacts, RunKind
 from planish.pipeline.run import open_results
+from planish.results import CorrelationRow, LayerFacts, Results
 from planish.series.rows import Row, rows_of
 
 _STATES: tuple[State, ...] = ("fail", "look", "unknown")

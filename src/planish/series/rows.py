@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from planish.core.checks import concerned
-from planish.core.results import CorrelationRow, LayerFacts, Results, SheetNumbers, Trust, TwiceFacts
+from planish.core.facts import Trust
+from planish.core.results import SheetNumbers
 from planish.core.series import Member
+from planish.results import CorrelationRow, LayerFacts, Results, TwiceFacts
 
 _OF_A_PROPERTY = ("mean", "sd", "p5", "median", "p95")
 _OF_A_FACE = ("sa", "sq")

@@ -11,8 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from planish.core.results import Results
 from planish.io.run_folder import write_tree
+from planish.results import Results
 
 VOID = {"meta", "link", "img", "br", "input"}
 STUDY = '[[layers]]\nname = "volume"\n\n[layers.volume]\npath = "{name}"\n'

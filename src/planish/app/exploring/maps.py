@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 from planish.app.exploring.packing import Packed, packed
 from planish.core.checks import POSITION, concerned
 from planish.core.errors import InputError
+from planish.core.facts import Trust
 from planish.core.grid import Grid
 from planish.core.overviews import halved
-from planish.core.results import LayerFacts, Results, Trust
 from planish.core.typing import Floats
 from planish.exports.source import IMAGE, ExportSource
 from planish.io.map_store import OVERVIEWS
@@ -25,6 +25,7 @@ from planish.pipeline.run import MAPS
 from planish.report.colours import Scale
 from planish.report.maps import colours_of
 from planish.report.text import title_of, unit_of
+from planish.results import LayerFacts, Results
 
 BUDGET = 6_000_000
 """Letters that all maps may take."""

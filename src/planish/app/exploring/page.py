@@ -16,12 +16,12 @@ from planish.app.exploring.packing import Packed
 from planish.app.exploring.slices import Stack
 from planish.core.area import area_mean
 from planish.core.checks import CORRELATION, POSITION, concerned
-from planish.core.results import Results
 from planish.pipeline.checks import trust_of
 from planish.report import summary
 from planish.report.colours import MISSING, colours_in_steps, image_uri
 from planish.report.page import template
 from planish.report.slices import LINES
+from planish.results import Results
 
 _PACKAGE = "planish.app.exploring"
 _PARTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")

@@ -1,0 +1,853 @@
+"""What a run says in numbers: frozen models that make ``results.json``, its JSON schema and the page.
+
+NaN and infinity have no place in JSON: such numbers are None. Lengths are in um where the name says so.
+"""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, ClassVar, Literal, Self
+
+from pydantic import Field, ValidationError
+
+from planish.core.checks import Check, State
+from planish.core.errors import FileError
+from planish.core.facts import Facts, KnownPair, Number, Pair, Side, Trust
+from planish.core.results import HoleTiltFacts, InputFile, SheetNumbers
+from planish.core.sources import is_this_code
+
+FORMAT = 3
+"""Version of the schema; planish 0.1.0 wrote files without one."""
+
+
+# --- a sheet -------------------------------------------------------------------------------------------------------
+
+
+class SurfaceFacts(Facts):
+    """What the surface search learnt, and how much of the sheet it measured."""
+
+    through: Literal["z", "y", "x"] = Field(description="Axis through the sheet.")
+    top_side: Literal["high", "low"] = Field(description="End of that axis at which the top side lies.")
+    row_axis: str = Field(description="Axis of the volume that runs down the rows of the surfaces.")
+    col_axis: str = Field(description="Axis of the volume that runs along their columns.")
+    thickness_um: Number = Field(description="Median thickness of the sheet, as the first look found it.")
+    blur_um: Number = Field(description="Standard deviation of the blur of the scan.")
+    fringe: Number = Field(description="Phase-contrast fringe as a share of an edge's step; 0 where there is none.")
+    fringe_um: Number = Field(description="Distance of the fringe from the edge.")
+    cutoff_um: Number = Field(description="Wavelength of the centre surface that the smoothing halves.")
+    bridged_share: Number = Field(default=None, description="Share of the columns where gaps needed a wider cut-off.")
+    bridged_off_rims_share: Number = Field(default=None, description="The same away from holes and their rims.")
+    rim_um: Number = Field(description="Zone around holes and gaps that is left out.")
+    missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
+    empty_share: Number = Field(default=None, description="Share of the columns that hold nothing but air.")
+    polarity: Number = Field(description="1 where the sheet is brighter than air, -1 where it is darker.")
+    grey_air: Number = Field(description="Grey of the air.")
+    grey_base: Number = Field(description="Grey of the base.")
+    grey_coating_top: Number = Field(description="Grey of the top coating; None where there is none.")
+    grey_coating_bottom: Number = Field(description="Grey of the bottom coating; None where there is none.")
+    grey_noise: Number = Field(description="Standard deviation of the grey from voxel to voxel.")
+    columns: int = Field(description="Number of columns.")
+    particles_removed: int = Field(
+        description="Particles that were left out: those that float, and those that stick to a face."
+    )
+    half_closed_holes: int = Field(description="Holes of which less than 70 % is open.")
+    shares: dict[str, float] = Field(description="Share of the columns with each status.")
+
+
+class PropertyFacts(Facts):
+    """Distribution of one property over the columns."""
+
+    WITHHELD: ClassVar = ("mean", "sd", "p5", "median", "p95", "standard_error")
+
+    units: str = Field(description="Unit of all values; 1 for a share.")
+    n: int = Field(description="Columns with a value.")
+    mean: Number = Field(description="Mean over the columns.")
+    sd: Number = Field(description="Standard deviation over the columns.")
+    p5: Number = Field(description="5th percentile.")
+    median: Number = Field(description="Median.")
+    p95: Number = Field(description="95th percentile.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+    standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
+    n_independent: int | None = Field(
+        default=None, description="How many independent values the columns have: neighbours share their errors."
+    )
+    mean_standard_error: Number = Field(
+        default=None, description="Standard error of the mean over the columns, from the measurement alone."
+    )
+    support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
+
+
+class Percentiles(Facts):
+    """Distribution of one strain over the mesh."""
+
+    median: Number = Field(description="Median over the cells.")
+    p5: Number = Field(description="5th percentile.")
+    p95: Number = Field(description="95th percentile.")
+    p95_abs: Number = Field(description="95th percentile of the absolute value.")
+    max_abs: Number = Field(description="Largest absolute value.")
+
+
+class GeodesicFacts(Facts):
+    """Relative errors of long distances: flat against along the surface."""
+
+    p50: Number = Field(description="Median relative error.")
+    p95: Number = Field(description="95th percentile of the relative error.")
+    largest: Number = Field(description="Largest relative error.")
+    used: int = Field(description="Lines that stay on the sheet from end to end.")
+    dropped: int = Field(description="Lines that leave it through a hole or the outline.")
+
+
+class DistortionFacts(Facts):
+    """How much the flattening strained the sheet."""
+
+    area: Percentiles = Field(description="Area strain: ratio of areas less 1.")
+    axial_u: Percentiles = Field(description="Strain of the cells' edges along the rows of the mesh.")
+    axial_v: Percentiles = Field(description="Strain of the cells' edges along its columns.")
+    shear: Percentiles = Field(description="Change of the angle between both, rad.")
+    cells: int = Field(description="Cells with four known corners.")
+    inverted_cells: int = Field(description="Cells with a triangle whose flat area is not above zero.")
+    boundary_space_um: Number = Field(description="Length of all borders in space.")
+    boundary_flat_um: Number = Field(description="Length of all borders in the plane.")
+    growth_percent: Number = Field(description="Scale from the projection to the flat sheet, less 1.")
+    growth_anisotropy_percent: Number = Field(
+        description="How much more the sheet grows in one direction than across it."
+    )
+    growth_direction_deg: Number = Field(
+        description="Direction in the projection in which it grows most, from x towards y."
+    )
+    displacement_median_um: Number = Field(
+        description="Median distance from the projection to the flat place, after turning and shifting."
+    )
+    displacement_p95_um: Number = Field(description="95th percentile of that distance.")
+    displacement_max_um: Number = Field(description="Largest such distance.")
+    geodesics: GeodesicFacts | None = Field(description="Lengths of random lines, flat against along the surface.")
+
+
+class CurvatureFacts(Facts):
+    """Whether the surface can be flat at all."""
+
+    patch_um: float = Field(description="Half the side of the patch over which the curvature is averaged.")
+    limit: float = Field(description="Strain that paper carries.")
+    share: Number = Field(description="Share of the surface on which a patch needs more strain than that to be flat.")
+    largest: Number = Field(description="Largest strain that a patch needs.")
+    verdict: str = Field(description="The same in a sentence.")
+
+
+class FlattenFacts(Facts):
+    """How the flattening ended."""
+
+    outcome: str = Field(description="RESTED, HELD_OPEN and so on: how the solver ended.")
+    sentence: str = Field(description="The same in words, with what to try next.")
+    steps: int = Field(description="Steps of the solver.")
+    energy_um2: float = Field(description="Energy of the springs at the end.")
+    mesh_um: float = Field(description="Pitch of the mesh.")
+    folded_cells: int = Field(
+        description="Cells that the springs would fold and that are held open; they are not valid."
+    )
+    edge_strain_p95: Number = Field(description="95th percentile of the absolute strain of the springs.")
+    edge_strain_max: Number = Field(description="Largest absolute strain of a spring.")
+    method: str = Field(description="multigrid or relaxation.")
+    neutral: Literal["base", "faces"] = Field(default="faces", description="Surface that was taken to stay unstrained.")
+    springs: int = Field(description="Number of springs.")
+    straight_share: Number = Field(
+        description="Share of the springs measured straight through space, as the surface is rough there."
+    )
+    distortion: DistortionFacts = Field(description="Strain, lengths and growth.")
+    curvature: CurvatureFacts = Field(description="Whether the surface can be flat at all.")
+    largest_move_um: Number = Field(description="Largest distance of a column from its projected place.")
+
+
+class SectionFacts(Facts):
+    """How serial sections were joined: what was taken off, and what is left of the quick errors."""
+
+    kind: str = Field(description="Photographs of the block face, or of sections.")
+    count: int = Field(description="Sections that were read.")
+    not_aligned: int = Field(description="Sections that match no neighbour and were left out.")
+    missing: int = Field(description="Missing sections that were bridged.")
+    cutoff_um: float = Field(description="Waves longer than this along the cut were left alone.")
+    fixed: tuple[str, ...] = Field(
+        description="What held the slow waves: row, col, rotation; empty without anything fixed."
+    )
+    pairs_used: int = Field(description="Pairs of sections that were compared.")
+    pairs_refused: int = Field(description="Pairs that did not agree with the others.")
+    gain_sd: Number = Field(description="Standard deviation of the gain from section to section.")
+    shift_row_rms_um: Number = Field(description="Shifts along the rows' axis that were removed, rms.")
+    shift_col_rms_um: Number = Field(description="The same along the columns' axis.")
+    jitter_left_row_um: Number = Field(
+        description="What is left of the quick errors along the rows' axis, standard deviation."
+    )
+    jitter_left_col_um: Number = Field(description="The same along the columns' axis.")
+
+
+class SheetFacts(Facts):
+    """A sheet that was measured and flattened."""
+
+    surfaces: SurfaceFacts = Field(description="The surface search.")
+    properties: dict[str, PropertyFacts] = Field(description="Distribution of each property, by name.")
+    numbers: SheetNumbers | None = Field(description="None where they are withheld.")
+    flatten: FlattenFacts = Field(description="The flattening.")
+    sections: SectionFacts | None = Field(default=None, description="Where the volume was joined of serial sections.")
+
+
+# --- layers brought together -----------------------------------------------------------------------------------------
+
+
+class ErrorShares(Facts):
+    """Where the expected error of the places comes from: root mean squares over the map, in um."""
+
+    marks_um: Number = Field(default=None, description="Marks, and what the model of the registration leaves open.")
+    neutral_um: Number = Field(default=None, description="Which surface stays unstrained where the sheet is bent.")
+    smoothing_um: Number = Field(
+        default=None, description="Smoothing of the centre surface, and its bridges over holes."
+    )
+    sections_um: Number = Field(default=None, description="What is left of the poses of serial sections.")
+    rms_um: float = Field(description="Root mean square of the whole.")
+    largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(description="The share that is largest.")
+    sentence: str = Field(description="The same in words, with what would lower it.")
+
+
+class ExpectedError(Facts):
+    """How far a pixel may be off, rms, over the map."""
+
+    WITHHELD: ClassVar = ("median_um", "largest_um")
+
+    median_um: Number = Field(description="Median over the map.")
+    largest_um: Number = Field(description="Largest value of the map.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+    shares: ErrorShares | None = Field(default=None, description="Where it comes from; of a sheet only.")
+
+
+class OrientationFacts(Facts):
+    """How two planes lie on each other: side, hand and machine direction, as given."""
+
+    image_side: Side = Field(description="Side that the fixed layer shows.")
+    side_given: bool = Field(description="Whether that was given; assumed otherwise.")
+    mirrored_volume: bool = Field(
+        description="Whether the marks fit mirrored only: slices numbered against the usual sense."
+    )
+    md_deg_moving: Number = Field(description="Machine direction in the moving layer, as given.")
+    md_deg_fixed: Number = Field(description="The same in the fixed layer, as given.")
+    md_deg_fixed_from_moving: Number = Field(description="The first carried over by the registration; 0 to 180.")
+    sentence: str = Field(description="The same in words.")
+
+
+class LagTile(Facts):
+    """Lag of one part of the map."""
+
+    x: float = Field(description="Middle of the tile, um.")
+    y: float = Field(description="Middle of the tile, um.")
+    lag_um: KnownPair = Field(description="Lag of the tile, along x and y.")
+    distinct: bool = Field(description="Whether its peak stands out from chance.")
+
+
+class LagFacts(Facts):
+    """What two maps say of their registration by their own texture; a check, and no gate."""
+
+    property: str = Field(description="The map that was compared with the image.")
+    lag_um: KnownPair = Field(
+        description="The image shows at p + lag what the map shows at p; along x and y. None where inconclusive."
+    )
+    se_um: KnownPair = Field(description="Standard error of the lag, along x and y.")
+    length_um: Number = Field(description="Length of the lag.")
+    length_se_um: Number = Field(description="Standard error of the length.")
+    r: Number = Field(description="r at the best lag; it was searched for and measures no relation.")
+    r_at_zero: Number = Field(description="r without any lag.")
+    limit_r: Number = Field(
+        default=None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases."
+    )
+    silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
+    agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
+    expected_um: Number = Field(description="Expected error of the registration, rms over the map.")
+    sentence: str = Field(description="The same in words.")
+    pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
+    n: int = Field(description="Pixels that are known.")
+    reach_um: float = Field(description="Largest lag that was searched.")
+    light: Number = Field(default=None, description="Share of what is explained that needs the slopes of the surface.")
+    tile_um: Number = Field(description="Side of a tile.")
+    tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
+
+
+class RegistrationFacts(Facts):
+    """How a layer was registered to another one."""
+
+    to: str = Field(description="Layer that it was registered to.")
+    path: tuple[str, ...] = Field(description="Layers from this one to the reference.")
+    source: str = Field(description="'found', or the kind of file that the marks came from.")
+    found_moving: int = Field(description="Marks found in the moving layer.")
+    found_fixed: int = Field(description="Marks found in the fixed layer.")
+    matched: int = Field(description="Pairs in use.")
+    second_best: int | None = Field(description="Marks that the second-best match has in common.")
+    match_sentence: str | None = Field(description="How the marks were matched.")
+    design: str | None = Field(default=None, description="Name of the pattern that was burnt, where one was given.")
+    tilt: HoleTiltFacts | None = Field(default=None, description="What the holes look like through the sheet.")
+    model: str = Field(description="Model of the transform that was fitted.")
+    model_sentence: str = Field(description="The model and its errors in words.")
+    warnings: tuple[str, ...] = Field(description="What to be careful about.")
+    rms_um: float = Field(description="Root mean square of the residuals.")
+    leave_one_out_rms_um: Number = Field(description="Root mean square of the leave-one-out errors.")
+    expected_error: ExpectedError | None = Field(description="How far a pixel may be off.")
+    scale: float = Field(description="Scale of the closest similarity.")
+    rotation_deg: float = Field(description="Rotation of the closest similarity.")
+    shift_um: Pair = Field(description="Shift of the closest similarity, along x and y.")
+    mirrored: bool = Field(description="Whether the transform mirrors.")
+    orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
+    lag: LagFacts | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
+
+
+class ImageFacts(Facts):
+    """What the values of an image are that is compared."""
+
+    quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")
+    dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
+    white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
+    screen_um: Number = Field(
+        default=None, description="Period of the print screen that was taken off, if it was given."
+    )
+    sigma_um: Number = Field(default=None, description="Standard deviation of the Gaussian that took it off.")
+    reach_um: Number = Field(default=None, description="How far it reaches: so much more around holes is not valid.")
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know of the values."""
+        if self.quantity == "reflectance":
+            text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
+        else:
+            text = "relative grey, as stored: no dark and white reference was given"
+        if self.screen_um is not None:
+            text += (
+                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma "
+                f"{self.sigma_um:.3g} um) before anything was compared, and {self.reach_um:.3g} um more around "
+                "holes are left out"
+            )
+        return text
+
+
+class LayerFacts(Facts):
+    """One layer: a sheet or an image."""
+
+    name: str = Field(description="Name of the layer.")
+    kind: Literal["sheet", "image"] = Field(description="sheet or image.")
+    source: InputFile = Field(description="The file that it was read from.")
+    headline: str = Field(description="The map that stands for the layer.")
+    share_of_reference: Number = Field(default=None, description="Share of the reference's pixels that show the layer.")
+    registration: RegistrationFacts | None = Field(default=None, description="None for the reference.")
+    sheet: SheetFacts | None = Field(default=None, description="None for an image.")
+    image: ImageFacts | None = Field(default=None, description="None for a sheet.")
+
+
+class _Statement(Facts):
+    """Correlation of b with a over points of one size, and how sure it is."""
+
+    point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
+    n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
+    r: Number = Field(description="Pearson's correlation.")
+    r2: Number = Field(description="Its square.")
+    rho: Number = Field(default=None, description="Spearman's rank correlation.")
+    slope: Number = Field(description="Least squares of b on a.")
+    intercept: Number = Field(description="Of the line of b on a.")
+    slope_x_on_y: Number = Field(default=None, description="Least squares of a on b: a per b.")
+    mean_a: Number = Field(default=None, description="Mean of a over the points.")
+    mean_b: Number = Field(default=None, description="Mean of b over the points.")
+    n_eff: Number = Field(default=None, description="Independent points that would test r = 0 as well.")
+    p: Number = Field(
+        default=None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
+    )
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    n_eff_interval: Number = Field(default=None, description="Independent points that would give this interval.")
+    warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+
+    @property
+    def direction(self) -> int:
+        """1 or -1 where the interval of r excludes 0, else 0."""
+        low, high = self.interval or (0.0, 0.0)
+        return 1 if low > 0 else -1 if high < 0 else 0
+
+
+_NUMBERS_OF_R = (
+    "r", "r2", "rho", "slope", "intercept", "slope_x_on_y", "mean_a", "mean_b", "n_eff", "p", "interval",
+    "n_eff_interval",
+)  # fmt: skip
+
+
+class CorrelationRow(_Statement):
+    """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
+
+    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
+
+    a: str = Field(description="First layer.")
+    a_map: str = Field(description="Its map.")
+    b: str = Field(description="Second layer.")
+    b_map: str = Field(description="Its map.")
+    p_of_table: Number = Field(
+        default=None, description="p after Holm, put right for the number of rows at this point size."
+    )
+    same_quantity: bool = Field(
+        default=False, description="Whether both maps are of one quantity, so that their difference means something."
+    )
+    difference_mean: Number = Field(default=None, description="Mean of b less a, for equal quantities.")
+    difference_sd: Number = Field(default=None, description="Standard deviation of that difference.")
+    limits: Pair | None = Field(default=None, description="Limits of agreement: where 95 % of the differences lie.")
+    units: str | None = Field(default=None, description="Unit of the difference.")
+
+
+class ComparisonRow(_Statement):
+    """The headline correlation by one registration, as the paper compares them, all on the same pixels."""
+
+    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
+
+    registration: str = Field(description="How the map was laid on the image.")
+    property: str = Field(description="The map.")
+    marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
+    difference: Number = Field(default=None, description="r of the run's own registration minus this r.")
+    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
+
+
+class SizeFacts(Facts):
+    """Correlation over points of one size, as one of many."""
+
+    point_um: float = Field(description="Edge of the points.")
+    n: int = Field(description="Points that are valid in both.")
+    r: Number = Field(description="Pearson's correlation.")
+    n_eff: Number = Field(description="Independent points.")
+    interval: KnownPair = Field(description="In which this r lies with 95 %.")
+    band: KnownPair = Field(default=None, description="In which the r of all sizes lie together with 95 %.")
+
+
+class BandFacts(Facts):
+    """What two maps have in common in one octave of wavelengths."""
+
+    shortest_um: float = Field(description="Shortest wavelength of the octave.")
+    longest_um: float = Field(description="Longest wavelength of the octave.")
+    coherence: Number = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
+    p_of_bands: Number = Field(description="p of all octaves together, after Sidak.")
+    phase_deg: Number = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")
+    gain: Number = Field(description="Change of b per change of a, with its sign.")
+    modes: Number = Field(description="Independent waves.")
+
+
+class CurveFacts(Facts):
+    """Whether an image bends over a property: a parabola beside the straight line, at the larger points."""
+
+    point_um: float = Field(description="Edge of the points.")
+    n: int = Field(description="Points that are valid in both.")
+    n_eff: Number = Field(description="Independent points.")
+    slope: Number = Field(description="Slope of the straight line.")
+    slope_interval: KnownPair = Field(description="In which the slope lies with 95 %.")
+    curvature: Number = Field(description="Coefficient of the square.")
+    interval: KnownPair = Field(description="In which the curvature lies with 95 %.")
+    r2_line: Number = Field(description="r2 of the straight line.")
+    r2_parabola: Number = Field(description="r2 of the parabola.")
+    words: str = Field(description="The same in words.")
+
+
+class KubelkaMunkFacts(Facts):
+    """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
+
+    point_um: float = Field(description="Edge of a point.")
+    ratio: float = Field(description="Absorption over scattering, as it was given.")
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    n_eff: Number = Field(default=None, description="Independent points.")
+    weight: bool = Field(
+        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
+    )
+    scattering: Number = Field(default=None, description="Coefficient S of the coating.")
+    scattering_interval: KnownPair = Field(
+        default=None, description="In which S lies with 95 %; none where it has no end."
+    )
+    backing: Number = Field(default=None, description="Reflectance below the coating, extrapolated.")
+    backing_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    backing_at_ends: KnownPair = Field(
+        default=None, description="Backing that fits best with each end of the interval of S."
+    )
+    rms: Number = Field(default=None, description="Of what the curve leaves of the reflectance.")
+    silence: str | None = Field(default=None, description="Why there is no curve.")
+
+
+class LightSpreadFacts(Facts):
+    """The headline correlation with the coating blurred as light is that spreads in paper."""
+
+    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
+    point_um: float = Field(description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    r: Number = Field(default=None, description="Correlation.")
+    n_eff: Number = Field(default=None, description="Independent points.")
+    interval: KnownPair = Field(default=None, description="In which this r lies with 95 %.")
+    difference: Number = Field(
+        default=None, description="This r minus that of the coating as it is, at the same points."
+    )
+    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no such r.")
+
+
+class MottleBandFacts(Facts):
+    """How uneven an image is in one octave of wavelength."""
+
+    shortest_um: float = Field(description="Shortest wave of the octave.")
+    longest_um: float = Field(description="Longest wave of the octave.")
+    coefficient_of_variation: float = Field(description="Standard deviation of the octave over the mean.")
+
+
+class MottleFacts(Facts):
+    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
+
+    layer: str = Field(description="Name of the layer.")
+    bands: tuple[MottleBandFacts, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    mean: Number = Field(default=None, description="Of the image.")
+    n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
+    measured: str | None = Field(default=None, description="What the values are of.")
+    silence: str | None = Field(default=None, description="Why there is none.")
+
+
+class PartialFacts(Facts):
+    """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
+
+    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
+    point_um: float = Field(description="Edge of the points.")
+    n: int | None = Field(default=None, description="Points that are valid in all maps.")
+    r: Number = Field(default=None, description="Partial correlation.")
+    n_eff: Number = Field(default=None, description="Independent points of what is left.")
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no partial correlation.")
+
+
+class ThinRegionFacts(Facts):
+    """Mean of the image where the coating is thinner than a limit, minus that elsewhere."""
+
+    thinner_than_um: float = Field(description="Limit of the coating's thickness.")
+    share: float = Field(description="Share of the pixels where it is thinner.")
+    difference: float = Field(description="Mean of the image there less that elsewhere.")
+    interval: KnownPair = Field(description="In which the difference lies with 95 %.")
+    n_eff: Number = Field(description="Independent points of the thin regions.")
+
+
+class ReliabilityFacts(Facts):
+    """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
+
+    layer: str = Field(description="Name of the layer.")
+    map: str = Field(description="Name of the map.")
+    point_um: float = Field(description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points that are known in both halves.")
+    halves_r: Number = Field(default=None, description="Correlation of both halves.")
+    value: Number = Field(
+        default=None, description="Share of the variance of the map that both halves show: an upper bound."
+    )
+    interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    n_eff: Number = Field(default=None, description="Independent points.")
+    shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
+    silence: str | None = Field(default=None, description="Why there is none.")
+
+
+class SecondOpinionFacts(Facts):
+    """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
+
+    point_um: float = Field(description="Edge of a point.")
+    interval: KnownPair = Field(description="In which r lies with 95 %.")
+    standard_error: Number = Field(description="Of Fisher's z.")
+    critical: Number = Field(description="Standard errors to either side.")
+    ratio: Number = Field(description="Standard error over that of the covariances.")
+
+
+class VariogramFacts(Facts):
+    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
+
+    layer: str = Field(description="Name of the layer.")
+    map: str = Field(description="Name of the map.")
+    units: str = Field(description="Of the values.")
+    cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
+    nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
+    sill: float = Field(description="Variance of the map.")
+    range_um: Number = Field(
+        description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
+    )
+    md_deg: Number = Field(None, description="Machine direction on the reference, where the run knows it.")
+    range_along_um: Number = Field(None, description="The range within 22.5 degrees of the machine direction.")
+    range_across_um: Number = Field(None, description="The same across it.")
+    ratio: Number = Field(None, description="Range along over range across.")
+    distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
+    values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
+
+
+class LagProfile(Facts):
+    """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
+
+    lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
+    r: tuple[Number, ...] = Field(description="Correlation.")
+    limit: tuple[Number, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
+    limit_of_any: tuple[Number, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
+
+
+class CorrelogramFacts(Facts):
+    """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
+
+    cell_um: Pair = Field(description="Size of a cell along x and y.")
+    reach_um: float = Field(description="Largest shift.")
+    r_at_zero: Number = Field(description="Without a shift.")
+    peak_r: float = Field(description="Largest r of all shifts.")
+    lag_um: Pair = Field(description="Of the largest |r|.")
+    inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
+    widths_um: KnownPair = Field(description="Full widths at half height, the longer one first.")
+    angle_deg: Number = Field(description="Direction of the longer width, clockwise from the x axis.")
+    n_eff: Number = Field(description="Independent points.")
+    limit_of_any: Number = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
+    beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
+    along_x: LagProfile = Field(description="Through no shift, along x.")
+    along_y: LagProfile = Field(description="Through no shift, along y.")
+
+
+class RingFacts(Facts):
+    """How far two measurements of one quantity agree in waves of one length."""
+
+    wavelength_um: float = Field(description="Middle of the ring.")
+    correlation: float = Field(description="Of the waves of the ring.")
+    threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
+    modes: float = Field(description="Independent waves.")
+
+
+class TwiceFacts(Facts):
+    """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
+
+    rings: tuple[RingFacts, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    resolution_um: Number = Field(default=None, description="Shortest wave that both show.")
+    sentence: str | None = Field(default=None, description="The same in words.")
+    point_um: Number = Field(default=None, description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points of which bias and scatter are.")
+    bias: Number = Field(default=None, description="Mean of b - a at the larger points.")
+    bias_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
+    sd: Number = Field(default=None, description="Standard deviation of b - a.")
+    sd_interval: KnownPair = Field(
+        default=None, description="In which the standard deviation of the difference lies with 95 %."
+    )
+    limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
+    limit_intervals: tuple[KnownPair, KnownPair] = Field(
+        default=(None, None), description="In which the lower and the upper limit lie with 95 %."
+    )
+    units: str = Field(default="1", description="Of the values.")
+    error_ratio: Number = Field(
+        default=None, description="Variance of the errors of b over that of a, as it was given."
+    )
+    error_slope: Number = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
+    error_intercept: Number = Field(default=None, description="Of the line by the ratio of errors.")
+    error_interval: KnownPair = Field(default=None, description="In which that slope lies with 95 %.")
+
+
+class EvidenceFacts(Facts):
+    """What stands beside the correlation of the maps that stand for two layers."""
+
+    a: str = Field(description="First layer.")
+    a_map: str = Field(description="Its map.")
+    b: str = Field(description="Second layer.")
+    b_map: str = Field(description="Its map.")
+    declared: bool = Field(description="Whether the study named the map before r was looked at.")
+    sizes: tuple[SizeFacts, ...] = Field(default=(), description="r over points of growing size.")
+    bands: tuple[BandFacts, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
+    resolution_per_um: Number = Field(
+        default=None, description="Waves closer in frequency than this are not distinguished."
+    )
+    origins: tuple[float, float, float] | None = Field(
+        default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
+    )
+    curve: CurveFacts | None = Field(default=None, description="Whether the relation is straight or bent.")
+    kubelka_munk: KubelkaMunkFacts | None = Field(default=None, description="Where the study asks for it.")
+    light_spread: LightSpreadFacts | None = Field(
+        default=None, description="Where the study states how far light spreads."
+    )
+    density_g_cm3: Number = Field(
+        default=None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
+    )
+    thin: tuple[ThinRegionFacts, ...] = Field(default=(), description="The image where the coating is thin.")
+    short_waves: SizeFacts | None = Field(default=None, description="Without waves above short_waves_um.")
+    short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
+    ceiling: Number = Field(
+        default=None, description="The r that a perfect relation would show, by misplacement alone."
+    )
+    ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
+    reliability: tuple[ReliabilityFacts, ...] = Field(
+        default=(), description="Of the maps of sheets among the two, at the larger points."
+    )
+    ceiling_noise: Number = Field(
+        default=None,
+        description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound.",
+    )
+    ceiling_both: Number = Field(default=None, description="The same by noise and misplacement together.")
+    second_opinion: SecondOpinionFacts | None = Field(
+        default=None, description="An interval from what single points add to r."
+    )
+    variograms: tuple[VariogramFacts, ...] = Field(default=(), description="How each map varies with distance.")
+    correlogram: CorrelogramFacts | None = Field(default=None, description="r at every shift of one map.")
+    twice: TwiceFacts | None = Field(default=None, description="Where both maps are of the same quantity.")
+    partial: PartialFacts | None = Field(default=None, description="Where the study names maps that stand beside.")
+    commonality: dict[str, float] | None = Field(
+        None,
+        description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
+        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does.",
+    )
+
+
+class LinkedArea(Facts):
+    """How much of the reference shows all layers, and how much of that is valid."""
+
+    pixels: int = Field(description="Pixels of the reference.")
+    share_on_sheet: float = Field(description="Share of them that shows the sheet.")
+    share_valid: float = Field(description="Share of them that is valid.")
+    share_valid_of_sheet: float = Field(description="Share of the sheet's pixels that is valid.")
+    share_valid_away_from_holes: float = Field(description="The same away from holes and their rims.")
+
+
+class RegionFacts(Facts):
+    """A region that was declared an artefact; its texts are empty where they are not given."""
+
+    name: str = Field(description="Name of the region.")
+    reason: str = Field(description="Why its pixels do not count.")
+    author: str = Field(description="Who declared it.")
+    share: float = Field(description="Share of the reference's pixels.")
+
+
+class RegionsFacts(Facts):
+    """Regions that were declared artefacts: their pixels are not valid and count in no correlation."""
+
+    count: int = Field(description="Number of regions.")
+    share: float = Field(description="Share of the reference's pixels that lie in a region.")
+    regions: tuple[RegionFacts, ...] = Field(description="Each of them.")
+
+
+class RefinementR(Facts):
+    """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
+
+    r: Number = Field(description="Pearson's correlation.")
+    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
+    n_eff: Number = Field(default=None, description="Independent points.")
+    r_of_marks: Number = Field(default=None, description="By the marks alone, over the same pixels.")
+    gain_interval: KnownPair = Field(default=None, description="In which r - r_of_marks lies with 95 %.")
+    registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
+    sentence: str = Field(description="The same in words.")
+    n: int | None = Field(default=None, description="Pixels that are reported on.")
+    tile_um: Number = Field(default=None, description="Side of the tiles of the checkerboard.")
+    guard_um: Number = Field(default=None, description="Distance kept from the pixels that were tuned on.")
+    null_95: Number = Field(default=None, description="|r| that the search reaches on 95 % of unrelated maps.")
+    p: Number = Field(default=None, description="Share of unrelated maps that reach this r.")
+    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
+
+
+class RefinementFacts(Facts):
+    """A registration refined by the maps themselves."""
+
+    model: str = Field(description="affine or bspline.")
+    metric: str = Field(description="What was made as large as possible.")
+    property: str = Field(description="The map that was refined.")
+    moved_rms_um: float = Field(description="Displacement, rms over the pixels.")
+    moved_most_um: float = Field(description="Largest displacement.")
+    share_of_expected_error: float = Field(description="Largest ratio of displacement to expected error.")
+    area: tuple[float, ...] = Field(description="Least and largest local change of area.")
+    strain: float = Field(description="Largest local strain, without its sign.")
+    warnings: tuple[str, ...] = Field(description="What to be careful about.")
+    sentence: str = Field(description="The same in words.")
+    longest_wave_um: float = Field(description="Longer waves were taken off both maps first.")
+    correlation: RefinementR = Field(description="r that the refinement did not maximise.")
+
+
+class Results(Facts):
+    """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
+
+    format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")
+    planish: str = Field(description="Version of the program.")
+    code: str = Field(default="", description="Hash of the program's sources; empty where not all is of one code.")
+    versions: dict[str, str] = Field(description="Versions of the libraries that numbers depend on.")
+    layers: tuple[LayerFacts, ...] = Field(description="In the order given; the last one is the reference of a link.")
+    chain: bool = Field(default=False, description="Whether each layer was registered to the next one.")
+    correlations: tuple[CorrelationRow, ...] = Field(
+        default=(), description="Every pair of layers at each size of points."
+    )
+    comparison: tuple[ComparisonRow, ...] = Field(
+        default=(), description="The headline correlation by projection and flattening."
+    )
+    evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
+    linked: LinkedArea | None = Field(default=None, description="How much of the reference is valid; of a link only.")
+    regions: RegionsFacts | None = Field(default=None, description="Declared artefacts, where there are any.")
+    mottle: tuple[MottleFacts, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
+    refinement: RefinementFacts | None = Field(
+        default=None, description="Where the registration was refined by the maps."
+    )
+    checks: tuple[Check, ...] = Field(description="Every check with its state.")
+    parameters: dict[str, Any] = Field(description="Every parameter of the study; paths are left out.")
+
+    @property
+    def is_of_this_code(self) -> bool:
+        """Whether the same version made them, from the same sources."""
+        return is_this_code(self.planish, self.code)
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check failed."""
+        return self.state != "fail"
+
+    @property
+    def state(self) -> State:
+        """The worst state of all checks: fail, look, unknown, or pass."""
+        states = {check.state for check in self.checks}
+        order: tuple[State, ...] = ("fail", "look", "unknown")
+        for state in order:
+            if state in states:
+                return state
+        return "pass"
+
+    def spoken(self, *states: State) -> list[Check]:
+        """The checks in these states."""
+        return [check for check in self.checks if check.state in states]
+
+    @property
+    def is_link(self) -> bool:
+        """Whether layers were linked; otherwise one sheet was mapped."""
+        return len(self.layers) > 1
+
+    @property
+    def reference(self) -> LayerFacts:
+        """The layer that all others were brought to."""
+        return self.layers[-1]
+
+    @property
+    def moving(self) -> tuple[LayerFacts, ...]:
+        """The layers that were brought to the reference."""
+        return self.layers[:-1]
+
+    def layer(self, name: str) -> LayerFacts:
+        """The layer of a name."""
+        return next(layer for layer in self.layers if layer.name == name)
+
+    def to_json(self) -> str:
+        """The text of ``results.json``."""
+        return self.model_dump_json(indent=2) + "\n"
+
+    @classmethod
+    def read(cls, path: Path) -> Self:
+        """Read ``results.json``.
+
+        Raises
+        ------
+        FileError
+            If it cannot be read, is damaged, or has an older format.
+        """
+        try:
+            data: Any = json.loads(path.read_text(encoding="utf-8"))
+        except (OSError, ValueError, RecursionError) as error:
+            raise FileError(f"{path} cannot be read: {error}. Give a whole run folder, or repeat the run.") from error
+        if isinstance(data, dict) and str(data.get("planish", "")).startswith("0.1."):  # type: ignore[reportUnknownArgumentType]
+            raise FileError(
+                f"{path.parent} was made by planish 0.1.0. Its maps and its report.html stay readable, but the errors "
+                "stated there are about 1.5 times too small. Repeat it with this version: planish run "
+                f"{path.parent}/run.toml"
+            )
+        if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
+            raise FileError(
+                f"{path.parent} was made by planish {data.get('planish')}: its results have an older format. Its maps "
+                f"and its report.html stay readable. Repeat it with this version: planish run {path.parent}/run.toml"
+            )
+        try:
+            return cls.model_validate(data)
+        except ValidationError as error:
+            first = error.errors()[0]
+            raise FileError(
+                f"{path} is no results file of planish: {'.'.join(map(str, first['loc']))}: {first['msg']}. "
+                "Give a whole run folder, or repeat the run."
+            ) from error
