@@ -11,9 +11,22 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationError
 
+from planish.analyze.agreement import Agreement
+from planish.analyze.beside import Partial
+from planish.analyze.correlograms import CorrelogramProfiles
+from planish.analyze.curve import Curvature, KubelkaMunk
+from planish.analyze.curve_of_sizes import SizeRow
+from planish.analyze.light_spread import LightSpread
+from planish.analyze.mottle import Mottle
+from planish.analyze.octaves import Band
+from planish.analyze.reliability import Reliability
+from planish.analyze.rings import RingCorrelation
+from planish.analyze.second_opinion import SecondOpinion
+from planish.analyze.thin_regions import RegionDifference
+from planish.analyze.variograms import VariogramCurve
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import Facts, KnownPair, Number, Pair, Side, Trust
+from planish.core.facts import AtPoints, Facts, Interval, KnownPair, Number, OfLayer, OfMap, Pair, Side, Trust, Value
 from planish.core.results import HoleTiltFacts, InputFile, SheetNumbers
 from planish.core.sources import is_this_code
 
@@ -404,232 +417,57 @@ class ComparisonRow(_Statement):
     difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
 
 
-class SizeFacts(Facts):
-    """Correlation over points of one size, as one of many."""
-
+class _OverPoints(Facts):
     point_um: float = Field(description="Edge of the points.")
-    n: int = Field(description="Points that are valid in both.")
-    r: Number = Field(description="Pearson's correlation.")
-    n_eff: Number = Field(description="Independent points.")
-    interval: KnownPair = Field(description="In which this r lies with 95 %.")
-    band: KnownPair = Field(default=None, description="In which the r of all sizes lie together with 95 %.")
 
 
-class BandFacts(Facts):
-    """What two maps have in common in one octave of wavelengths."""
-
-    shortest_um: float = Field(description="Shortest wavelength of the octave.")
-    longest_um: float = Field(description="Longest wavelength of the octave.")
-    coherence: Number = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
-    p_of_bands: Number = Field(description="p of all octaves together, after Sidak.")
-    phase_deg: Number = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")
-    gain: Number = Field(description="Change of b per change of a, with its sign.")
-    modes: Number = Field(description="Independent waves.")
-
-
-class CurveFacts(Facts):
+class ImageCurve(Curvature, _OverPoints):
     """Whether an image bends over a property: a parabola beside the straight line, at the larger points."""
 
-    point_um: float = Field(description="Edge of the points.")
-    n: int = Field(description="Points that are valid in both.")
-    n_eff: Number = Field(description="Independent points.")
-    slope: Number = Field(description="Slope of the straight line.")
-    slope_interval: KnownPair = Field(description="In which the slope lies with 95 %.")
-    curvature: Number = Field(description="Coefficient of the square.")
-    interval: KnownPair = Field(description="In which the curvature lies with 95 %.")
-    r2_line: Number = Field(description="r2 of the straight line.")
-    r2_parabola: Number = Field(description="r2 of the parabola.")
-    words: str = Field(description="The same in words.")
 
-
-class KubelkaMunkFacts(Facts):
+class CoatingCurve(KubelkaMunk, AtPoints):
     """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
 
-    point_um: float = Field(description="Edge of a point.")
-    ratio: float = Field(description="Absorption over scattering, as it was given.")
-    n: int | None = Field(default=None, description="Points that are valid in both maps.")
-    n_eff: Number = Field(default=None, description="Independent points.")
-    weight: bool = Field(
-        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
-    )
-    scattering: Number = Field(default=None, description="Coefficient S of the coating.")
-    scattering_interval: KnownPair = Field(
-        default=None, description="In which S lies with 95 %; none where it has no end."
-    )
-    backing: Number = Field(default=None, description="Reflectance below the coating, extrapolated.")
-    backing_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
-    backing_at_ends: KnownPair = Field(
-        default=None, description="Backing that fits best with each end of the interval of S."
-    )
-    rms: Number = Field(default=None, description="Of what the curve leaves of the reflectance.")
     silence: str | None = Field(default=None, description="Why there is no curve.")
 
 
-class LightSpreadFacts(Facts):
-    """The headline correlation with the coating blurred as light is that spreads in paper."""
-
-    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
-    point_um: float = Field(description="Edge of a point.")
-    n: int | None = Field(default=None, description="Points that are valid in both maps.")
-    r: Number = Field(default=None, description="Correlation.")
-    n_eff: Number = Field(default=None, description="Independent points.")
-    interval: KnownPair = Field(default=None, description="In which this r lies with 95 %.")
-    difference: Number = Field(
-        default=None, description="This r minus that of the coating as it is, at the same points."
-    )
-    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
-    silence: str | None = Field(default=None, description="Why there is no such r.")
-
-
-class MottleBandFacts(Facts):
-    """How uneven an image is in one octave of wavelength."""
-
-    shortest_um: float = Field(description="Shortest wave of the octave.")
-    longest_um: float = Field(description="Longest wave of the octave.")
-    coefficient_of_variation: float = Field(description="Standard deviation of the octave over the mean.")
-
-
-class MottleFacts(Facts):
+class LayerMottle(Mottle, OfLayer):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
-    layer: str = Field(description="Name of the layer.")
-    bands: tuple[MottleBandFacts, ...] = Field(default=(), description="From the longest waves to the shortest.")
-    mean: Number = Field(default=None, description="Of the image.")
-    n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
-    measured: str | None = Field(default=None, description="What the values are of.")
     silence: str | None = Field(default=None, description="Why there is none.")
 
 
-class PartialFacts(Facts):
-    """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
-
-    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
-    point_um: float = Field(description="Edge of the points.")
-    n: int | None = Field(default=None, description="Points that are valid in all maps.")
-    r: Number = Field(default=None, description="Partial correlation.")
-    n_eff: Number = Field(default=None, description="Independent points of what is left.")
-    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
-    silence: str | None = Field(default=None, description="Why there is no partial correlation.")
+class _ThinnerThan(Facts):
+    thinner_than_um: float = Field(description="Limit of the coating's thickness.")
 
 
-class ThinRegionFacts(Facts):
+class ThinRegion(RegionDifference, _ThinnerThan):
     """Mean of the image where the coating is thinner than a limit, minus that elsewhere."""
 
-    thinner_than_um: float = Field(description="Limit of the coating's thickness.")
-    share: float = Field(description="Share of the pixels where it is thinner.")
-    difference: float = Field(description="Mean of the image there less that elsewhere.")
-    interval: KnownPair = Field(description="In which the difference lies with 95 %.")
-    n_eff: Number = Field(description="Independent points of the thin regions.")
 
-
-class ReliabilityFacts(Facts):
+class MapReliability(Reliability, OfMap):
     """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
 
-    layer: str = Field(description="Name of the layer.")
-    map: str = Field(description="Name of the map.")
-    point_um: float = Field(description="Edge of a point.")
-    n: int | None = Field(default=None, description="Points that are known in both halves.")
-    halves_r: Number = Field(default=None, description="Correlation of both halves.")
-    value: Number = Field(
-        default=None, description="Share of the variance of the map that both halves show: an upper bound."
-    )
-    interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
-    n_eff: Number = Field(default=None, description="Independent points.")
     shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
     silence: str | None = Field(default=None, description="Why there is none.")
 
 
-class SecondOpinionFacts(Facts):
-    """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
-
-    point_um: float = Field(description="Edge of a point.")
-    interval: KnownPair = Field(description="In which r lies with 95 %.")
-    standard_error: Number = Field(description="Of Fisher's z.")
-    critical: Number = Field(description="Standard errors to either side.")
-    ratio: Number = Field(description="Standard error over that of the covariances.")
-
-
-class VariogramFacts(Facts):
+class MapVariogram(VariogramCurve, OfMap):
     """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
 
-    layer: str = Field(description="Name of the layer.")
-    map: str = Field(description="Name of the map.")
-    units: str = Field(description="Of the values.")
-    cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
-    nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
-    sill: float = Field(description="Variance of the map.")
-    range_um: Number = Field(
-        description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
-    )
-    md_deg: Number = Field(None, description="Machine direction on the reference, where the run knows it.")
-    range_along_um: Number = Field(None, description="The range within 22.5 degrees of the machine direction.")
-    range_across_um: Number = Field(None, description="The same across it.")
-    ratio: Number = Field(None, description="Range along over range across.")
-    distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
-    values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
+
+class _WithPoint(Facts):
+    point_um: Value = Field(default=None, description="Edge of a point.")
 
 
-class LagProfile(Facts):
-    """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
-
-    lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
-    r: tuple[Number, ...] = Field(description="Correlation.")
-    limit: tuple[Number, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
-    limit_of_any: tuple[Number, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
-
-
-class CorrelogramFacts(Facts):
-    """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
-
-    cell_um: Pair = Field(description="Size of a cell along x and y.")
-    reach_um: float = Field(description="Largest shift.")
-    r_at_zero: Number = Field(description="Without a shift.")
-    peak_r: float = Field(description="Largest r of all shifts.")
-    lag_um: Pair = Field(description="Of the largest |r|.")
-    inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
-    widths_um: KnownPair = Field(description="Full widths at half height, the longer one first.")
-    angle_deg: Number = Field(description="Direction of the longer width, clockwise from the x axis.")
-    n_eff: Number = Field(description="Independent points.")
-    limit_of_any: Number = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
-    beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
-    along_x: LagProfile = Field(description="Through no shift, along x.")
-    along_y: LagProfile = Field(description="Through no shift, along y.")
-
-
-class RingFacts(Facts):
-    """How far two measurements of one quantity agree in waves of one length."""
-
-    wavelength_um: float = Field(description="Middle of the ring.")
-    correlation: float = Field(description="Of the waves of the ring.")
-    threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
-    modes: float = Field(description="Independent waves.")
-
-
-class TwiceFacts(Facts):
+class Twice(Agreement, _WithPoint, RingCorrelation):
     """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
 
-    rings: tuple[RingFacts, ...] = Field(default=(), description="From the longest waves to the shortest.")
-    resolution_um: Number = Field(default=None, description="Shortest wave that both show.")
-    sentence: str | None = Field(default=None, description="The same in words.")
-    point_um: Number = Field(default=None, description="Edge of a point.")
-    n: int | None = Field(default=None, description="Points of which bias and scatter are.")
-    bias: Number = Field(default=None, description="Mean of b - a at the larger points.")
-    bias_interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
-    sd: Number = Field(default=None, description="Standard deviation of b - a.")
-    sd_interval: KnownPair = Field(
-        default=None, description="In which the standard deviation of the difference lies with 95 %."
-    )
-    limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
-    limit_intervals: tuple[KnownPair, KnownPair] = Field(
-        default=(None, None), description="In which the lower and the upper limit lie with 95 %."
-    )
     units: str = Field(default="1", description="Of the values.")
-    error_ratio: Number = Field(
-        default=None, description="Variance of the errors of b over that of a, as it was given."
-    )
-    error_slope: Number = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
-    error_intercept: Number = Field(default=None, description="Of the line by the ratio of errors.")
-    error_interval: KnownPair = Field(default=None, description="In which that slope lies with 95 %.")
+    error_ratio: Value = Field(default=None, description="Variance of the errors of b over that of a, as it was given.")
+    error_slope: Value = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
+    error_intercept: Value = Field(default=None, description="Of the line by the ratio of errors.")
+    error_interval: Interval = Field(default=None, description="In which that slope lies with 95 %.")
 
 
 class EvidenceFacts(Facts):
@@ -640,30 +478,28 @@ class EvidenceFacts(Facts):
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
     declared: bool = Field(description="Whether the study named the map before r was looked at.")
-    sizes: tuple[SizeFacts, ...] = Field(default=(), description="r over points of growing size.")
-    bands: tuple[BandFacts, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
+    sizes: tuple[SizeRow, ...] = Field(default=(), description="r over points of growing size.")
+    bands: tuple[Band, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
     resolution_per_um: Number = Field(
         default=None, description="Waves closer in frequency than this are not distinguished."
     )
     origins: tuple[float, float, float] | None = Field(
         default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
     )
-    curve: CurveFacts | None = Field(default=None, description="Whether the relation is straight or bent.")
-    kubelka_munk: KubelkaMunkFacts | None = Field(default=None, description="Where the study asks for it.")
-    light_spread: LightSpreadFacts | None = Field(
-        default=None, description="Where the study states how far light spreads."
-    )
+    curve: ImageCurve | None = Field(default=None, description="Whether the relation is straight or bent.")
+    kubelka_munk: CoatingCurve | None = Field(default=None, description="Where the study asks for it.")
+    light_spread: LightSpread | None = Field(default=None, description="Where the study states how far light spreads.")
     density_g_cm3: Number = Field(
         default=None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
     )
-    thin: tuple[ThinRegionFacts, ...] = Field(default=(), description="The image where the coating is thin.")
-    short_waves: SizeFacts | None = Field(default=None, description="Without waves above short_waves_um.")
+    thin: tuple[ThinRegion, ...] = Field(default=(), description="The image where the coating is thin.")
+    short_waves: SizeRow | None = Field(default=None, description="Without waves above short_waves_um.")
     short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
     ceiling: Number = Field(
         default=None, description="The r that a perfect relation would show, by misplacement alone."
     )
     ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
-    reliability: tuple[ReliabilityFacts, ...] = Field(
+    reliability: tuple[MapReliability, ...] = Field(
         default=(), description="Of the maps of sheets among the two, at the larger points."
     )
     ceiling_noise: Number = Field(
@@ -671,13 +507,13 @@ class EvidenceFacts(Facts):
         description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound.",
     )
     ceiling_both: Number = Field(default=None, description="The same by noise and misplacement together.")
-    second_opinion: SecondOpinionFacts | None = Field(
+    second_opinion: SecondOpinion | None = Field(
         default=None, description="An interval from what single points add to r."
     )
-    variograms: tuple[VariogramFacts, ...] = Field(default=(), description="How each map varies with distance.")
-    correlogram: CorrelogramFacts | None = Field(default=None, description="r at every shift of one map.")
-    twice: TwiceFacts | None = Field(default=None, description="Where both maps are of the same quantity.")
-    partial: PartialFacts | None = Field(default=None, description="Where the study names maps that stand beside.")
+    variograms: tuple[MapVariogram, ...] = Field(default=(), description="How each map varies with distance.")
+    correlogram: CorrelogramProfiles | None = Field(default=None, description="r at every shift of one map.")
+    twice: Twice | None = Field(default=None, description="Where both maps are of the same quantity.")
+    partial: Partial | None = Field(default=None, description="Where the study names maps that stand beside.")
     commonality: dict[str, float] | None = Field(
         None,
         description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
@@ -765,7 +601,7 @@ class Results(Facts):
     evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
     linked: LinkedArea | None = Field(default=None, description="How much of the reference is valid; of a link only.")
     regions: RegionsFacts | None = Field(default=None, description="Declared artefacts, where there are any.")
-    mottle: tuple[MottleFacts, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
+    mottle: tuple[LayerMottle, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
     refinement: RefinementFacts | None = Field(
         default=None, description="Where the registration was refined by the maps."
     )

@@ -1,6 +1,7 @@
 from .agreement import Agreement as Agreement
 from .agreement import bland_altman as bland_altman
 from .beside import Origins as Origins
+from .beside import Partial as Partial
 from .beside import commonality as commonality
 from .beside import of_short_waves as of_short_waves
 from .beside import origins as origins
@@ -20,6 +21,8 @@ from .correlation import PairSums as PairSums
 from .correlation import correlate as correlate
 from .correlation import pearson as pearson
 from .correlograms import Correlogram as Correlogram
+from .correlograms import CorrelogramProfiles as CorrelogramProfiles
+from .correlograms import LagProfile as LagProfile
 from .correlograms import cross_correlogram as cross_correlogram
 from .cross_fit import CrossFitted as CrossFitted
 from .cross_fit import Registration as Registration
@@ -33,6 +36,7 @@ from .curve import KubelkaMunk as KubelkaMunk
 from .curve import fit_kubelka_munk as fit_kubelka_munk
 from .curve import straight_or_curved as straight_or_curved
 from .curve_of_sizes import SizeCurve as SizeCurve
+from .curve_of_sizes import SizeRow as SizeRow
 from .curve_of_sizes import size_curve as size_curve
 from .design import StudyDesign as StudyDesign
 from .design import expected_n_eff as expected_n_eff
@@ -54,10 +58,13 @@ from .kubelka_munk import weight_from_thickness as weight_from_thickness
 from .lag import Lag as Lag
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
+from .light_spread import LightSpread as LightSpread
+from .light_spread import correlate_spread as correlate_spread
 from .light_spread import spread_light as spread_light
 from .mottle import Mottle as Mottle
 from .mottle import MottleBand as MottleBand
 from .mottle import print_mottle as print_mottle
+from .octaves import Band as Band
 from .octaves import Coherence as Coherence
 from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
@@ -99,4 +106,5 @@ from .texture import textures as textures
 from .thin_regions import RegionDifference as RegionDifference
 from .thin_regions import region_difference as region_difference
 from .variograms import Variogram as Variogram
+from .variograms import VariogramCurve as VariogramCurve
 from .variograms import variogram as variogram

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, PairSums, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances, covariance_of
 from planish.core.errors import CannotMeasure
+from planish.core.facts import Facts, Interval, Unsaved, Value
 
 _CHANCE = 0.95
 _LEAST = 3
@@ -23,41 +24,27 @@ _MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
 _UNKNOWN = (math.nan, math.nan)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Agreement:
+class Agreement(Facts):
     """Two measurements a and b of one quantity, pixel by pixel; differences are b less a.
 
-    Attributes
-    ----------
-    n : int
-        Pixels that are valid in both.
-    bias, sd : float
-        Mean and standard deviation of the differences.
-    limits : (float, float)
-        ``bias - 1.96 sd`` and ``bias + 1.96 sd``: between them lie 95 % of normal differences.
-    bias_interval, sd_interval : (float, float)
-        In which each lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
-    limit_intervals : ((float, float), (float, float))
-        The same of each limit.
-    n_eff : float
-        Independent points of the mean difference.
-    n_eff_sd : float
-        Independent points of its standard deviation.
-    slope, slope_x_on_y : float
-        Least squares of b on a, and of a on b; the line of a perfect relation lies between the two.
+    The line of a perfect relation lies between ``slope`` (b on a) and that of a on b.
     """
 
-    n: int
-    bias: float
-    sd: float
-    limits: tuple[float, float]
-    bias_interval: tuple[float, float]
-    sd_interval: tuple[float, float]
-    limit_intervals: tuple[tuple[float, float], tuple[float, float]]
-    n_eff: float
-    n_eff_sd: float
-    slope: float
-    slope_x_on_y: float
+    n: int | None = Field(default=None, description="Points of which bias and scatter are.")
+    bias: Value = Field(default=None, description="Mean of b - a at the larger points.")
+    bias_interval: Interval = Field(default=None, description="In which it lies with 95 %.")
+    sd: Value = Field(default=None, description="Standard deviation of b - a.")
+    sd_interval: Interval = Field(
+        default=None, description="In which the standard deviation of the difference lies with 95 %."
+    )
+    limits: Interval = Field(default=None, description="Between them lie 95 % of normal differences.")
+    limit_intervals: tuple[Interval, Interval] = Field(
+        default=(None, None), description="In which the lower and the upper limit lie with 95 %."
+    )
+    n_eff: Unsaved = Field(default=None, exclude=True, description="Independent points of the mean difference.")
+    n_eff_sd: Unsaved = Field(default=None, exclude=True, description="Independent points of its standard deviation.")
+    slope: Unsaved = Field(default=None, exclude=True, description="Least squares of b on a.")
+    slope_x_on_y: Unsaved = Field(default=None, exclude=True, description="Least squares of a on b: a per b.")
 
 
 def bland_altman(

@@ -10,11 +10,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.correlation import Correlation, correlate, on_one_grid
 from planish.analyze.texture import low_pass
 from planish.analyze.trend import without_trend
 from planish.core.errors import CannotMeasure, InputError, SizeError
+from planish.core.facts import Facts, Interval, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,6 +25,18 @@ _ORIGINS = 4  # along either axis
 _LONGEST = 0.2  # of the shorter side: waves that a field holds too few of
 _MOST_PARTS = 4
 _LEAST = 3  # pixels
+
+
+class Partial(Facts):
+    """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
+
+    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
+    point_um: float = Field(description="Edge of the points.")
+    n: int | None = Field(default=None, description="Points that are valid in all maps.")
+    r: Value = Field(default=None, description="Partial correlation.")
+    n_eff: Value = Field(default=None, description="Independent points of what is left.")
+    interval: Interval = Field(default=None, description="In which r lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no partial correlation.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

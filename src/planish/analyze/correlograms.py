@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
 from planish.analyze.chance import normal_tail
@@ -15,6 +16,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.ncc import MaskedNcc
 from planish.core.errors import CannotMeasure, SizeError
+from planish.core.facts import Facts, Interval, Pair, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -23,6 +25,34 @@ _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
 _RAYS = 72
 _STEP = 0.25  # pixels, along a ray
 _NODES = 65
+_MOST_LAGS = 40  # of a profile to either side
+
+
+class LagProfile(Facts):
+    """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
+
+    lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
+    r: tuple[Value, ...] = Field(description="Correlation.")
+    limit: tuple[Value, ...] = Field(description="|r| that unrelated maps exceed at this lag with 1 %.")
+    limit_of_any: tuple[Value, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
+
+
+class CorrelogramProfiles(Facts):
+    """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
+
+    cell_um: Pair = Field(description="Size of a cell along x and y.")
+    reach_um: float = Field(description="Largest shift.")
+    r_at_zero: Value = Field(description="Without a shift.")
+    peak_r: float = Field(description="Largest r of all shifts.")
+    lag_um: Pair = Field(description="Of the largest |r|.")
+    inner: bool = Field(description="Whether that is a summit, not a slope that goes on beyond the reach.")
+    widths_um: Interval = Field(description="Full widths at half height, the longer one first.")
+    angle_deg: Value = Field(description="Direction of the longer width, clockwise from the x axis.")
+    n_eff: Value = Field(description="Independent points.")
+    limit_of_any: Value = Field(description="|r| at lag 0 that unrelated maps exceed at any lag with 1 %.")
+    beyond_chance: bool | None = Field(description="Whether some lag exceeds that; none where nothing is claimed.")
+    along_x: LagProfile = Field(description="Through no shift, along x.")
+    along_y: LagProfile = Field(description="Through no shift, along y.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -80,6 +110,24 @@ class Correlogram:
         """Whether some lag exceeds what unrelated maps reach at any lag with 1 %; None where nothing is claimed."""
         limit = self.band_99_of_any
         return bool(np.any(np.abs(self.r) > limit)) if np.isfinite(limit).any() else None
+
+    def profiles(self, cell_um: Pair) -> CorrelogramProfiles:
+        """Return what stands in the results of a run: the peak, and r along both axes through lag 0."""
+        row, col = (n // 2 for n in self.r.shape)
+        return CorrelogramProfiles(
+            cell_um=cell_um, reach_um=min(float(self.lag_y_um[-1]), float(self.lag_x_um[-1])),
+            r_at_zero=float(self.r[row, col]), peak_r=self.peak_r, lag_um=self.lag_um, inner=self.inner,
+            widths_um=self.widths_um, angle_deg=self.angle_deg, n_eff=self.n_eff,
+            limit_of_any=float(self.band_99_of_any[row, col]), beyond_chance=self.beyond_chance,
+            along_x=self._profile(self.lag_x_um, np.s_[row, :]), along_y=self._profile(self.lag_y_um, np.s_[:, col]),
+        )  # fmt: skip
+
+    def _profile(self, lags_um: Array, axis: tuple[int | slice, int | slice]) -> LagProfile:
+        """What lies along one axis, at lag 0 and at most so many lags to either side."""
+        step = math.ceil((lags_um.size // 2) / _MOST_LAGS)
+        every = slice(lags_um.size // 2 % step, None, step)
+        r, limit, of_any = (tuple(m[axis][every].tolist()) for m in (self.r, self.band_99, self.band_99_of_any))
+        return LagProfile(lags_um=tuple(lags_um[every].tolist()), r=r, limit=limit, limit_of_any=of_any)
 
 
 def cross_correlogram(

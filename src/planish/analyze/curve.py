@@ -10,74 +10,47 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.core.errors import CannotMeasure, InputError
+from planish.core.facts import Facts, Interval, Pair, Unsaved, Value
 from planish.core.light import layer_over
 
 Array = NDArray[np.float64]
-Interval = tuple[float, float]
-
-CurveWords = Literal[
-    "curved, saturating", "curved, growing", "curved, without a slope", "not distinguishable from a straight line"
-]
-
 _QUANTILE = 0.975
 _LEAST_VALUES = 3  # different ones of x: two do not show a curve
 _EXACT = 1e-9  # rms of what the curve leaves, of a reflectance, below which the fit has no error
 _ENDLESS = 1e6  # S times the mean of x, where a layer hides everything
 _BRACKET = 1e-6
+_KG_PER_G, _G_PER_KG = 1e-3, 1000.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Curvature:
+class Curvature(Facts):
     """A parabola through points, ``y = a + b (x - mean) + curvature (x - mean)^2``, beside the straight line.
 
-    Attributes
-    ----------
-    n : int
-        Points that are valid in both.
-    n_eff, n_eff_square : float
-        Independent points that the intervals of slope and curvature count.
-    mean_x : float
-    slope : float
-        Of the straight line: y per x.
-    slope_interval : (float, float)
-        In which it lies with 95 %.
-    curvature : float
-        Coefficient of the square: y per x^2. The slope changes by twice as much per x.
-    interval : (float, float)
-        In which the curvature lies with 95 %.
-    r2_line, r2_parabola : float
-        Share of the variance of y that each carries. The second is never smaller, and says nothing by that.
+    The slope changes by twice the curvature per x. r2 of the parabola is never smaller, and says nothing by that.
     """
 
-    n: int
-    n_eff: float
-    n_eff_square: float
-    mean_x: float
-    slope: float
-    slope_interval: Interval
-    curvature: float
-    interval: Interval
-    r2_line: float
-    r2_parabola: float
-
-    @property
-    def words(self) -> CurveWords:
-        """What may be said; a curve saturates where its slope, up or down, loses steepness as x grows."""
-        if self.interval[0] <= 0 <= self.interval[1]:
-            return "not distinguishable from a straight line"
-        if self.slope_interval[0] <= 0 <= self.slope_interval[1]:
-            return "curved, without a slope"
-        return "curved, saturating" if self.curvature * self.slope < 0 else "curved, growing"
+    n: int = Field(description="Points that are valid in both.")
+    n_eff: Value = Field(description="Independent points.")
+    n_eff_square: Unsaved = Field(
+        default=None, exclude=True, description="Independent points that the interval of the curvature counts."
+    )
+    mean_x: Unsaved = Field(default=None, exclude=True, description="Mean of x.")
+    slope: Value = Field(description="Slope of the straight line.")
+    slope_interval: Interval = Field(description="In which the slope lies with 95 %.")
+    curvature: Value = Field(description="Coefficient of the square.")
+    interval: Interval = Field(description="In which the curvature lies with 95 %.")
+    r2_line: Value = Field(description="r2 of the straight line.")
+    r2_parabola: Value = Field(description="r2 of the parabola.")
+    words: str = Field(description="The same in words.")
 
 
 def straight_or_curved(
@@ -125,56 +98,57 @@ def straight_or_curved(
     shares = [1 - left / variance if variance > 0 else math.nan for left in (line_left, bent_left)]
     slope, slope_width = float(line[1]) / scale, float(line_error[1]) / scale
     curvature, width = float(bent[2]) / scale**2, float(bent_error[2]) / scale**2
+    slopes, curvatures = (slope - slope_width, slope + slope_width), (curvature - width, curvature + width)
+    if curvatures[0] <= 0 <= curvatures[1]:
+        words = "not distinguishable from a straight line"
+    elif slopes[0] <= 0 <= slopes[1]:
+        words = "curved, without a slope"
+    else:  # a curve saturates where its slope, up or down, loses steepness as x grows
+        words = "curved, saturating" if curvature * slope < 0 else "curved, growing"
     return Curvature(
-        n=at.size, n_eff=count, n_eff_square=squares, mean_x=mean, slope=slope,
-        slope_interval=(slope - slope_width, slope + slope_width), curvature=curvature,
-        interval=(curvature - width, curvature + width), r2_line=shares[0], r2_parabola=shares[1],
+        n=at.size, n_eff=count, n_eff_square=squares, mean_x=mean, slope=slope, slope_interval=slopes,
+        curvature=curvature, interval=curvatures, r2_line=shares[0], r2_parabola=shares[1], words=words,
     )  # fmt: skip
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class KubelkaMunk:
-    """Kubelka and Munk's curve through points; called with x, it gives y.
+class KubelkaMunk(Facts):
+    """Kubelka and Munk's curve through points; called with x, it gives y."""
 
-    Attributes
-    ----------
-    n : int
-        Points that are valid in both.
-    n_eff : float
-        Independent points that the intervals count.
-    scattering : float
-        Coefficient S of the layer, per unit of x.
-    scattering_interval : (float, float)
-        In which it lies with 95 %; from 0 where no layer fits as well, up to inf where one that hides all does.
-    backing : float
-        Reflectance below the layer, extrapolated to x = 0.
-    backing_interval : (float, float)
-    backing_at_ends : (float, float)
-        Backing that fits best with each end of the interval of S; NaN where that is infinite.
-    absorption_over_scattering : float
-        K / S, as it was given.
-    rms : float
-        Of what the curve leaves of y.
-    """
-
-    n: int
-    n_eff: float
-    scattering: float
-    scattering_interval: Interval
-    backing: float
-    backing_interval: Interval
-    backing_at_ends: Interval
-    absorption_over_scattering: float
-    rms: float
+    ratio: float = Field(description="Absorption over scattering, as it was given.")
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    n_eff: Value = Field(default=None, description="Independent points.")
+    weight: bool = Field(
+        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
+    )
+    scattering: Value = Field(default=None, description="Coefficient S of the coating.")
+    scattering_interval: Interval = Field(
+        default=None, description="In which S lies with 95 %; none where it has no end."
+    )
+    backing: Value = Field(default=None, description="Reflectance below the coating, extrapolated.")
+    backing_interval: Interval = Field(default=None, description="In which it lies with 95 %.")
+    backing_at_ends: Interval = Field(
+        default=None, description="Backing that fits best with each end of the interval of S."
+    )
+    rms: Value = Field(default=None, description="Of what the curve leaves of the reflectance.")
 
     def __call__(self, x: ArrayLike) -> Array:
         """Reflectance of the layer at thicknesses or weights x."""
-        return layer_over(self.backing, self.scattering, self.scattering * self.absorption_over_scattering, x)
+        return self.reflectance(x, self.scattering, self.backing)
+
+    def reflectance(self, x: ArrayLike, scattering: float, backing: float) -> Array:
+        """Reflectance of a layer with the same K / S, over thicknesses in um or weights in g/m2."""
+        per_x = scattering * _KG_PER_G if self.weight else scattering
+        return layer_over(backing, per_x, per_x * self.ratio, x)
+
+    @property
+    def absorption_over_scattering(self) -> float:
+        """K / S, as it was given."""
+        return self.ratio
 
 
 def fit_kubelka_munk(
     x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_level: float | None = None,
-    absorption_over_scattering: float = 0.0,
+    absorption_over_scattering: float = 0.0, weight: bool = False,
 ) -> KubelkaMunk:  # fmt: skip
     """Fit a scattering layer over a backing to the reflectance of points: a curve beside the straight line.
 
@@ -191,6 +165,8 @@ def fit_kubelka_munk(
         makes the intervals too narrow where the rest of the brightness has long waves.
     absorption_over_scattering : float
         K / S of the layer, which one field cannot tell from S; some 0.002 for a white coating.
+    weight : bool
+        Whether x is in g/m2: S is in m2/kg then, and per unit of x otherwise.
 
     Returns
     -------
@@ -248,16 +224,16 @@ def fit_kubelka_munk(
             f"No scattering layer of K/S = {ratio:g} fits: over {at.size} points the grey does not rise with x as it "
             "would. Look at the straight line; give absorption_over_scattering where the layer darkens what it covers."
         )
-    ends: tuple[Interval, Interval] = ((best[0], best[0]), (best[1], best[1]))
+    ends: tuple[Pair, Pair] = ((best[0], best[0]), (best[1], best[1]))
     if rms > _EXACT:
         t = student_quantile(_QUANTILE, count - 2)
         limit = left * (1 + t * t / (count - 2))
         ends = fit.interval(0, best, limit), fit.interval(1, best, limit)
     beside = [fit.backing(s, best[1]) if s < math.inf else math.nan for s in ends[0]]
+    scattering, low, high = (s / mean * (_G_PER_KG if weight else 1.0) for s in (best[0], *ends[0]))
     return KubelkaMunk(
-        n=at.size, n_eff=count, scattering=best[0] / mean, scattering_interval=(ends[0][0] / mean, ends[0][1] / mean),
-        backing=best[1], backing_interval=ends[1], backing_at_ends=(beside[0], beside[1]),
-        absorption_over_scattering=ratio, rms=rms,
+        ratio=ratio, n=at.size, n_eff=count, weight=weight, scattering=scattering, scattering_interval=(low, high),
+        backing=best[1], backing_interval=ends[1], backing_at_ends=(beside[0], beside[1]), rms=rms,
     )  # fmt: skip
 
 
@@ -293,7 +269,7 @@ class _Fit:
         found = self._solve(lambda v: self._left(s, v[0]), (start,), self._low[1:], self._high[1:])
         return float(found[0])
 
-    def interval(self, which: int, best: tuple[float, float], limit: float) -> Interval:
+    def interval(self, which: int, best: tuple[float, float], limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
         free = 1 - which
 

@@ -9,10 +9,12 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.correlation import Correlation, correlate, on_one_grid
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
+from planish.core.facts import Facts, Interval, Pair, Value
 
 Array = NDArray[np.float64]
 
@@ -21,6 +23,22 @@ _SEED = 20090502
 _DRAWS = 20_000
 _CHANCE = 0.95
 _TILES = 6  # along the shorter side, of which what the sizes share is told
+
+
+class SizeRow(Facts):
+    """Correlation over points of one size, as one of many."""
+
+    point_um: float = Field(description="Edge of the points.")
+    n: int = Field(description="Points that are valid in both.")
+    r: Value = Field(description="Pearson's correlation.")
+    n_eff: Value = Field(description="Independent points.")
+    interval: Interval = Field(description="In which this r lies with 95 %.")
+    band: Interval = Field(default=None, description="In which the r of all sizes lie together with 95 %.")
+
+    @classmethod
+    def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:
+        """Take what a curve shows of a correlation."""
+        return cls(point_um=row.support_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, band=band)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -37,6 +55,11 @@ class SizeCurve:
 
     rows: tuple[Correlation, ...]
     band: tuple[tuple[float, float], ...]
+
+    @property
+    def saved(self) -> tuple[SizeRow, ...]:
+        """What stands in the results of a run."""
+        return tuple(SizeRow.of(row, band) for row, band in zip(self.rows, self.band, strict=True))
 
 
 def usual_sizes(shape: tuple[int, int], pixel_um: tuple[float, float]) -> list[float]:

@@ -7,14 +7,34 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import fft
 
-from planish.analyze.correlation import on_one_grid
-from planish.core.errors import CannotMeasure, SizeError
+from planish.analyze.correlation import correlate, on_one_grid
+from planish.analyze.differences import paired_difference
+from planish.core.area import area_mean
+from planish.core.errors import CannotMeasure, PlanishError, SizeError
+from planish.core.facts import Facts, Interval, Value
 
 Array = NDArray[np.float64]
 
 _FAR = 10.0  # widths by which the field is padded: what wraps around has fallen to 5e-5
+
+
+class LightSpread(Facts):
+    """The headline correlation with the coating blurred as light is that spreads in paper."""
+
+    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
+    point_um: float = Field(description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    r: Value = Field(default=None, description="Correlation.")
+    n_eff: Value = Field(default=None, description="Independent points.")
+    interval: Interval = Field(default=None, description="In which this r lies with 95 %.")
+    difference: Value = Field(
+        default=None, description="This r minus that of the coating as it is, at the same points."
+    )
+    difference_interval: Interval = Field(default=None, description="In which the difference lies with 95 %.")
+    silence: str | None = Field(default=None, description="Why there is no such r.")
 
 
 def spread_light(
@@ -77,3 +97,24 @@ def spread_light(
         for m in (np.where(known, values - mean, 0.0), known.astype(np.float64))
     )
     return np.where(known, mean + moved / np.where(known, weight, 1.0), np.nan)
+
+
+def correlate_spread(
+    x: Array, y: Array, *, cell_um: tuple[float, float], point_um: float, width_um: float
+) -> LightSpread:  # fmt: skip
+    """Correlate an image with a coating blurred as light is, beside the coating as it is, at the same points."""
+    known = np.isfinite(x) & np.isfinite(y)
+    factor = point_um / cell_um[0], point_um / cell_um[1]
+    try:
+        blurred = spread_light(x, pixel_um=cell_um, width_um=width_um, mask=known)
+        plain, spread, image = (area_mean(np.where(known, m, np.nan), factor) for m in (x, blurred, y))
+        row = correlate(spread, image, pixel_um=point_um)
+        apart = paired_difference((plain, image), (spread, image), pixel_um=point_um)
+    except PlanishError as error:
+        return LightSpread(width_um=width_um, point_um=point_um, silence=str(error))
+    if math.isnan(row.r):
+        return LightSpread(width_um=width_um, point_um=point_um, n=row.n, silence=" ".join(row.warnings))
+    return LightSpread(
+        width_um=width_um, point_um=point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval,
+        difference=apart.difference, difference_interval=apart.interval,
+    )  # fmt: skip

@@ -7,13 +7,14 @@ their method, and conforms to neither.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
 
 from planish.analyze.screen import known_of, pixel_of, smooth
 from planish.core.errors import CannotMeasure, SizeError
+from planish.core.facts import Facts, Value
 
 _LEAST_PX = 4.0  # of the shortest wave: shorter ones are no waves on a grid
 _FIELD = 0.2  # of the shorter side: of longer waves a field has too few
@@ -22,48 +23,26 @@ _OCTAVE = math.sqrt(math.log2(25 / 16) / 2)  # rms that a band keeps of waves th
 _CUT = 4.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class MottleBand:
-    """Variation of the reflectance in one octave of wavelength.
+class MottleBand(Facts):
+    """How uneven an image is in one octave of wavelength."""
 
-    Attributes
-    ----------
-    shortest_um, longest_um : float
-        Wavelengths between which the band lies; a Gaussian halves the amplitude at each.
-    coefficient_of_variation : float
-        Standard deviation in the band over the mean of the image.
-    """
-
-    shortest_um: float
-    longest_um: float
-    coefficient_of_variation: float
+    shortest_um: float = Field(description="Shortest wave of the octave.")
+    longest_um: float = Field(description="Longest wave of the octave.")
+    coefficient_of_variation: float = Field(description="Standard deviation of the octave over the mean.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Mottle:
-    """Print mottle by bands.
+class Mottle(Facts):
+    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
-    Attributes
-    ----------
-    bands : tuple of MottleBand
-        From short to long waves.
-    mean : float
-        Of the reflectance.
-    n : int
-        Pixels that are known.
-    measured : str
-        What was measured, in a sentence for tables and figures.
-    """
-
-    bands: tuple[MottleBand, ...]
-    mean: float
-    n: int
-    measured: str
+    bands: tuple[MottleBand, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    mean: Value = Field(default=None, description="Of the image.")
+    n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
+    measured: str | None = Field(default=None, description="What the values are of.")
 
 
 def print_mottle(
     reflectance: ArrayLike, *, pixel_um: float | tuple[float, float], shortest_um: float = 250.0,
-    longest_um: float | None = None, mask: NDArray[np.bool_] | None = None,
+    longest_um: float | None = None, mask: NDArray[np.bool_] | None = None, quantity: str = "reflectance",
 ) -> Mottle:  # fmt: skip
     """Coefficient of variation of the reflectance in octaves of wavelength.
 
@@ -79,6 +58,8 @@ def print_mottle(
         No octave goes beyond it. By default, and at most, a fifth of the shorter side of the image.
     mask : ndarray of bool, shape (rows, cols), optional
         Pixels that count.
+    quantity : str
+        What the values are, for the sentence of what was measured.
 
     Returns
     -------
@@ -129,7 +110,7 @@ def print_mottle(
         bands.append(MottleBand(shortest_um=before, longest_um=edge, coefficient_of_variation=spread / mean))
         before, fine = edge, coarse
     measured = (
-        f"Coefficient of variation of the reflectance in octaves from {edges[0]:g} to {edges[-1]:g} um, as differences "
+        f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g} um, as differences "
         f"of Gaussian means over {np.count_nonzero(known)} pixels; after ISO/IEC 24790 and ISO 15311, conforming to "
         "neither."
     )

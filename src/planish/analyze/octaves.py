@@ -9,11 +9,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import fft, ndimage
 
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.trend import without_trend
 from planish.core.errors import CannotMeasure
+from planish.core.facts import Facts, Unsaved, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -25,34 +27,17 @@ _LEAST_POWER = 1e-5  # of the strongest ring: what is weaker is what the window 
 _LONGEST = 0.25  # of the shorter side: of longer waves a field holds too few
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Band:
-    """What two maps have in common in one octave of wavelengths.
+class Band(Facts):
+    """What two maps have in common in one octave of wavelengths."""
 
-    Attributes
-    ----------
-    shortest_um, longest_um : float
-        Wavelengths of the band.
-    coherence : float
-        Squared, from 0 to 1, put right for the number of waves; it may be a little below 0 where there is nothing.
-    p, p_of_bands : float
-        Of the test that there is nothing in common, of this band alone and of all bands together (Šidák 1967).
-    phase_deg : float
-        By how much map b lags behind map a, in degrees of the wave; near 0 or 180 where both are on one grid.
-    gain : float
-        Change of b per change of a in the band, with its sign; it falls to short waves where b is blurred.
-    modes : float
-        Independent waves.
-    """
-
-    shortest_um: float
-    longest_um: float
-    coherence: float
-    p: float
-    p_of_bands: float
-    phase_deg: float
-    gain: float
-    modes: float
+    shortest_um: float = Field(description="Shortest wavelength of the octave.")
+    longest_um: float = Field(description="Longest wavelength of the octave.")
+    coherence: Value = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
+    p: Unsaved = Field(default=None, exclude=True, description="Of the test that there is nothing in common.")
+    p_of_bands: Value = Field(description="p of all octaves together, after Sidak.")
+    phase_deg: Value = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")
+    gain: Value = Field(description="Change of b per change of a, with its sign.")
+    modes: Value = Field(description="Independent waves.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

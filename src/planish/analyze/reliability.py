@@ -4,43 +4,36 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, correlate
 from planish.core.errors import CannotMeasure, InputError
+from planish.core.facts import Facts, Interval, Value
 
 _CHANCE = 0.95
 _LEAST = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Reliability:
-    """Share of the variance of a map that a second measurement would show again, at one size of points.
+class Reliability(Facts):
+    """Share of the variance of a map that a second measurement would show again, at one size of points."""
 
-    Attributes
-    ----------
-    value : float
-        Of the mean of both measurements; 0 where they have nothing in common.
-    interval : (float, float)
-        In which it lies with 95 %; (NaN, NaN) where nothing is claimed.
-    halves_r : float
-        Correlation of both measurements: the reliability of one alone.
-    point_um, n_eff : float
-        Size of the points, and how many are independent.
-    shared_errors : bool
-        Whether both measurements may share errors.
-    """
-
-    value: float
-    interval: tuple[float, float]
-    halves_r: float
-    point_um: float
-    n_eff: float
-    shared_errors: bool
+    point_um: float = Field(description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points that are known in both halves.")
+    halves_r: Value = Field(default=None, description="Correlation of both halves.")
+    value: Value = Field(
+        default=None, description="Share of the variance of the map that both halves show: an upper bound."
+    )
+    interval: Interval = Field(default=None, description="In which it lies with 95 %.")
+    n_eff: Value = Field(default=None, description="Independent points.")
+    shared_errors: Annotated[bool, SkipJsonSchema()] = Field(
+        default=True, exclude=True, description="Whether both measurements may share errors."
+    )
 
     @property
     def sentence(self) -> str:
@@ -88,8 +81,8 @@ def split_reliability(
         raise CannotMeasure(f"The halves have no correlation. {' '.join(found.warnings)} Give two maps that vary.")
     low, high = (_of_both(v) for v in found.interval)
     return Reliability(
-        value=_of_both(found.r), interval=(low, high), halves_r=found.r, point_um=found.support_um, n_eff=found.n_eff,
-        shared_errors=shared_errors,
+        point_um=found.support_um, n=found.n, halves_r=found.r, value=_of_both(found.r), interval=(low, high),
+        n_eff=found.n_eff, shared_errors=shared_errors,
     )  # fmt: skip
 
 

@@ -3,61 +3,45 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.octaves import frequencies, half_plane, spectrum_of, stands_out, window_of
 from planish.core.errors import CannotMeasure
+from planish.core.facts import Facts
 
 Mask = NDArray[np.bool_]
 
 _LEAST_RINGS = 3
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ring:
-    """Waves of one length, in all directions.
+class Ring(Facts):
+    """How far two measurements of one quantity agree in waves of one length."""
 
-    Attributes
-    ----------
-    frequency_per_um, wavelength_um : float
-        Mean frequency of the ring, and one over it.
-    correlation : float
-        Of both measurements, from -1 to 1.
-    modes : float
-        Independent waves: half of the plane, less what the window joins.
-    threshold : float
-        Correlation at which the mean of both measurements holds half a bit a wave.
+    wavelength_um: float = Field(description="Middle of the ring.")
+    correlation: float = Field(description="Of the waves of the ring.")
+    threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
+    modes: float = Field(description="Independent waves.")
+
+    @property
+    def frequency_per_um(self) -> float:
+        """One over the wavelength."""
+        return 1 / self.wavelength_um
+
+
+class RingCorrelation(Facts):
+    """Rings of waves, and the wavelength at which their correlation first falls below the threshold.
+
+    No wavelength where it never does, or where it is below from the longest waves on: the sentence says which.
     """
 
-    frequency_per_um: float
-    wavelength_um: float
-    correlation: float
-    modes: float
-    threshold: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RingCorrelation:
-    """Rings from the longest waves to the shortest ones that can be told.
-
-    Attributes
-    ----------
-    rings : tuple of Ring
-    resolution_um : float or None
-        Wavelength at which the correlation first falls below the threshold; None where it never does, or where it is
-        below from the longest waves on. ``sentence`` says which.
-    sentence : str
-        What may be said.
-    """
-
-    rings: tuple[Ring, ...]
-    resolution_um: float | None
-    sentence: str
+    rings: tuple[Ring, ...] = Field(default=(), description="From the longest waves to the shortest.")
+    resolution_um: float | None = Field(default=None, description="Shortest wave that both show.")
+    sentence: str | None = Field(default=None, description="The same in words.")
 
 
 def ring_correlation(
@@ -125,12 +109,12 @@ def ring_correlation(
     middle = sums(frequency) / count
     rings = tuple(
         Ring(
-            frequency_per_um=float(middle[k]), wavelength_um=1 / float(middle[k]), correlation=float(correlation[k]),
-            modes=float(count[k]) / joined, threshold=half_bit(float(count[k]) / joined),
+            wavelength_um=1 / float(middle[k]), correlation=float(correlation[k]), modes=float(count[k]) / joined,
+            threshold=half_bit(float(count[k]) / joined),
         )
         for k in range(int(weak[0]) if weak.size else last)
     )  # fmt: skip
-    return _resolved(rings, leaking=bool(weak.size))
+    return _resolved(rings, middle.tolist(), leaking=bool(weak.size))
 
 
 def half_bit(modes: float) -> float:
@@ -140,7 +124,7 @@ def half_bit(modes: float) -> float:
     return (ratio + (2 * math.sqrt(ratio) + 1) / root) / (1 + ratio + 2 * math.sqrt(ratio) / root)
 
 
-def _resolved(rings: tuple[Ring, ...], *, leaking: bool) -> RingCorrelation:
+def _resolved(rings: tuple[Ring, ...], frequencies_per_um: list[float], *, leaking: bool) -> RingCorrelation:
     above = [ring.correlation - ring.threshold for ring in rings]
     first = next((k for k, v in enumerate(above) if v < 0), None)
     if first is None:
@@ -155,8 +139,8 @@ def _resolved(rings: tuple[Ring, ...], *, leaking: bool) -> RingCorrelation:
             sentence=f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution.",
         )  # fmt: skip
     share = above[first - 1] / (above[first - 1] - above[first])
-    f = [ring.frequency_per_um for ring in rings[first - 1 : first + 1]]
-    found = 1 / (f[0] + share * (f[1] - f[0]))
+    longer, shorter = frequencies_per_um[first - 1 : first + 1]
+    wave = 1 / (longer + share * (shorter - longer))
     return RingCorrelation(
-        rings=rings, resolution_um=found, sentence=f"Both show the same down to waves of {found:.3g} um (half bit)."
+        rings=rings, resolution_um=wave, sentence=f"Both show the same down to waves of {wave:.3g} um (half bit)."
     )

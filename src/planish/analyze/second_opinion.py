@@ -7,47 +7,35 @@ first one is used.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, correlate, on_one_grid, pearson
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.core.area import area_mean
+from planish.core.facts import Facts, Interval, Unsaved, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 _CHANCE = 0.95
+_UNKNOWN = (math.nan, math.nan)
 _MOST_CELLS = 400  # of a mask, from which its critical value is told
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SecondOpinion:
-    """Interval of r from what single points add to it.
+class SecondOpinion(Facts):
+    """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
 
-    Attributes
-    ----------
-    r : float
-        Pearson's correlation.
-    interval : (float, float)
-        In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
-    standard_error : float
-        Of Fisher's z (Conley 1999).
-    critical : float
-        Standard errors to either side, for a kernel of this width on this mask; 1.96 is right for a narrow one.
-    ratio : float
-        Standard error over that of the covariances; above 1.4 a correlation warns that the maps vary unevenly.
-    """
-
-    r: float
-    interval: tuple[float, float] = (math.nan, math.nan)
-    standard_error: float = math.nan
-    critical: float = math.nan
-    ratio: float = math.nan
+    point_um: float = Field(description="Edge of a point.")
+    r: Unsaved = Field(default=None, exclude=True, description="Pearson's correlation.")
+    interval: Interval = Field(description="In which r lies with 95 %.")
+    standard_error: Value = Field(description="Of Fisher's z.")
+    critical: Value = Field(description="Standard errors to either side.")
+    ratio: Value = Field(description="Standard error over that of the covariances.")
 
 
 def second_opinion(
@@ -98,18 +86,22 @@ def second_opinion(
     else:
         n_eff = correlate(a, b, mask=mask, pixel_um=pixel).n_eff
     x, y = (np.where(known, m, 0.0).astype(np.float64) for m in (a, b))
-    r = pearson(x[known], y[known])
+    r, size = pearson(x[known], y[known]), math.sqrt(math.prod(pixel)) if point_um is None else point_um
     if not n_eff >= LEAST_CLAIMED or 1 - r * r < 1e-14:
-        return SecondOpinion(r=r)
+        return SecondOpinion(
+            point_um=size, r=r, interval=_UNKNOWN, standard_error=math.nan, critical=math.nan, ratio=math.nan
+        )
     reach = BANDWIDTH * min(n * p for n, p in zip(known.shape, pixel, strict=True))
     error, ratio = PairCovariances(x, y, Lags(known, pixel)).spatial_error(r, reach)
     if not error > 0:
-        return SecondOpinion(r=r, ratio=ratio)
+        return SecondOpinion(
+            point_um=size, r=r, interval=_UNKNOWN, standard_error=math.nan, critical=math.nan, ratio=ratio
+        )
     critical = critical_value(known, pixel)
     z = math.atanh(r)
     return SecondOpinion(
-        r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)), standard_error=error,
-        critical=critical, ratio=ratio,
+        point_um=size, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
+        standard_error=error, critical=critical, ratio=ratio,
     )  # fmt: skip
 
 

@@ -3,41 +3,29 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
 from planish.analyze.covariance import Lags, covariance_of
 from planish.core.errors import CannotMeasure
+from planish.core.facts import Facts, Interval, Value
 
 _LEAST = 3
 _QUANTILE = 0.975
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RegionDifference:
-    """Mean of a map inside of regions minus that outside.
+class RegionDifference(Facts):
+    """Mean of a map inside of regions minus that outside."""
 
-    Attributes
-    ----------
-    share : float
-        Of the valid pixels that lies inside.
-    difference : float
-        In the unit of the map.
-    interval : (float, float)
-        In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
-    n_eff : float
-        Independent points of what each pixel adds to the difference.
-    """
-
-    share: float
-    difference: float
-    interval: tuple[float, float]
-    n_eff: float
+    share: float = Field(description="Share of the pixels where it is thinner.")
+    difference: float = Field(description="Mean of the image there less that elsewhere.")
+    interval: Interval = Field(description="In which the difference lies with 95 %.")
+    n_eff: Value = Field(description="Independent points of the thin regions.")
 
 
 def region_difference(

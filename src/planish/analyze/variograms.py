@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure
+from planish.core.facts import Facts, Pair, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -21,7 +23,26 @@ _SECTOR = 45.0  # deg
 _LEAST_RINGS = 4  # for a model of three numbers
 _FITTED = 0.3  # of the first covariance, down to which the model is fitted
 _MOST_FITTED = 40
+_MOST = 60  # distances of a curve
 _EXPONENTS = (1.0, 2.0)  # from the exponential to the Gaussian covariance
+
+
+class VariogramCurve(Facts):
+    """How a map varies with distance, at some distances."""
+
+    units: str = Field(description="Of the values.")
+    cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
+    nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
+    sill: float = Field(description="Variance of the map.")
+    range_um: Value = Field(
+        description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
+    )
+    md_deg: Value = Field(default=None, description="Machine direction on the reference, where the run knows it.")
+    range_along_um: Value = Field(default=None, description="The range within 22.5 degrees of the machine direction.")
+    range_across_um: Value = Field(default=None, description="The same across it.")
+    ratio: Value = Field(default=None, description="Range along over range across.")
+    distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
+    values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -58,6 +79,15 @@ class Variogram:
         """Range along over range across the machine direction; NaN where one of them is not known."""
         both = (self.range_along_um, self.range_across_um)
         return both[0] / both[1] if all(map(math.isfinite, both)) else math.nan
+
+    def curve(self, *, units: str, cell_um: Pair, md_deg: float | None) -> VariogramCurve:
+        """Return what stands in the results of a run: the values at up to 60 distances, closer for short ones."""
+        far = np.unique(np.geomspace(1, self.lags_um.size, _MOST).round().astype(np.intp)) - 1
+        return VariogramCurve(
+            units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill, range_um=self.range_um, md_deg=md_deg,
+            range_along_um=self.range_along_um, range_across_um=self.range_across_um, ratio=self.ratio,
+            distances_um=tuple(self.lags_um[far].tolist()), values=tuple(self.values[far].tolist()),
+        )  # fmt: skip
 
 
 def variogram(

@@ -13,6 +13,8 @@ from numpy.typing import NDArray
 from planish.analyze import (
     CorrelateParams,
     PairAtSizes,
+    Partial,
+    SizeRow,
     ceiling,
     coherence,
     commonality,
@@ -33,16 +35,7 @@ from planish.core.grid import Grid
 from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
 from planish.pipeline.halves import Columns, noise_ceiling, reliability_of
 from planish.pipeline.optics import density_of, light_of
-from planish.results import (
-    BandFacts,
-    CurveFacts,
-    EvidenceFacts,
-    LayerFacts,
-    PartialFacts,
-    SecondOpinionFacts,
-    SizeFacts,
-    ThinRegionFacts,
-)
+from planish.results import EvidenceFacts, ImageCurve, LayerFacts, ThinRegion
 
 Array = NDArray[np.float64]
 
@@ -82,14 +75,11 @@ def evidence_of(
     if np.count_nonzero(known) < 3 or not (np.ptp(x[known]) > 0 and np.ptp(y[known]) > 0):
         return None
     found: dict[str, Any] = {}
-    curve = size_curve(x, y, pixel_um=cell_um)
-    found["sizes"] = tuple(
-        SizeFacts.of(row, point_um=row.support_um, band=band) for row, band in zip(curve.rows, curve.band, strict=True)
-    )
+    found["sizes"] = size_curve(x, y, pixel_um=cell_um).saved
     # A field that is too small for one of these says nothing of it, and the rest stands.
     try:
         of_waves = coherence(x, y, pixel_um=cell_um)
-        found["bands"] = tuple(BandFacts.of(band) for band in of_waves.bands)
+        found["bands"] = of_waves.bands
         found["resolution_per_um"] = of_waves.resolution_per_um
     except PlanishError:
         pass
@@ -101,11 +91,9 @@ def evidence_of(
             pass
         if "thickness" in first and "image" in second:
             found["curve"] = _curve(x, y, cell_um, point_um)
-        found["second_opinion"] = SecondOpinionFacts.of(
-            second_opinion(x, y, pixel_um=cell_um, point_um=point_um), point_um=point_um
-        )
+        found["second_opinion"] = second_opinion(x, y, pixel_um=cell_um, point_um=point_um)
         short, longest = of_short_waves(x, y, pixel_um=cell_um, point_um=point_um)
-        found["short_waves"] = SizeFacts.of(short, point_um=point_um)
+        found["short_waves"] = SizeRow.of(short)
         found["short_waves_um"] = longest
     if a.headline.startswith("coating_") and "image" in second:
         found["thin"] = tuple(_thin(x, y, cell_um))
@@ -142,7 +130,7 @@ def evidence_of(
     return EvidenceFacts(a=a.name, a_map=a.headline, b=b.name, b_map=b.headline, declared=declared, **found)
 
 
-def _thin(x: Array, y: Array, cell_um: tuple[float, float]) -> Iterator[ThinRegionFacts]:
+def _thin(x: Array, y: Array, cell_um: tuple[float, float]) -> Iterator[ThinRegion]:
     """Compare the image inside and outside of thin regions, for the limits that some pixels are below."""
     known = np.isfinite(x) & np.isfinite(y)
     for limit in THIN_UM:
@@ -150,10 +138,10 @@ def _thin(x: Array, y: Array, cell_um: tuple[float, float]) -> Iterator[ThinRegi
             apart = region_difference(y, np.where(known, x, np.inf) < limit, mask=known, pixel_um=cell_um)
         except PlanishError:
             continue
-        yield ThinRegionFacts.of(apart, thinner_than_um=limit)
+        yield ThinRegion.holding(apart, thinner_than_um=limit)
 
 
-def _curve(x: Array, y: Array, cell_um: tuple[float, float], point_um: float) -> CurveFacts | None:
+def _curve(x: Array, y: Array, cell_um: tuple[float, float], point_um: float) -> ImageCurve | None:
     """Whether an image bends over a property, at the larger points; None where too few points are independent."""
     pair = PairAtSizes((x.shape[0], x.shape[1]), pixel_um=cell_um, point_um=point_um, most_cells=0)
     pair.add(0, x, y)
@@ -163,7 +151,7 @@ def _curve(x: Array, y: Array, cell_um: tuple[float, float], point_um: float) ->
         bent = straight_or_curved(p, q, n_eff=count.n_eff, n_eff_square=count.n_eff_square)
     except PlanishError:
         return None
-    return CurveFacts.of(bent, point_um=point_um)
+    return ImageCurve.holding(bent, point_um=point_um)
 
 
 def _beside(
@@ -177,7 +165,7 @@ def _beside(
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         why = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
-        return {"partial": PartialFacts(given=beside, point_um=point_um, silence=why)}
+        return {"partial": Partial(given=beside, point_um=point_um, silence=why)}
     names = (pair[0], *beside)
     means = AreaMeans(grid.shape, factor)
     for rows in bands(grid.shape[0]):
@@ -190,13 +178,16 @@ def _beside(
     flat = [name for name, m in zip(names, sheet, strict=True) if n < 3 or not np.ptp(m[known]) > 0]
     if flat:
         why = f"Over {n} points that are valid in all maps, {', '.join(flat)} does not vary."
-        return {"partial": PartialFacts(given=beside, point_um=point_um, n=n, silence=why)}
+        return {"partial": Partial(given=beside, point_um=point_um, n=n, silence=why)}
     try:
         left = partial(sheet[0], image, sheet[1:], pixel_um=point_um)
         shares = commonality(image, dict(zip(names, sheet, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": PartialFacts(given=beside, point_um=point_um, silence=error.text)}
-    return {"partial": PartialFacts.of(left, given=beside, point_um=point_um), "commonality": shares}
+        return {"partial": Partial(given=beside, point_um=point_um, silence=error.text)}
+    row = Partial(
+        given=beside, point_um=point_um, n=left.n, r=left.r, n_eff=left.n_eff, interval=left.interval
+    )  # fmt: skip
+    return {"partial": row, "commonality": shares}
 
 
 def _errors(*layers: xr.Dataset) -> Array | None:

@@ -22,7 +22,7 @@ from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.transform import Similarity
-from planish.results import ReliabilityFacts
+from planish.results import MapReliability
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -157,21 +157,19 @@ def _half(values: Array, first: int) -> Array:
 def reliability_of(
     columns: Columns, layer: str, name: str, known: Mask, *, origin_um: tuple[float, float],
     cell_um: tuple[float, float], point_um: float,
-) -> ReliabilityFacts:  # fmt: skip
+) -> MapReliability:  # fmt: skip
     """How much of a map two halves of its measurement show alike, or why that cannot be said."""
     try:
         odd, even, alone = half_points(columns, name, known, origin_um=origin_um, cell_um=cell_um, point_um=point_um)
-        found = split_reliability(odd, even, pixel_um=point_um)
+        reliability = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
-        return ReliabilityFacts(layer=layer, map=name, point_um=point_um, silence=error.text)
-    n = int(np.count_nonzero(np.isfinite(odd)))
-    return ReliabilityFacts.of(found, layer=layer, map=name, n=n, shared=columns.shared(alone=alone))
+        return MapReliability(layer=layer, map=name, point_um=point_um, silence=error.text)
+    return MapReliability.holding(reliability, layer=layer, map=name, shared=columns.shared(alone=alone))
 
 
-def noise_ceiling(halves: Sequence[ReliabilityFacts], position: float | None) -> dict[str, float]:
+def noise_ceiling(halves: Sequence[MapReliability], position: float | None) -> dict[str, float]:
     """The r that a perfect relation would show by the noise of these maps, and with what misplacement leaves."""
-    known = [one.value for one in halves if one.value is not None]
-    if not known or len(known) < len(halves):
+    noise = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
+    if math.isnan(noise):
         return {}
-    noise = math.sqrt(math.prod(known))
     return {"ceiling_noise": noise} | ({} if position is None else {"ceiling_both": noise * position})

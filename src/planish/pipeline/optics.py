@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import Any
 
 import numpy as np
@@ -11,24 +10,22 @@ from numpy.typing import NDArray
 
 from planish.analyze import (
     CorrelateParams,
-    correlate,
+    LightSpread,
+    correlate_spread,
     fit_kubelka_munk,
     independent_points,
-    paired_difference,
     print_mottle,
-    spread_light,
 )
 from planish.core.area import AreaMeans, area_mean
 from planish.core.bands import band_of, bands
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
-from planish.results import KubelkaMunkFacts, LightSpreadFacts, MottleBandFacts, MottleFacts
+from planish.results import CoatingCurve, LayerMottle
 
 Array = NDArray[np.float64]
 
 _EVEN = 1e-3  # of a ratio of two maps, up to which it counts as one number
 _MOTTLE_CELL_UM = 15.0  # means over up to so much keep 0.99 of the shortest waves of the mottle
-_G_PER_KG = 1000.0
 
 
 def density_of(measured: xr.Dataset, name: str) -> float | None:
@@ -59,63 +56,36 @@ def light_of(
     why = f"Points of {point_um:g} um are smaller than the means that stand for the pixels. Give larger ones."
     if (ratio := params.kubelka_munk) is not None:
         factor, known = (point_um / cell_um[0], point_um / cell_um[1]), np.isfinite(x) & np.isfinite(y)
-        found["kubelka_munk"] = KubelkaMunkFacts(point_um=point_um, ratio=ratio, silence=why) if small else \
+        found["kubelka_munk"] = CoatingCurve(point_um=point_um, ratio=ratio, silence=why) if small else \
             kubelka_munk_of(
                 (area_mean(np.where(known, x, np.nan), factor), area_mean(np.where(known, y, np.nan), factor)),
                 point_um=point_um, ratio=ratio, density=1.0 if in_grams else density,
             )  # fmt: skip
     if (width_um := params.light_spread_um) is not None:
-        found["light_spread"] = LightSpreadFacts(width_um=width_um, point_um=point_um, silence=why) if small else \
-            light_spread_of(x, y, cell_um=cell_um, point_um=point_um, width_um=width_um)  # fmt: skip
+        found["light_spread"] = LightSpread(width_um=width_um, point_um=point_um, silence=why) if small else \
+            correlate_spread(x, y, cell_um=cell_um, point_um=point_um, width_um=width_um)  # fmt: skip
     return found
 
 
 def kubelka_munk_of(
     points: tuple[Array, Array], *, point_um: float, ratio: float, density: float | None
-) -> KubelkaMunkFacts:  # fmt: skip
+) -> CoatingCurve:  # fmt: skip
     """Fit the curve to reflectance over a coating at the larger points, or say why there is none.
 
     ``density`` (g/cm3) turns the coating from um into g/m2, 1 where it is a weight already; None for lengths.
     """
-    facts = KubelkaMunkFacts(point_um=point_um, ratio=ratio, weight=density is not None)
-    x, y = points[0] * (density or 1.0), points[1]
+    weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
     try:
         count = independent_points(x, y, pixel_um=point_um)
-        found = fit_kubelka_munk(
-            x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio
+        curve = fit_kubelka_munk(
+            x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio, weight=weight
         )
     except PlanishError as error:
-        return facts.model_copy(update={"silence": error.text})
-    scale = 1.0 if density is None else _G_PER_KG  # per g/m2 to m2/kg
-    low, high = (v * scale for v in found.scattering_interval)
-    return KubelkaMunkFacts.of(
-        found, point_um=point_um, ratio=ratio, weight=facts.weight, scattering=found.scattering * scale,
-        scattering_interval=(low, high),
-    )  # fmt: skip
+        return CoatingCurve(point_um=point_um, ratio=ratio, weight=weight, silence=error.text)
+    return CoatingCurve.holding(curve, point_um=point_um)
 
 
-def light_spread_of(
-    x: Array, y: Array, *, cell_um: tuple[float, float], point_um: float, width_um: float
-) -> LightSpreadFacts:  # fmt: skip
-    """Correlate an image with a coating blurred as light is, beside the coating as it is, at the same points."""
-    facts = LightSpreadFacts(width_um=width_um, point_um=point_um)
-    known = np.isfinite(x) & np.isfinite(y)
-    factor = point_um / cell_um[0], point_um / cell_um[1]
-    try:
-        blurred = spread_light(x, pixel_um=cell_um, width_um=width_um, mask=known)
-        plain, spread, image = (area_mean(np.where(known, m, np.nan), factor) for m in (x, blurred, y))
-        found = correlate(spread, image, pixel_um=point_um)
-        apart = paired_difference((plain, image), (spread, image), pixel_um=point_um)
-    except PlanishError as error:
-        return facts.model_copy(update={"silence": error.text})
-    if math.isnan(found.r):
-        return facts.model_copy(update={"n": found.n, "silence": " ".join(found.warnings)})
-    return LightSpreadFacts.of(
-        found, width_um=width_um, point_um=point_um, difference=apart.difference, difference_interval=apart.interval
-    )
-
-
-def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> MottleFacts:
+def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> LayerMottle:
     """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
     grid = Grid.of(data)
     factor = max(1, int(_MOTTLE_CELL_UM / max(grid.pixel_um)))
@@ -125,10 +95,7 @@ def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> MottleFacts:
         means.add(rows.start, band_of(data["valid"], rows) & np.isfinite(image), image)
     cell_um = grid.pixel_um[0] * factor, grid.pixel_um[1] * factor
     try:
-        found = print_mottle(means.means()[0], pixel_um=cell_um)
+        mottle = print_mottle(means.means()[0], pixel_um=cell_um, quantity=quantity)
     except PlanishError as error:
-        return MottleFacts(layer=name, silence=error.text)
-    return MottleFacts.of(
-        found, layer=name, bands=tuple(MottleBandFacts.of(band) for band in found.bands),
-        measured=found.measured.replace("the reflectance", f"the {quantity}"),
-    )  # fmt: skip
+        return LayerMottle(layer=name, silence=error.text)
+    return LayerMottle.holding(mottle, layer=name)

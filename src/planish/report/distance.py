@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+from planish.analyze import CorrelogramProfiles, LagProfile
+from planish.core.facts import is_known
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
 from planish.report.scale import known, powers
 from planish.report.text import capital, count, fixed, in_words, left_out, number, percent, plain, unit
-from planish.results import CorrelogramFacts, EvidenceFacts, LagProfile, TwiceFacts, VariogramFacts
+from planish.results import EvidenceFacts, MapVariogram, Twice
 
 _TOP, _HIGH, _WIDE = 40.0, 235.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
@@ -45,17 +47,17 @@ def _names(found: EvidenceFacts) -> list[str]:
     return [(f"{one.layer}-" if same else "") + one.map.replace("_", "-") for one in found.variograms]
 
 
-def _squared(one: VariogramFacts, title: str) -> str:
+def _squared(one: MapVariogram, title: str) -> str:
     """Unit of a variance; of what has no unit its name."""
     return f"{unit(one.units) or in_words(title.partition(',')[0])}²"
 
 
-def _variogram(canvas: Canvas, left: float, one: VariogramFacts, title: str) -> None:
+def _variogram(canvas: Canvas, left: float, one: MapVariogram, title: str) -> None:
     far = one.distances_um[-1]
     high = _ROOM * max(*one.values, one.sill, 1e-12)
     axes = canvas.axes(left, _TOP, _WIDE, _HIGH, (0.0, far, 0.0, high))
     axes.line([(0.0, one.sill), (far, one.sill)], colour=SOFT, width=1.2, dash="6 4")
-    if one.range_um is not None:
+    if is_known(one.range_um):
         axes.line([(one.range_um, 0.0), (one.range_um, high)], colour=SOFT, width=1.2, dash="2 3")
     points = list(zip(one.distances_um, one.values, strict=True))
     axes.line([(0.0, one.nugget), *points], colour=ACCENT, width=2.0)
@@ -64,7 +66,7 @@ def _variogram(canvas: Canvas, left: float, one: VariogramFacts, title: str) -> 
     canvas.text(left, 22, title, bold=True)
 
 
-def draw_correlogram(found: CorrelogramFacts, *, names: tuple[str, str], regions: bool = False) -> Picture:
+def draw_correlogram(found: CorrelogramProfiles, *, names: tuple[str, str], regions: bool = False) -> Picture:
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
     for left, axis, profile in ((_LEFT, "x", found.along_x), (_RIGHT, "y", found.along_y)):
@@ -92,24 +94,23 @@ def _lags(axis: str, profile: LagProfile) -> Table:
 
 
 def _profile(canvas: Canvas, left: float, axis: str, profile: LagProfile) -> None:
-    ends = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if v is not None]
+    ends = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
     high = min(_ROOM * max(ends, default=1.0), 1.0)
     span = profile.lags_um[0], profile.lags_um[-1]
     axes = canvas.axes(left, _TOP, _WIDE, _HIGH, (*span, -high, high))
-    held = [(at, v) for at, v in zip(profile.lags_um, profile.limit, strict=True) if v is not None]
+    held = [(at, v) for at, v in zip(profile.lags_um, profile.limit, strict=True) if is_known(v)]
     if len(held) > 1:
         axes.area(held + [(at, -v) for at, v in reversed(held)], colour=POINT, opacity=0.2)
     axes.line([(span[0], 0.0), (span[1], 0.0)], colour=SOFT, width=0.8)
     axes.line([(0.0, -high), (0.0, high)], colour=SOFT, width=0.8)
     for sign in (1, -1):
-        limits = [math.nan if v is None else sign * v for v in profile.limit_of_any]
+        limits = [sign * v for v in profile.limit_of_any]
         axes.line(list(zip(profile.lags_um, limits, strict=True)), colour=POINT, width=1.2, dash="6 4")
-    values = [math.nan if v is None else v for v in profile.r]
-    axes.line(list(zip(profile.lags_um, values, strict=True)), colour=ACCENT, width=2.2)
+    axes.line(list(zip(profile.lags_um, profile.r, strict=True)), colour=ACCENT, width=2.2)
     canvas.ticks(axes, f"lag along {axis} / µm", "r")
 
 
-def draw_rings(found: TwiceFacts, *, name: str, layers: tuple[str, str], regions: bool = False) -> Picture:
+def draw_rings(found: Twice, *, name: str, layers: tuple[str, str], regions: bool = False) -> Picture:
     """Draw how far two measurements of one map agree, against wavelength."""
     canvas = Canvas(FULL, 345)
     at = [math.log10(ring.wavelength_um) for ring in found.rings]
@@ -154,7 +155,7 @@ def of_each(found: EvidenceFacts, titles: Sequence[str]) -> list[str]:
     return out
 
 
-def _of_one(one: VariogramFacts, title: str) -> str:
+def _of_one(one: MapVariogram, title: str) -> str:
     share = one.nugget / one.sill if one.sill > 0 else 1.0
     noise = (
         f"nugget {number(one.nugget, 2)} {_squared(one, title)}, {percent(share, 2)} of the sill"
@@ -166,10 +167,10 @@ def _of_one(one: VariogramFacts, title: str) -> str:
         return f"{title}: neighbours share nothing (nugget {nugget}): noise, no texture."
     far = plain(round(one.distances_um[-1]))
     reach = f"range {_range(one.range_um, far)}"
-    if one.md_deg is None:
+    if not is_known(one.md_deg):
         turned = "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
     else:
-        ratio = "" if one.ratio is None else f" ({number(one.ratio, 2)} times as far)"
+        ratio = f" ({number(one.ratio, 2)} times as far)" if is_known(one.ratio) else ""
         turned = (
             f"{_range(one.range_along_um, far)} along and {_range(one.range_across_um, far)} across the machine "
             f"direction{ratio}"
@@ -177,13 +178,13 @@ def _of_one(one: VariogramFacts, title: str) -> str:
     return f"{title}: {noise}; {reach}; {turned}."
 
 
-def _range(value: float | None, far: str) -> str:
-    return f"beyond {far}" if value is None else plain(round(value, 0 if value >= 10 else 1))
+def _range(value: float, far: str) -> str:
+    return plain(round(value, 0 if value >= 10 else 1)) if is_known(value) else f"beyond {far}"
 
 
-def _of_both(found: CorrelogramFacts) -> str:
+def _of_both(found: CorrelogramProfiles) -> str:
     limit = f"|r| above {fixed(found.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated maps"
-    if found.limit_of_any is None:
+    if not is_known(found.limit_of_any):
         limit = "fewer than 10 independent points: what unrelated maps reach is not known"
     elif not found.beyond_chance:
         limit += ", and no lag reaches that"
@@ -191,7 +192,7 @@ def _of_both(found: CorrelogramFacts) -> str:
         return f"Moved against each other, the maps have no summit of r within {plain(round(found.reach_um))}; {limit}."
     down, across = (fixed(v, 0 if abs(v) >= 10 else 1) for v in found.lag_um)
     wide = ""
-    if found.widths_um is not None:
+    if is_known(found.widths_um):
         widths = " × ".join(fixed(v, 0) for v in found.widths_um)
         wide = f" (width at half height {widths} µm)"
     return (
@@ -200,10 +201,10 @@ def _of_both(found: CorrelogramFacts) -> str:
     )
 
 
-def of_twice(found: TwiceFacts, layers: tuple[str, str]) -> list[str]:
+def of_twice(found: Twice, layers: tuple[str, str]) -> list[str]:
     """Say down to which wavelength two measurements agree, and how far they differ."""
     out = [found.sentence.replace(" um", "\u202fµm")] if found.sentence else []
-    if found.bias is not None and found.point_um is not None:
+    if is_known(found.bias) and is_known(found.point_um):
         units, size = unit(found.units), plain(found.point_um)
         sure = _between(found.bias_interval)
         text = (
@@ -212,8 +213,8 @@ def of_twice(found: TwiceFacts, layers: tuple[str, str]) -> list[str]:
         )
         spread = _between(found.sd_interval, units)
         out.append(f"{text}; standard deviation of a point within {spread}." if spread else f"{text}.")
-    if found.error_ratio is not None:
-        if found.error_slope is None:
+    if is_known(found.error_ratio):
+        if not is_known(found.error_slope):
             out.append("No line between both: they do not vary together, or too few points are independent.")
         else:
             sure, ratio = _between(found.error_interval) or "no interval", number(found.error_ratio)
@@ -224,6 +225,6 @@ def of_twice(found: TwiceFacts, layers: tuple[str, str]) -> list[str]:
     return out
 
 
-def _between(limits: tuple[float, float] | None, units: str = "") -> str:
+def _between(limits: tuple[float, float], units: str = "") -> str:
     end = f" {units}" if units else ""
-    return "" if limits is None else f"95 %: {fixed(limits[0], 2)} to {fixed(limits[1], 2)}{end}"
+    return f"95 %: {fixed(limits[0], 2)} to {fixed(limits[1], 2)}{end}" if is_known(limits) else ""

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import numpy as np
 
-from planish.core.light import layer_over
+from planish.analyze import LightSpread
+from planish.core.facts import is_known
 from planish.report.draw import ACCENT, FULL, POINT, Canvas, Picture
 from planish.report.relation import Points, in_grams, points_axes, points_table, weighed
 from planish.report.text import NONE, REGISTERED, capital, count, fixed, in_words, left_out, number, plain
-from planish.results import CorrelationRow, EvidenceFacts, KubelkaMunkFacts, LightSpreadFacts, MottleFacts
+from planish.results import CoatingCurve, CorrelationRow, EvidenceFacts, LayerMottle
 
 _BOX = (85.0, 30.0, FULL - 130.0, 300.0)
 _STEPS = 100
-_PER_KG = 1e-3  # m2/kg to m2/g
 
 
 def draw_kubelka_munk(
-    found: EvidenceFacts, curve: KubelkaMunkFacts, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
+    found: EvidenceFacts, curve: CoatingCurve, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
     unit_x: str, regions: bool = False,
 ) -> Picture:  # fmt: skip
     """Draw the larger points with the straight line, and the curve with what its interval leaves open."""
@@ -27,11 +27,12 @@ def draw_kubelka_munk(
     canvas = Canvas(FULL, 385)
     axes = points_axes(canvas, points, _BOX)
     x = np.linspace(max(axes.extent[0], 0.0), axes.extent[1], _STEPS)
-    if curve.scattering_interval and curve.backing_at_ends:
-        ends = [_curve(curve, s, b, x) for s, b in zip(curve.scattering_interval, curve.backing_at_ends, strict=True)]
+    if is_known(curve.scattering_interval) and is_known(curve.backing_at_ends):
+        sides = zip(curve.scattering_interval, curve.backing_at_ends, strict=True)
+        ends = [curve.reflectance(x, scattering, backing) for scattering, backing in sides]
         border = np.concatenate([np.stack([x, ends[0]], axis=1), np.stack([x, ends[1]], axis=1)[::-1]])
         axes.area(border, colour=POINT, opacity=0.2)
-    drawn = [(np.stack([x, _curve(curve, curve.scattering or 0.0, curve.backing or 0.0, x)], axis=1), "7 4")]
+    drawn = [(np.stack([x, curve(x)], axis=1), "7 4")]
     if row.slope is not None and row.intercept is not None:
         drawn.insert(0, (np.array([(v, row.intercept + row.slope * v) for v in axes.extent[:2]]), ""))
     for line, dash in drawn:
@@ -41,7 +42,7 @@ def draw_kubelka_munk(
     return canvas.picture(
         title=f"{capital(in_words(titles[1]))} over {in_words(titles[0])}: straight line, Kubelka and Munk's curve",
         caption=(
-            f"n = {count(curve.n)} points of {plain(curve.point_um)}, {count(round(curve.n_eff or 0))} of them "
+            f"n = {count(curve.n)} points of {plain(curve.point_um)}, {count(round(curve.n_eff))} of them "
             "independent. Solid: least squares; dashed: reflectance of a scattering layer over a backing (Kubelka "
             f"1948) with K/S = {curve.ratio:g}; shaded: the curves at both ends of the 95 % interval of S, each with "
             "the backing that fits it best. The curve stands beside the line and is not chosen over it: over the range "
@@ -54,11 +55,6 @@ def draw_kubelka_munk(
     )  # fmt: skip
 
 
-def _curve(curve: KubelkaMunkFacts, s: float, backing: float, x: np.ndarray) -> np.ndarray:
-    each = s * _PER_KG if curve.weight else s
-    return layer_over(backing, each, each * curve.ratio, x)
-
-
 def sentences(found: EvidenceFacts) -> list[str]:
     """Say what the curve and the spread of light give."""
     out: list[str] = []
@@ -69,7 +65,7 @@ def sentences(found: EvidenceFacts) -> list[str]:
     return out
 
 
-def _of_curve(curve: KubelkaMunkFacts) -> str:
+def _of_curve(curve: CoatingCurve) -> str:
     name = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
     if curve.silence is not None:
         return f"{name}: none. {curve.silence}"
@@ -84,14 +80,14 @@ def _of_curve(curve: KubelkaMunkFacts) -> str:
     )
 
 
-def _of_spread(spread: LightSpreadFacts) -> str:
+def _of_spread(spread: LightSpread) -> str:
     width = f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
-    if spread.r is None:
+    if not is_known(spread.r):
         return f"{width}, there is no r. {spread.silence or ''}".strip()
     text = f"{width}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
     if sure := _between(spread.interval, 2, decimals=True):
-        text += f" ({sure}; {count(round(spread.n_eff or 0))} independent points)"
-    if spread.difference_interval is None:
+        text += f" ({sure}; {count(round(spread.n_eff))} independent points)"
+    if not is_known(spread.difference_interval):
         return f"{text}."
     low, high = spread.difference_interval
     words = "not distinguishable from" if low <= 0 <= high else "distinguishable from"
@@ -99,14 +95,14 @@ def _of_spread(spread: LightSpreadFacts) -> str:
     return f"{text}: {words} that of the coating as it is ({change})."
 
 
-def _between(limits: tuple[float, float] | None, digits: int, *, decimals: bool = False) -> str:
-    if limits is None:
+def _between(limits: tuple[float, float], digits: int, *, decimals: bool = False) -> str:
+    if not is_known(limits):
         return ""
     low, high = (fixed(v, digits) if decimals else number(v, digits) for v in limits)
     return f"95 %: {low} to {high}"
 
 
-def mottle_cells(one: MottleFacts) -> list[tuple[str, str]]:
+def mottle_cells(one: LayerMottle) -> list[tuple[str, str]]:
     """Octaves of wavelength and the coefficient of variation in each, as cells of a table."""
     return [
         (f"{band.shortest_um:g} to {band.longest_um:g}", f"{number(100 * band.coefficient_of_variation, 3)}")

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.arrays import check_path, not_taken
+from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.report import (
     distance,
@@ -374,7 +375,7 @@ def _light(
     """Draw Kubelka and Munk's curve where there is one, and say what light makes of the coating."""
     pictures, curve, key = list[Picture](), found.kubelka_munk, (found.a, found.a_map, found.b, found.b_map)
     rows = [row for group in summary.by_pair(results) for row in group if _pair_of(row) == key]
-    if curve is not None and curve.scattering is not None and rows and key in points:
+    if curve is not None and is_known(curve.scattering) and rows and key in points:
         names = tuple(titles.get(one, one[1]) for one in (key[:2], key[2:]))
         unit_x = "g/m²" if found.a_map.startswith("coat_weight") else "µm"
         pictures.append(light.draw_kubelka_munk(

@@ -5,10 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Mapping
 
+from planish.analyze import Partial
+from planish.core.facts import is_known
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
 from planish.report.statement import decimals_of_r
 from planish.report.text import REGISTERED, capital, count, fixed, left_out, number, percent, plain
-from planish.results import EvidenceFacts, PartialFacts, ReliabilityFacts
+from planish.results import EvidenceFacts, MapReliability
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0
 _LEFT, _RIGHT = 85.0, 635.0
@@ -44,10 +46,10 @@ def _tables(found: EvidenceFacts) -> Mapping[str, Table]:
         "n": [row.n for row in sizes],
         "independent": known(row.n_eff for row in sizes),
         "r": known(row.r for row in sizes),
-        "lower 95 % limit": known(row.interval[0] if row.interval else None for row in sizes),
-        "upper 95 % limit": known(row.interval[1] if row.interval else None for row in sizes),
-        "lower end of the band": known(row.band[0] if row.band else None for row in sizes),
-        "upper end of the band": known(row.band[1] if row.band else None for row in sizes),
+        "lower 95 % limit": known(row.interval[0] for row in sizes),
+        "upper 95 % limit": known(row.interval[1] for row in sizes),
+        "lower end of the band": known(row.band[0] for row in sizes),
+        "upper end of the band": known(row.band[1] for row in sizes),
     }
     octaves: Table = {
         "shortest wave / µm": [band.shortest_um for band in bands],
@@ -63,26 +65,26 @@ def _tables(found: EvidenceFacts) -> Mapping[str, Table]:
 
 def known(values: Iterable[float | None]) -> list[object]:
     """Give the numbers of a table; what is not known is empty."""
-    return ["" if value is None else value for value in values]
+    return [value if is_known(value) else "" for value in values]
 
 
 def _curve(canvas: Canvas, found: EvidenceFacts) -> None:
-    rows = [row for row in found.sizes if row.r is not None]
+    rows = [row for row in found.sizes if is_known(row.r)]
     if not rows:
         return
-    ends = [v for row in rows for v in (*(row.band or ()), row.r or 0.0)]
+    ends = [v for row in rows for v in (*(row.band if is_known(row.band) else ()), row.r)]
     low, high = min(0.0, *ends), max(0.0, *ends)
     room = 0.06 * (high - low) or 0.1
     sizes = [math.log10(row.point_um) for row in rows]
     axes = canvas.axes(_LEFT, _TOP, _WIDE, _HIGH, (sizes[0] - 0.05, sizes[-1] + 0.05, low - room, high + room))
     axes.line([(sizes[0] - 0.05, 0.0), (sizes[-1] + 0.05, 0.0)], colour=SOFT, width=0.8)
-    held = [(at, row.band) for at, row in zip(sizes, rows, strict=True) if row.band]
+    held = [(at, row.band) for at, row in zip(sizes, rows, strict=True) if is_known(row.band)]
     if len(held) > 1:
         axes.area([(at, b[0]) for at, b in held] + [(at, b[1]) for at, b in reversed(held)], colour=POINT, opacity=0.2)
     for at, row in zip(sizes, rows, strict=True):
-        if row.interval:
+        if is_known(row.interval):
             axes.line([(at, row.interval[0]), (at, row.interval[1])], colour=POINT, width=1.4)
-    points = [(at, row.r or 0.0) for at, row in zip(sizes, rows, strict=True)]
+    points = [(at, row.r) for at, row in zip(sizes, rows, strict=True)]
     axes.line(points, colour=ACCENT, width=2.2)
     axes.dots(points, colour=ACCENT, size=5)
     powers(canvas, axes, "size of a point / µm", "r")
@@ -95,16 +97,16 @@ def _octaves(canvas: Canvas, found: EvidenceFacts) -> None:
     axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (min(edges) - 0.03, max(edges) + 0.03, -0.05, 1.02))
     axes.line([(min(edges) - 0.03, 0.0), (max(edges) + 0.03, 0.0)], colour=SOFT, width=0.8)
     for band in found.bands:
-        if band.coherence is None:
+        if not is_known(band.coherence):
             continue
         left, right = math.log10(band.shortest_um), math.log10(band.longest_um)
         axes.line([(left, band.coherence), (right, band.coherence)], colour=ACCENT, width=2.2)
-        certain = band.p_of_bands is not None and band.p_of_bands < 0.05
+        certain = band.p_of_bands < 0.05
         middle = [((left + right) / 2, band.coherence)]
         axes.dots(middle, colour=ACCENT, size=8)
         if not certain:
             axes.dots(middle, colour="white", size=5)
-        if band.gain is not None:
+        if is_known(band.gain):
             gain = f"gain {number(band.gain)}"
             axes.text((left + right) / 2, band.coherence, gain, anchor="middle", shift=(0, -9), size=11)
     powers(canvas, axes, "wavelength / µm", "squared coherence")
@@ -129,9 +131,9 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
             f"average, from {least} to {largest}."
         )
     second = found.second_opinion
-    if second is not None and second.interval is not None:
+    if second is not None and is_known(second.interval):
         low, high = (fixed(v, decimals_of_r(second.interval)) for v in second.interval)
-        uneven = (second.ratio or 1.0) > _UNEVEN
+        uneven = second.ratio > _UNEVEN
         end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
         out.append(
             f"Second opinion, from what single points of {plain(second.point_um)} add to r: 95 %: {low} to {high} "
@@ -142,20 +144,20 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
         shares = f"r² is {fixed(bent.r2_line, 2)} of the line and {fixed(bent.r2_parabola, 2)} of the parabola"
         out.append(f"Over points of {plain(point_um)} the relation is {bent.words} ({shares}).")
     for thin in found.thin:
-        if thin.interval is not None:
+        if is_known(thin.interval):
             low, high = (number(v, 3) for v in thin.interval)
             where = (
                 f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid area)"
             )
             out.append(f"{where} the mean {of_image} differs by {number(thin.difference, 3)} (95 %: {low} to {high}).")
     short = found.short_waves
-    if short and short.r is not None and short.interval and found.short_waves_um:
+    if short and is_known(short.r) and is_known(short.interval) and found.short_waves_um:
         low, r, high = (
             fixed(v, decimals_of_r(short.interval)) for v in (short.interval[0], short.r, short.interval[1])
         )
         out.append(
             f"Waves below {plain(round(found.short_waves_um, -1))} alone: r = {r} (95 %: {low} to "
-            f"{high}; {count(round(short.n_eff or 0))} independent points). This says nothing of longer waves."
+            f"{high}; {count(round(short.n_eff))} independent points). This says nothing of longer waves."
         )
     if found.partial:
         out.append(_given(found.partial, found.commonality or {}, found.a_map))
@@ -168,10 +170,10 @@ def sentences(found: EvidenceFacts, point_um: float, of_image: str = "relative g
     return out + [_reliable(one, found, last=k == last) for k, one in enumerate(found.reliability)]
 
 
-def _reliable(one: ReliabilityFacts, found: EvidenceFacts, *, last: bool) -> str:
+def _reliable(one: MapReliability, found: EvidenceFacts, *, last: bool) -> str:
     """Say how far two halves of a measurement agree and, behind the last one, what that bounds."""
     name = one.map.replace("_", " ") + (f" of {one.layer}" if len(found.reliability) > 1 else "")
-    if one.value is None or one.halves_r is None:
+    if not is_known(one.value):
         return f"Reliability of {name}: not known. {one.silence or ''}".strip()
     noise = 1 - one.value
     size = f"over {count(one.n)} points of {plain(one.point_um)}"
@@ -190,17 +192,17 @@ def _near_one(value: float) -> str:
     return fixed(value, min(max(2, -math.floor(math.log10(1 - value))), 6) if 0 < value < 1 else 2)
 
 
-def _given(found: PartialFacts, shares: dict[str, float], headline: str) -> str:
+def _given(found: Partial, shares: dict[str, float], headline: str) -> str:
     names = " and ".join(name.replace("_", " ") for name in found.given)
-    if found.r is None:
+    if not is_known(found.r):
         return f"Given {names}, there is no r. {found.silence or ''}".strip()
     known = ""
-    if found.interval:
+    if is_known(found.interval):
         low, high = (fixed(v, 2) for v in found.interval)
         known = f"95 %: {low} to {high}; "
     alone = shares.get(headline)
     share = "" if alone is None else f" Alone, the map explains {fixed(alone, 2)} of the variance."
     return (
         f"Given {names}, r = {fixed(found.r, 2)} at points of {plain(found.point_um)} ({known}"
-        f"{count(round(found.n_eff or 0))} independent points).{share}"
+        f"{count(round(found.n_eff) if is_known(found.n_eff) else 0)} independent points).{share}"
     )

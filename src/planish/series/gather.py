@@ -8,6 +8,7 @@ from pathlib import Path
 
 from planish.core.checks import State
 from planish.core.errors import FileError
+from planish.core.facts import is_known
 from planish.core.series import Member
 from planish.core.series_results import InstrumentFacts, RunKind
 from planish.pipeline.run import open_results
@@ -196,6 +197,6 @@ def _instruments(member: Member, results: Results) -> list[InstrumentFacts]:
 def _row(results: Results, key: tuple[str, str, str, str], point_um: float | None) -> CorrelationRow | None:
     """The correlation of a pair at a point size, or at the largest one."""
     rows = [row for row in results.correlations if (row.a, row.a_map, row.b, row.b_map) == key]
-    if point_um is not None:
+    if point_um is not None and is_known(point_um):
         rows = [row for row in rows if abs(row.point_um - point_um) <= 1e-6 * point_um]
     return max(rows, key=lambda row: row.point_um, default=None)

@@ -7,10 +7,10 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from planish.core.checks import concerned
-from planish.core.facts import Trust
+from planish.core.facts import Trust, is_known
 from planish.core.results import SheetNumbers
 from planish.core.series import Member
-from planish.results import CorrelationRow, LayerFacts, Results, TwiceFacts
+from planish.results import CorrelationRow, LayerFacts, Results, Twice
 
 _OF_A_PROPERTY = ("mean", "sd", "p5", "median", "p95")
 _OF_A_FACE = ("sa", "sq")
@@ -157,13 +157,13 @@ def _of_pairs(results: Results) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
 
 
-def _differences(row: CorrelationRow, twice: TwiceFacts | None) -> Iterator[dict[str, Any]]:
+def _differences(row: CorrelationRow, twice: Twice | None) -> Iterator[dict[str, Any]]:
     """Bias and limits of two measurements of one quantity, with intervals at the points where the run states them."""
     bias, limits = row.difference_mean, row.limits or (None, None)
     ends, of_limits, shared = None, (None, None), None
-    at_points = twice is not None and twice.point_um is not None and abs(twice.point_um - row.point_um) < 1e-6
-    if twice is not None and at_points and row.trust != "withheld":
-        ends, of_limits, shared = twice.bias_interval, twice.limit_intervals, twice.resolution_um
+    if twice is not None and abs(twice.point_um - row.point_um) < 1e-6 and row.trust != "withheld":
+        ends, *of_limits = (e if is_known(e) else None for e in (twice.bias_interval, *twice.limit_intervals))
+        shared = twice.resolution_um
     low, high = ends or (None, None)
     yield {"quantity": "bias", "value": bias, "low": low, "high": high}
     for name, value, interval in zip(("limit_low", "limit_high"), limits, of_limits, strict=True):

@@ -1,0 +1,63 @@
+"""What results are made of: what is missing is NaN in memory and null in JSON."""
+
+from __future__ import annotations
+
+import json
+import math
+
+import pytest
+from pydantic import Field, ValidationError
+
+from planish.core.facts import AtPoints, Facts, Interval, Unsaved, Value, is_known
+
+
+class Slope(Facts):
+    """A statistic with a number that only its function gives."""
+
+    slope: Value = Field(default=None)
+    interval: Interval = Field(default=None)
+    mean: Unsaved = Field(default=None, exclude=True)
+
+
+class MapSlope(Slope, AtPoints):
+    """The same as a run holds it."""
+
+    silence: str | None = None
+
+
+def test_missing_numbers_are_nan_in_memory_and_null_in_json() -> None:
+    row = Slope()
+    assert math.isnan(row.slope)
+    assert all(map(math.isnan, row.interval))
+    assert json.loads(row.model_dump_json()) == {"slope": None, "interval": None} == row.model_dump()
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.0, math.inf), (math.nan, 1.0), (-math.inf, 1.0)])
+def test_an_interval_without_an_end_is_null_and_keeps_its_ends_in_memory(low: float, high: float) -> None:
+    row = Slope(slope=2.0, interval=(low, high))
+    assert row.interval[1] == high
+    assert not is_known(row.interval)
+    assert json.loads(row.model_dump_json()) == {"slope": 2.0, "interval": None}
+
+
+def test_what_is_read_equals_what_was_saved() -> None:
+    row = MapSlope.holding(Slope(slope=float("nan"), interval=(1.0, 2.0), mean=5.0), point_um=100.0)
+    assert MapSlope.model_validate_json(row.model_dump_json()) == row
+    assert math.isnan(row.mean)
+
+
+def test_a_whole_holds_its_parts_with_what_stands_before_and_behind() -> None:
+    row = MapSlope.holding(Slope(slope=2.0), point_um=100.0, silence="x")
+    assert list(row.model_dump()) == ["point_um", "slope", "interval", "silence"]
+    with pytest.raises(ValidationError):
+        MapSlope.holding(Slope(slope=2.0), point_um=100.0, reason="x")  # no such field: nothing is lost in silence
+    with pytest.raises(ValidationError):
+        MapSlope.holding(Slope(slope=2.0))  # no point_um
+
+
+def test_the_schema_says_number_or_null() -> None:
+    schema = Slope.model_json_schema()["properties"]
+    assert list(schema) == ["slope", "interval"]
+    assert schema["slope"]["anyOf"] == [{"type": "number"}, {"type": "null"}]
+    assert schema["slope"]["default"] is None
+    assert schema["interval"]["anyOf"][1] == {"type": "null"}
