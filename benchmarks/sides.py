@@ -22,11 +22,12 @@ from numpy.typing import NDArray
 from scipy import fft
 
 import planish as pl
+from planish.analyze import LagNumbers
 from planish.core.checks import Check
 from planish.core.errors import PlanishError
+from planish.core.facts import is_known
 from planish.pipeline.build import link
 from planish.pipeline.texture import texture_of
-from planish.results import LagFacts
 from planish.synthetic import PRESETS, HoleParams, SpecimenParams, Warp, draw_params
 
 Array = NDArray[np.float64]
@@ -183,7 +184,7 @@ def _other(image: xr.Dataset, onto: xr.Dataset) -> xr.Dataset | None:
     return cut.assign_coords(onto.coords)
 
 
-def _judged(sheet: xr.Dataset, image: xr.Dataset) -> tuple[Check, Check | None, LagFacts | None]:
+def _judged(sheet: xr.Dataset, image: xr.Dataset) -> tuple[Check, Check | None, LagNumbers | None]:
     found = texture_of(sheet, image, ("sheet", "image"))
     return found.checks[0], found.checks[1] if len(found.checks) > 1 else None, found.lag
 
@@ -207,13 +208,13 @@ def _report(name: str, cases: list[tuple[Drawn, xr.Dataset | None]], show: bool)
         if show and _told(check) != "stated":
             print(f"  {check.state}: {check.sentence}")
         positions["none" if position is None else position.state] += 1
-        if lag is not None and lag.lag_um is not None and lag.se_um is not None:
+        if lag is not None and is_known(lag.lag_um):
             errors.append((np.subtract(lag.lag_um, one.shift_um), lag.se_um))
         told["exchanged"][_told(_judged(_exchanged(one.sheet), one.image)[0])] += 1
         if foreign is not None:
             check, _, lag = _judged(one.sheet, foreign)
             told["foreign"][_told(check)] += 1
-            false_lags += lag is not None and lag.lag_um is not None
+            false_lags += lag is not None and is_known(lag.lag_um)
     seconds = (time.process_time() - start) / max(3 * len(cases), 1)
     for kind, right in (("right", "stated"), ("exchanged", "other"), ("foreign", "none")):
         found = told[kind]

@@ -14,8 +14,10 @@ from pydantic import Field, ValidationError
 from planish.analyze.agreement import Agreement
 from planish.analyze.beside import Partial
 from planish.analyze.correlograms import CorrelogramProfiles
+from planish.analyze.cross_fit import RefinementR
 from planish.analyze.curve import Curvature, KubelkaMunk
 from planish.analyze.curve_of_sizes import SizeRow
+from planish.analyze.lag import LagNumbers
 from planish.analyze.light_spread import LightSpread
 from planish.analyze.mottle import Mottle
 from planish.analyze.octaves import Band
@@ -29,6 +31,7 @@ from planish.core.errors import FileError
 from planish.core.facts import AtPoints, Facts, Interval, KnownPair, Number, OfLayer, OfMap, Pair, Side, Trust, Value
 from planish.core.results import HoleTiltFacts, InputFile, SheetNumbers
 from planish.core.sources import is_this_code
+from planish.flatten import FlatteningQuality
 
 FORMAT = 3
 """Version of the schema; planish 0.1.0 wrote files without one."""
@@ -91,86 +94,6 @@ class PropertyFacts(Facts):
     support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
 
 
-class Percentiles(Facts):
-    """Distribution of one strain over the mesh."""
-
-    median: Number = Field(description="Median over the cells.")
-    p5: Number = Field(description="5th percentile.")
-    p95: Number = Field(description="95th percentile.")
-    p95_abs: Number = Field(description="95th percentile of the absolute value.")
-    max_abs: Number = Field(description="Largest absolute value.")
-
-
-class GeodesicFacts(Facts):
-    """Relative errors of long distances: flat against along the surface."""
-
-    p50: Number = Field(description="Median relative error.")
-    p95: Number = Field(description="95th percentile of the relative error.")
-    largest: Number = Field(description="Largest relative error.")
-    used: int = Field(description="Lines that stay on the sheet from end to end.")
-    dropped: int = Field(description="Lines that leave it through a hole or the outline.")
-
-
-class DistortionFacts(Facts):
-    """How much the flattening strained the sheet."""
-
-    area: Percentiles = Field(description="Area strain: ratio of areas less 1.")
-    axial_u: Percentiles = Field(description="Strain of the cells' edges along the rows of the mesh.")
-    axial_v: Percentiles = Field(description="Strain of the cells' edges along its columns.")
-    shear: Percentiles = Field(description="Change of the angle between both, rad.")
-    cells: int = Field(description="Cells with four known corners.")
-    inverted_cells: int = Field(description="Cells with a triangle whose flat area is not above zero.")
-    boundary_space_um: Number = Field(description="Length of all borders in space.")
-    boundary_flat_um: Number = Field(description="Length of all borders in the plane.")
-    growth_percent: Number = Field(description="Scale from the projection to the flat sheet, less 1.")
-    growth_anisotropy_percent: Number = Field(
-        description="How much more the sheet grows in one direction than across it."
-    )
-    growth_direction_deg: Number = Field(
-        description="Direction in the projection in which it grows most, from x towards y."
-    )
-    displacement_median_um: Number = Field(
-        description="Median distance from the projection to the flat place, after turning and shifting."
-    )
-    displacement_p95_um: Number = Field(description="95th percentile of that distance.")
-    displacement_max_um: Number = Field(description="Largest such distance.")
-    geodesics: GeodesicFacts | None = Field(description="Lengths of random lines, flat against along the surface.")
-
-
-class CurvatureFacts(Facts):
-    """Whether the surface can be flat at all."""
-
-    patch_um: float = Field(description="Half the side of the patch over which the curvature is averaged.")
-    limit: float = Field(description="Strain that paper carries.")
-    share: Number = Field(description="Share of the surface on which a patch needs more strain than that to be flat.")
-    largest: Number = Field(description="Largest strain that a patch needs.")
-    verdict: str = Field(description="The same in a sentence.")
-
-
-class FlattenFacts(Facts):
-    """How the flattening ended."""
-
-    outcome: str = Field(description="RESTED, HELD_OPEN and so on: how the solver ended.")
-    sentence: str = Field(description="The same in words, with what to try next.")
-    steps: int = Field(description="Steps of the solver.")
-    energy_um2: float = Field(description="Energy of the springs at the end.")
-    mesh_um: float = Field(description="Pitch of the mesh.")
-    folded_cells: int = Field(
-        description="Cells that the springs would fold and that are held open; they are not valid."
-    )
-    edge_strain_p95: Number = Field(description="95th percentile of the absolute strain of the springs.")
-    edge_strain_max: Number = Field(description="Largest absolute strain of a spring.")
-    method: str = Field(description="multigrid or relaxation.")
-    neutral: Literal["base", "faces"] = Field(default="faces", description="Surface that was taken to stay unstrained.")
-    springs: int = Field(description="Number of springs.")
-    straight_share: Number = Field(
-        description="Share of the springs measured straight through space, as the surface is rough there."
-    )
-    distortion: DistortionFacts = Field(description="Strain, lengths and growth.")
-    curvature: CurvatureFacts = Field(description="Whether the surface can be flat at all.")
-    largest_move_um: Number = Field(description="Largest distance of a column from its projected place.")
-
-
 class SectionFacts(Facts):
     """How serial sections were joined: what was taken off, and what is left of the quick errors."""
 
@@ -199,7 +122,7 @@ class SheetFacts(Facts):
     surfaces: SurfaceFacts = Field(description="The surface search.")
     properties: dict[str, PropertyFacts] = Field(description="Distribution of each property, by name.")
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
-    flatten: FlattenFacts = Field(description="The flattening.")
+    flatten: FlatteningQuality = Field(description="The flattening.")
     sections: SectionFacts | None = Field(default=None, description="Where the volume was joined of serial sections.")
 
 
@@ -245,42 +168,6 @@ class OrientationFacts(Facts):
     sentence: str = Field(description="The same in words.")
 
 
-class LagTile(Facts):
-    """Lag of one part of the map."""
-
-    x: float = Field(description="Middle of the tile, um.")
-    y: float = Field(description="Middle of the tile, um.")
-    lag_um: KnownPair = Field(description="Lag of the tile, along x and y.")
-    distinct: bool = Field(description="Whether its peak stands out from chance.")
-
-
-class LagFacts(Facts):
-    """What two maps say of their registration by their own texture; a check, and no gate."""
-
-    property: str = Field(description="The map that was compared with the image.")
-    lag_um: KnownPair = Field(
-        description="The image shows at p + lag what the map shows at p; along x and y. None where inconclusive."
-    )
-    se_um: KnownPair = Field(description="Standard error of the lag, along x and y.")
-    length_um: Number = Field(description="Length of the lag.")
-    length_se_um: Number = Field(description="Standard error of the length.")
-    r: Number = Field(description="r at the best lag; it was searched for and measures no relation.")
-    r_at_zero: Number = Field(description="r without any lag.")
-    limit_r: Number = Field(
-        default=None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases."
-    )
-    silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
-    agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
-    expected_um: Number = Field(description="Expected error of the registration, rms over the map.")
-    sentence: str = Field(description="The same in words.")
-    pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
-    n: int = Field(description="Pixels that are known.")
-    reach_um: float = Field(description="Largest lag that was searched.")
-    light: Number = Field(default=None, description="Share of what is explained that needs the slopes of the surface.")
-    tile_um: Number = Field(description="Side of a tile.")
-    tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
-
-
 class RegistrationFacts(Facts):
     """How a layer was registered to another one."""
 
@@ -305,7 +192,7 @@ class RegistrationFacts(Facts):
     shift_um: Pair = Field(description="Shift of the closest similarity, along x and y.")
     mirrored: bool = Field(description="Whether the transform mirrors.")
     orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
-    lag: LagFacts | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
+    lag: LagNumbers | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
 
 
 class ImageFacts(Facts):
@@ -546,24 +433,6 @@ class RegionsFacts(Facts):
     count: int = Field(description="Number of regions.")
     share: float = Field(description="Share of the reference's pixels that lie in a region.")
     regions: tuple[RegionFacts, ...] = Field(description="Each of them.")
-
-
-class RefinementR(Facts):
-    """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
-
-    r: Number = Field(description="Pearson's correlation.")
-    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
-    n_eff: Number = Field(default=None, description="Independent points.")
-    r_of_marks: Number = Field(default=None, description="By the marks alone, over the same pixels.")
-    gain_interval: KnownPair = Field(default=None, description="In which r - r_of_marks lies with 95 %.")
-    registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
-    sentence: str = Field(description="The same in words.")
-    n: int | None = Field(default=None, description="Pixels that are reported on.")
-    tile_um: Number = Field(default=None, description="Side of the tiles of the checkerboard.")
-    guard_um: Number = Field(default=None, description="Distance kept from the pixels that were tuned on.")
-    null_95: Number = Field(default=None, description="|r| that the search reaches on 95 % of unrelated maps.")
-    p: Number = Field(default=None, description="Share of unrelated maps that reach this r.")
-    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
 
 
 class RefinementFacts(Facts):

@@ -10,11 +10,10 @@ import numpy as np
 import pytest
 
 from planish.analyze import Lag, LagField
-from planish.pipeline.texture import lag_facts
 
 
 def _lag(lag: Lag, *, expected_um: float | None, headline: str) -> dict[str, Any]:
-    return json.loads(lag_facts(lag, expected_um=expected_um, name=headline).model_dump_json())
+    return json.loads(lag.numbers(headline, expected_um).model_dump_json())
 
 
 NAN = math.nan

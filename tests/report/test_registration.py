@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.analyze import Registration
+from planish.analyze import LagNumbers, Registration
 from planish.report.draw import FULL, HALF, levels_between
 from planish.report.registration import (
     blank_ground,
@@ -21,7 +21,7 @@ from planish.report.registration import (
 )
 from planish.report.summary import lag_check
 from planish.report.text import REGISTERED, capital, typeset
-from planish.results import LagFacts, RegistrationFacts
+from planish.results import RegistrationFacts
 from report.pages import Page
 from report.runs import a_run, lag_of, page_of, registration_of
 
@@ -30,12 +30,12 @@ SILENT: dict[str, Any] = {"silence": "texture", "agrees": None, "lag_um": None, 
                           "sentence": "No shared fine texture"}  # fmt: skip
 
 
-def a_lag(**values: Any) -> LagFacts:
+def a_lag(**values: Any) -> LagNumbers:
     """Return a lag of (3, -4) um, known to 0.6 and 0.8 um."""
     given = {"lag_um": (3.0, -4.0), "se_um": (0.6, 0.8), "length_um": 5.0, "pixel_um": (8.0, 8.0), "tile_um": 400.0,
              "tiles": [{"x": 100.0, "y": 200.0, "lag_um": (1.0, 2.0), "distinct": True},
                        {"x": 300.0, "y": 200.0, "lag_um": None, "distinct": False}]}  # fmt: skip
-    return LagFacts.model_validate(lag_of(**given) | values)
+    return LagNumbers.model_validate(lag_of(**given) | values)
 
 
 @pytest.mark.parametrize(

@@ -25,6 +25,7 @@ from .correlograms import CorrelogramProfiles as CorrelogramProfiles
 from .correlograms import LagProfile as LagProfile
 from .correlograms import cross_correlogram as cross_correlogram
 from .cross_fit import CrossFitted as CrossFitted
+from .cross_fit import RefinementR as RefinementR
 from .cross_fit import Registration as Registration
 from .cross_fit import SearchedNull as SearchedNull
 from .cross_fit import Tune as Tune
@@ -56,6 +57,8 @@ from .kubelka_munk import reflectance as reflectance
 from .kubelka_munk import stack as stack
 from .kubelka_munk import weight_from_thickness as weight_from_thickness
 from .lag import Lag as Lag
+from .lag import LagNumbers as LagNumbers
+from .lag import LagTile as LagTile
 from .lag import texture_lag as texture_lag
 from .lag_field import LagField as LagField
 from .light_spread import LightSpread as LightSpread

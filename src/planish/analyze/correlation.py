@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -82,6 +82,12 @@ class Correlation:
     p: float = math.nan
     interval: tuple[float, float] = (math.nan, math.nan)
     warnings: tuple[str, ...] = ()
+
+    @property
+    def saved(self) -> dict[str, Any]:
+        """What a row in the results of a run holds of it, by name."""
+        numbers = asdict(self)
+        return {"point_um": numbers.pop("support_um"), **numbers}
 
     @property
     def direction(self) -> int:

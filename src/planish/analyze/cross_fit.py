@@ -9,6 +9,7 @@ from enum import StrEnum
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import ndimage
 
 from planish.analyze.chance import largest_tail
@@ -18,6 +19,7 @@ from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import find_peak, within
 from planish.analyze.surrogates import Unrelated, correlation_length_um, without_plane
 from planish.core.errors import CannotMeasure
+from planish.core.facts import Facts, Interval, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -45,6 +47,24 @@ class Registration(StrEnum):
     def sentence(self) -> str:
         """The words for a report."""
         return f"registration: {self.value}"
+
+
+class RefinementR(Facts):
+    """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
+
+    r: Value = Field(description="Pearson's correlation.")
+    interval: Interval = Field(default=None, description="In which r lies with 95 %.")
+    n_eff: Value = Field(default=None, description="Independent points.")
+    r_of_marks: Value = Field(default=None, description="By the marks alone, over the same pixels.")
+    gain_interval: Interval = Field(default=None, description="In which r - r_of_marks lies with 95 %.")
+    registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
+    sentence: str = Field(description="The same in words.")
+    n: int | None = Field(default=None, description="Pixels that are reported on.")
+    tile_um: Value = Field(default=None, description="Side of the tiles of the checkerboard.")
+    guard_um: Value = Field(default=None, description="Distance kept from the pixels that were tuned on.")
+    null_95: Value = Field(default=None, description="|r| that the search reaches on 95 % of unrelated maps.")
+    p: Value = Field(default=None, description="Share of unrelated maps that reach this r.")
+    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,6 +120,15 @@ class CrossFitted:
         marks = f"; the marks alone give {self.r_of_marks:.2f} there{change}"
         return f"r = {self.r:.2f}{limits}{marks}; {self.registration.sentence}"
 
+    @property
+    def saved(self) -> RefinementR:
+        """What stands in the results of a run."""
+        return RefinementR(
+            r=self.r, interval=self.interval, n_eff=self.n_eff, r_of_marks=self.r_of_marks,
+            gain_interval=self.gain_interval, registration=self.registration.value, sentence=self.sentence, n=self.n,
+            tile_um=self.tile_um, guard_um=self.guard_um,
+        )  # fmt: skip
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SearchedNull:
@@ -132,6 +161,14 @@ class SearchedNull:
             f"r = {self.r:.2f} after the search, which reaches {self.null_95:.2f} on unrelated maps (95 %; "
             f"p = {self.p:.2g}); {self.registration.sentence}"
         )
+
+    @property
+    def saved(self) -> RefinementR:
+        """What stands in the results of a run."""
+        return RefinementR(
+            r=self.r, registration=self.registration.value, sentence=self.sentence, null_95=self.null_95, p=self.p,
+            surrogates=self.surrogates,
+        )  # fmt: skip
 
 
 def cross_fitted(

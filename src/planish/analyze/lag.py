@@ -10,6 +10,7 @@ from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.lag_field import LagField, MapPair, lag_field
 from planish.analyze.lag_search import LagSearch
@@ -18,6 +19,7 @@ from planish.analyze.surrogates import Unrelated
 from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
+from planish.core.facts import Facts, Interval, Pair, Value
 
 Array = NDArray[np.float64]
 Silence = Literal["few", "texture", "border", "rival", "light"]
@@ -39,6 +41,40 @@ _SILENCE: dict[Silence, str] = {
     "rival": "a second peak is nearly as high, as where a pattern repeats itself",
     "light": "the image follows the slopes of the face, and light from one side cannot be distinguished from a shift",
 }
+
+
+class LagTile(Facts):
+    """Lag of one part of the map."""
+
+    x: float = Field(description="Middle of the tile, um.")
+    y: float = Field(description="Middle of the tile, um.")
+    lag_um: Interval = Field(description="Lag of the tile, along x and y.")
+    distinct: bool = Field(description="Whether its peak stands out from chance.")
+
+
+class LagNumbers(Facts):
+    """What two maps say of their registration by their own texture; a check, and no gate."""
+
+    property: str = Field(description="The map that was compared with the image.")
+    lag_um: Interval = Field(
+        description="The image shows at p + lag what the map shows at p; along x and y. None where inconclusive."
+    )
+    se_um: Interval = Field(description="Standard error of the lag, along x and y.")
+    length_um: Value = Field(description="Length of the lag.")
+    length_se_um: Value = Field(description="Standard error of the length.")
+    r: Value = Field(description="r at the best lag; it was searched for and measures no relation.")
+    r_at_zero: Value = Field(description="r without any lag.")
+    limit_r: Value = Field(default=None, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
+    silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
+    agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
+    expected_um: Value = Field(description="Expected error of the registration, rms over the map.")
+    sentence: str = Field(description="The same in words.")
+    pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
+    n: int = Field(description="Pixels that are known.")
+    reach_um: float = Field(description="Largest lag that was searched.")
+    light: Value = Field(default=None, description="Share of what is explained that needs the slopes of the surface.")
+    tile_um: Value = Field(description="Side of a tile.")
+    tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -160,6 +196,21 @@ class Lag:
     def sentence(self, expected_error_um: float | None = None) -> str:
         """The lag, and whether it agrees with the expected error (rms, in um) if that is given."""
         return self.check(expected_error_um).sentence
+
+    def numbers(self, property_name: str, expected_error_um: float | None = None) -> LagNumbers:
+        """Return what stands in the results of a run, with the first map's property and the expected error if known."""
+        expected = math.nan if expected_error_um is None else expected_error_um
+        tiles = () if self.field is None else zip(
+            self.field.at_um.tolist(), self.field.lag_um.tolist(), self.field.distinct.tolist(), strict=True
+        )  # fmt: skip
+        return LagNumbers(
+            property=property_name, lag_um=self.lag_um, se_um=self.se_um, length_um=self.length_um,
+            length_se_um=self.length_se_um, r=self.r, r_at_zero=self.r_at_zero, limit_r=self.limit_r,
+            silence=self.silence, agrees=self.agrees(expected), expected_um=expected, sentence=self.sentence(expected),
+            pixel_um=self.pixel_um, n=self.n, reach_um=self.reach_um, light=self.light,
+            tile_um=math.nan if self.field is None else self.field.tile_um,
+            tiles=tuple(LagTile(x=x, y=y, lag_um=lag, distinct=distinct) for (x, y), lag, distinct in tiles),
+        )  # fmt: skip
 
 
 def texture_lag(

@@ -111,7 +111,7 @@ def correlate_spread(
         row = correlate(spread, image, pixel_um=point_um)
         apart = paired_difference((plain, image), (spread, image), pixel_um=point_um)
     except PlanishError as error:
-        return LightSpread(width_um=width_um, point_um=point_um, silence=str(error))
+        return LightSpread(width_um=width_um, point_um=point_um, silence=error.text)
     if math.isnan(row.r):
         return LightSpread(width_um=width_um, point_um=point_um, n=row.n, silence=" ".join(row.warnings))
     return LightSpread(

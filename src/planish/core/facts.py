@@ -70,15 +70,7 @@ Trust = Literal["ok", "doubtful", "withheld"]
 class Facts(BaseModel):
     """A frozen part of the results."""
 
-    model_config = ConfigDict(
-        extra="forbid", frozen=True, from_attributes=True, protected_namespaces=(), validate_default=True
-    )
-
-    @classmethod
-    def of(cls, *sources: object, **own: Any) -> Self:
-        """Take what is not given from objects of stages, the first that has an attribute of the field's name."""
-        found = {k: getattr(s, k) for s in reversed(sources) for k in cls.model_fields if hasattr(s, k)}
-        return cls.model_validate(found | own)
+    model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), validate_default=True)
 
     @classmethod
     def holding(cls, *parts: Facts, **more: Any) -> Self:

@@ -1,6 +1,8 @@
 from .curvature import CurvatureCheck as CurvatureCheck
+from .curvature import CurvatureVerdict as CurvatureVerdict
 from .curvature import curvature_check as curvature_check
 from .distortion import Distortion as Distortion
+from .distortion import Spread as Spread
 from .distortion import cell_strain as cell_strain
 from .distortion import edge_strain as edge_strain
 from .distortion import measure_distortion as measure_distortion
@@ -14,4 +16,5 @@ from .relax import relax_grid as relax_grid
 from .relaxation import RelaxationParams as RelaxationParams
 from .scaled import places_when_scaled as places_when_scaled
 from .sheet import Flattened as Flattened
+from .sheet import FlatteningQuality as FlatteningQuality
 from .sheet import flatten_sheet as flatten_sheet

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from pydantic import Field
 from scipy import ndimage
 
+from planish.core.facts import Facts, Value
 from planish.core.typing import Bools, Floats
 from planish.flatten.distortion import row_blocks
 
@@ -20,6 +22,16 @@ _TRUNCATE = 3.0  # Gaussian windows end after so many standard deviations
 _RIM = 1 / 3  # width, in half-sizes of a patch, over which patches fade towards the outline
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
 _LEAST = 0.5  # a patch counts where so much of its weight lies on the sheet
+
+
+class CurvatureVerdict(Facts):
+    """Whether the surface can be flat at all."""
+
+    patch_um: float = Field(description="Half the side of the patch over which the curvature is averaged.")
+    limit: float = Field(description="Strain that paper carries.")
+    share: Value = Field(description="Share of the surface on which a patch needs more strain than that to be flat.")
+    largest: Value = Field(description="Largest strain that a patch needs.")
+    verdict: str = Field(description="The same in a sentence.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,6 +78,13 @@ class CurvatureCheck:
             f"On {100 * self.share:.3g} % of the surface {patch} would have to be strained by more than {limit}, by up "
             f"to {largest}, to be flat, and paper does not carry that: look for slices that drift or jitter, and for "
             "errors of the segmentation."
+        )
+
+    @property
+    def saved(self) -> CurvatureVerdict:
+        """What stands in the results of a run."""
+        return CurvatureVerdict(
+            patch_um=self.patch_um, limit=self.limit, share=self.share, largest=self.largest, verdict=self.verdict
         )
 
 

@@ -3,71 +3,52 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from pydantic import Field
 
+from planish.core.facts import Facts, Value
 from planish.core.typing import Floats
 from planish.flatten.geodesics import GeodesicError, geodesic_error, triangle_areas, whole_cells
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
 
 
-@dataclass(frozen=True, slots=True)
-class Spread:
-    """Distribution of a strain over the cells, the last two of its absolute value; NaN where there is no cell."""
+class Spread(Facts):
+    """Distribution of one strain over the mesh."""
 
-    median: float
-    p5: float
-    p95: float
-    p95_abs: float
-    max_abs: float
+    median: Value = Field(description="Median over the cells.")
+    p5: Value = Field(description="5th percentile.")
+    p95: Value = Field(description="95th percentile.")
+    p95_abs: Value = Field(description="95th percentile of the absolute value.")
+    max_abs: Value = Field(description="Largest absolute value.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Distortion:
-    """What flattening did to the sheet as a whole.
+class Distortion(Facts):
+    """How much the flattening strained the sheet."""
 
-    Attributes
-    ----------
-    area : Spread
-        Of the area ratio minus 1.
-    axial_u, axial_v : Spread
-        Of the strains of the cells' edges along the mesh's rows and along its columns.
-    shear : Spread
-        Of the change of the angle between them, rad.
-    cells, inverted_cells : int
-        Cells with four known corners, and those with a triangle whose flat area is not above zero.
-    boundary_space_um, boundary_flat_um : float
-        Length of the border of all whole cells, outline and holes, along the chords of the mesh.
-    growth_percent : float
-        Scale of the least-squares similarity from the projection (x, y) to (u, v), minus 1.
-    growth_anisotropy_percent : float
-        Ratio of the singular values of the least-squares affine map between the same, minus 1. A registration with one
-        scale cannot take this part up.
-    growth_direction_deg : float
-        Direction in the projection in which the affine map grows most: from x towards y, 0 to 180.
-    displacement_median_um, displacement_p95_um, displacement_max_um : float
-        From the projection to the plane, in the plane, after turning and shifting one onto the other.
-    geodesics : GeodesicError
-    """
-
-    area: Spread
-    axial_u: Spread
-    axial_v: Spread
-    shear: Spread
-    cells: int
-    inverted_cells: int
-    boundary_space_um: float
-    boundary_flat_um: float
-    growth_percent: float
-    growth_anisotropy_percent: float
-    growth_direction_deg: float
-    displacement_median_um: float
-    displacement_p95_um: float
-    displacement_max_um: float
-    geodesics: GeodesicError
+    area: Spread = Field(description="Area strain: ratio of areas less 1.")
+    axial_u: Spread = Field(description="Strain of the cells' edges along the rows of the mesh.")
+    axial_v: Spread = Field(description="Strain of the cells' edges along its columns.")
+    shear: Spread = Field(description="Change of the angle between both, rad.")
+    cells: int = Field(description="Cells with four known corners.")
+    inverted_cells: int = Field(description="Cells with a triangle whose flat area is not above zero.")
+    boundary_space_um: Value = Field(description="Length of all borders in space.")
+    boundary_flat_um: Value = Field(description="Length of all borders in the plane.")
+    growth_percent: Value = Field(description="Scale from the projection to the flat sheet, less 1.")
+    growth_anisotropy_percent: Value = Field(
+        description="How much more the sheet grows in one direction than across it."
+    )
+    growth_direction_deg: Value = Field(
+        description="Direction in the projection in which it grows most, from x towards y."
+    )
+    displacement_median_um: Value = Field(
+        description="Median distance from the projection to the flat place, after turning and shifting."
+    )
+    displacement_p95_um: Value = Field(description="95th percentile of that distance.")
+    displacement_max_um: Value = Field(description="Largest such distance.")
+    geodesics: GeodesicError | None = Field(description="Lengths of random lines, flat against along the surface.")
 
 
 def measure_distortion(
@@ -224,8 +205,8 @@ def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
 
 def _spread(values: Floats) -> Spread:
     values = values[np.isfinite(values)] if np.isfinite(values).any() else np.array([np.nan])
-    percentiles = *np.percentile(values, [50, 5, 95]), *np.percentile(np.abs(values), [95, 100])
-    return Spread(*map(float, percentiles))
+    (median, p5, p95), (p95_abs, max_abs) = np.percentile(values, [50, 5, 95]), np.percentile(np.abs(values), [95, 100])
+    return Spread(median=median, p5=p5, p95=p95, p95_abs=p95_abs, max_abs=max_abs)
 
 
 def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:

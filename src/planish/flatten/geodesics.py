@@ -6,7 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import Field
 
+from planish.core.facts import Facts, Value
 from planish.core.typing import Bools, Floats
 
 Index = NDArray[np.intp]
@@ -35,25 +37,14 @@ class MeshPoints:
         return np.einsum("nc,nck->nk", self.weights, corner_values)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class GeodesicError:
-    """Relative error of length, ``abs(flat / space - 1)``, over random lines.
+class GeodesicError(Facts):
+    """Relative errors of long distances: flat against along the surface."""
 
-    Attributes
-    ----------
-    p50, p95, largest : float
-        NaN where no line was left.
-    used : int
-        Lines that stay on the sheet from end to end.
-    dropped : int
-        Lines that leave it through a hole or the outline. What is left favours short lines on such sheets.
-    """
-
-    p50: float
-    p95: float
-    largest: float
-    used: int
-    dropped: int
+    p50: Value = Field(description="Median relative error.")
+    p95: Value = Field(description="95th percentile of the relative error.")
+    largest: Value = Field(description="Largest relative error.")
+    used: int = Field(description="Lines that stay on the sheet from end to end.")
+    dropped: int = Field(description="Lines that leave it through a hole or the outline.")
 
 
 def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000) -> GeodesicError:

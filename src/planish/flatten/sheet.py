@@ -8,16 +8,18 @@ from typing import Literal
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import Field
 from scipy import ndimage
 
 from planish.core.arrays import check_dataset
 from planish.core.errors import CannotFlatten
+from planish.core.facts import Facts, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
 from planish.core.outcome import Outcome
 from planish.core.typing import Bools, Floats
-from planish.flatten.curvature import CurvatureCheck, curvature_check
+from planish.flatten.curvature import CurvatureCheck, CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
 from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
@@ -28,6 +30,30 @@ _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
 # Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it holds
 # the sheet together there and leaves its shape to what was measured.
 _BRIDGED_WEIGHT = 0.2
+
+
+class FlatteningQuality(Facts):
+    """How the flattening ended."""
+
+    outcome: str = Field(description="RESTED, HELD_OPEN and so on: how the solver ended.")
+    sentence: str = Field(description="The same in words, with what to try next.")
+    steps: int = Field(description="Steps of the solver.")
+    energy_um2: float = Field(description="Energy of the springs at the end.")
+    mesh_um: float = Field(description="Pitch of the mesh.")
+    folded_cells: int = Field(
+        description="Cells that the springs would fold and that are held open; they are not valid."
+    )
+    edge_strain_p95: Value = Field(description="95th percentile of the absolute strain of the springs.")
+    edge_strain_max: Value = Field(description="Largest absolute strain of a spring.")
+    method: str = Field(description="multigrid or relaxation.")
+    neutral: Neutral = Field(default="faces", description="Surface that was taken to stay unstrained.")
+    springs: int = Field(description="Number of springs.")
+    straight_share: Value = Field(
+        description="Share of the springs measured straight through space, as the surface is rough there."
+    )
+    distortion: Distortion = Field(description="Strain, lengths and growth.")
+    curvature: CurvatureVerdict = Field(description="Whether the surface can be flat at all.")
+    largest_move_um: Value = Field(description="Largest distance of a column from its projected place.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -76,6 +102,19 @@ class Flattened:
     folded_cells: int
     edge_strain_p95: float
     edge_strain_max: float
+
+    @property
+    def saved(self) -> FlatteningQuality:
+        """What stands in the results of a run."""
+        ends = (("u", "projected_u"), ("v", "projected_v"))
+        move = np.hypot(*(self.flat[flat].values - self.flat[projected].values for flat, projected in ends))
+        return FlatteningQuality(
+            outcome=self.outcome.name, sentence=self.outcome.value, steps=self.steps, energy_um2=self.energy,
+            mesh_um=self.mesh_um, folded_cells=self.folded_cells, edge_strain_p95=self.edge_strain_p95,
+            edge_strain_max=self.edge_strain_max, method=self.method, neutral=self.neutral, springs=self.springs,
+            straight_share=self.straight_share, distortion=self.distortion, curvature=self.curvature.saved,
+            largest_move_um=float(np.nanmax(move)),
+        )  # fmt: skip
 
 
 def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) -> Flattened:

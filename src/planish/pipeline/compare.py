@@ -114,7 +114,7 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
         at_sizes = [*one.sizes()]
         for row, own in at_sizes if at_sizes[0][0].n else []:
             more = _differences(own, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
-            found.append(CorrelationRow.of(row, a=a, a_map=of_a, b=b, b_map=of_b, point_um=row.support_um, **more))
+            found.append(CorrelationRow(**row.saved, a=a, a_map=of_a, b=b, b_map=of_b, **more))
     for size in {row.point_um for row in found}:
         of_size = [k for k, row in enumerate(found) if row.point_um == size]
         every = holm([math.nan if (p := found[k].p) is None else p for k in of_size])
@@ -179,9 +179,7 @@ def comparison_rows(
                 moved = r - found.r - apart.difference
                 low, high = (v + moved for v in apart.interval)
                 more = {"difference": r - found.r, "difference_interval": (low, high)}
-            yield ComparisonRow.of(
-                found, registration=title, property=name, marks_rms_um=rms_um, point_um=found.support_um, **more
-            )
+            yield ComparisonRow(**found.saved, registration=title, property=name, marks_rms_um=rms_um, **more)
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:

@@ -10,11 +10,11 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.analyze import LagNumbers
 from planish.core.bands import band_of, bands, thinned
 from planish.core.facts import Side
 from planish.core.grid import Grid, pitch
 from planish.core.results import InputFile
-from planish.flatten import Flattened
 from planish.io import fingerprint
 from planish.pipeline.compare import headline_of, is_property
 from planish.pipeline.compared import image_facts
@@ -24,8 +24,6 @@ from planish.pipeline.registration import Registration
 from planish.register import Chain, FittedTransform
 from planish.results import (
     ExpectedError,
-    FlattenFacts,
-    LagFacts,
     LayerFacts,
     LinkedArea,
     OrientationFacts,
@@ -121,18 +119,8 @@ def section_facts(sections: xr.Dataset) -> SectionFacts:
     })  # fmt: skip
 
 
-def flatten_facts(flattened: Flattened) -> FlattenFacts:
-    """How the flattening ended and how much it strained the sheet."""
-    outcome, flat = flattened.outcome, flattened.flat
-    move = np.hypot(*(flat[a].values - flat[b].values for a, b in (("u", "projected_u"), ("v", "projected_v"))))
-    return FlattenFacts.of(
-        flattened, outcome=outcome.name, sentence=outcome.value, energy_um2=flattened.energy,
-        largest_move_um=float(np.nanmax(move)),
-    )  # fmt: skip
-
-
 def layer_facts(
-    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagFacts | None, headline: str | None
+    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagNumbers | None, headline: str | None
 ) -> LayerFacts:  # fmt: skip
     """What a layer is, how much of the reference it covers, and how it was registered.
 
@@ -148,15 +136,17 @@ def layer_facts(
     )  # fmt: skip
 
 
-def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagFacts | None) -> RegistrationFacts:
+def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumbers | None) -> RegistrationFacts:
     found, fit = link.registration, link.registration.fit
     _, (error,) = thinned(maps["expected_error"])
     known = error[np.isfinite(error)]
-    return RegistrationFacts.of(
-        found, fit, fit.transform, to=link.path[1].name, path=tuple(at.name for at in link.path),
+    return RegistrationFacts(
+        to=link.path[1].name, path=tuple(layer.name for layer in link.path), source=found.source,
         found_moving=found.count("moving"), found_fixed=found.count("fixed"),
-        matched=int(np.count_nonzero(fit.robust_weights)),
-        match_sentence=found.sentence, model_sentence=fit.sentence,
+        matched=int(np.count_nonzero(fit.robust_weights)), second_best=found.second_best,
+        match_sentence=found.sentence, design=found.design, tilt=found.tilt, model=fit.model,
+        model_sentence=fit.sentence, warnings=fit.warnings, rms_um=fit.rms_um,
+        leave_one_out_rms_um=fit.leave_one_out_rms_um, scale=fit.transform.scale, mirrored=fit.mirrored,
         expected_error=ExpectedError(
             median_um=np.median(known), largest_um=known.max(), shares=error_shares(maps)
         ) if known.size else None,

@@ -14,7 +14,7 @@ from planish.core.grid import Grid
 from planish.core.transform import Similarity
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.refinement import Refinement
-from planish.results import RefinementFacts, RefinementR
+from planish.results import RefinementFacts
 
 Array = NDArray[np.float64]
 
@@ -66,10 +66,10 @@ def refine_link(
         of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
     except CannotMeasure:
         of_r = searched_null(a, tune, valid=valid, surrogates=_SURROGATES)
-    facts = RefinementFacts.of(
-        found, property=headline, moved_rms_um=found.moved_um[0], moved_most_um=found.moved_um[1],
-        share_of_expected_error=found.share, longest_wave_um=_COARSEST_UM,
-        correlation=RefinementR.of(of_r, registration=of_r.registration.value),
+    facts = RefinementFacts(
+        model=found.model, metric=found.metric, property=headline, moved_rms_um=found.moved_um[0],
+        moved_most_um=found.moved_um[1], share_of_expected_error=found.share, area=found.area, strain=found.strain,
+        warnings=found.warnings, sentence=found.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r.saved,
     )  # fmt: skip
     return RefinedTransform(marks=Chain(fits=(fit,)), refined=found), facts
 

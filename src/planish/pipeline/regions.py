@@ -55,7 +55,8 @@ def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
     return RegionsFacts(
         count=len(regions.declared), share=together / pixels,
         regions=tuple(
-            RegionFacts.of(one, share=int(n) / pixels) for one, n in zip(regions.declared, one_by_one, strict=True)
+            RegionFacts(name=region.name, reason=region.reason, author=region.author, share=int(n) / pixels)
+            for region, n in zip(regions.declared, one_by_one, strict=True)
         ),
     )  # fmt: skip
 

@@ -21,7 +21,7 @@ from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
 from planish.pipeline.checks import hand_check, sheet_checks
 from planish.pipeline.corrections import asked_corrections, made_corrections
-from planish.pipeline.facts import flatten_facts, input_file, property_facts, section_facts, surface_facts
+from planish.pipeline.facts import input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
 from planish.pipeline.through_scale import thickness_scale_check
 from planish.pipeline.volume import read_sheet_volume, some_slices
@@ -87,7 +87,7 @@ def map_layer(
     params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um))
     seen: dict[str, Any] = {
         "surfaces": surface_facts(measured), "properties": property_facts(measured),
-        "flatten": flatten_facts(flattened), "sections": None if sections is None else section_facts(sections),
+        "flatten": flattened.saved, "sections": None if sections is None else section_facts(sections),
     }  # fmt: skip
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
     if volume is None:

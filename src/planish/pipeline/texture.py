@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -11,7 +10,7 @@ from numpy.typing import NDArray
 
 from planish.analyze import (
     SIDES,
-    Lag,
+    LagNumbers,
     Textures,
     image_of_sheet,
     texture_lag,
@@ -24,7 +23,6 @@ from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.facts import Side
 from planish.core.grid import Grid
-from planish.results import LagFacts, LagTile
 
 Array = NDArray[np.float64]
 
@@ -47,7 +45,7 @@ _SIDE_UNKNOWN = Check(
 class TextureFound(NamedTuple):
     """Where the texture of two layers puts them, None where there are too few pixels; and what was judged."""
 
-    lag: LagFacts | None
+    lag: LagNumbers | None
     checks: tuple[Check, ...]
 
 
@@ -105,8 +103,7 @@ def texture_of(
     if lag.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
         text = f"{check.sentence} Moved by {lag.length_um:.0f} um they do go together (position by texture)."
         check = check.model_copy(update={"sentence": text})
-    facts = lag_facts(lag, expected_um=expected_um, name=compared.first[0])
-    return TextureFound(facts, (check, lag.check(expected_um)))
+    return TextureFound(lag.numbers(compared.first[0], expected_um), (check, lag.check(expected_um)))
 
 
 def _by_face(found: Textures, side: Side, coated: list[Side]) -> _Compared:
@@ -130,20 +127,3 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
         if known.size and known.size >= _SEEN_SHARE * np.count_nonzero(use) and float(np.median(known)) > limit:
             found.append(side)
     return found
-
-
-def lag_facts(lag: Lag, *, expected_um: float | None, name: str) -> LagFacts:
-    """What two maps say of their registration by their own texture.
-
-    ``expected_um`` is the expected error of the registration over the map, rms; ``name`` the property of the first map.
-    """
-    expected = expected_um if expected_um is not None and math.isfinite(expected_um) else None
-    field = lag.field
-    tiles = () if field is None else tuple(
-        LagTile(x=float(x), y=float(y), lag_um=tuple(found), distinct=bool(distinct))
-        for (x, y), found, distinct in zip(field.at_um, field.lag_um, field.distinct, strict=True)
-    )  # fmt: skip
-    return LagFacts.of(
-        lag, property=name, expected_um=expected, agrees=None if expected is None else lag.agrees(expected),
-        sentence=lag.sentence(expected), tiles=tiles, tile_um=None if field is None else float(field.tile_um),
-    )  # fmt: skip

@@ -104,7 +104,7 @@ def _profile(canvas: Canvas, left: float, axis: str, profile: LagProfile) -> Non
     axes.line([(span[0], 0.0), (span[1], 0.0)], colour=SOFT, width=0.8)
     axes.line([(0.0, -high), (0.0, high)], colour=SOFT, width=0.8)
     for sign in (1, -1):
-        limits = [sign * v for v in profile.limit_of_any]
+        limits = [sign * v if is_known(v) else math.nan for v in profile.limit_of_any]
         axes.line(list(zip(profile.lags_um, limits, strict=True)), colour=POINT, width=1.2, dash="6 4")
     axes.line(list(zip(profile.lags_um, profile.r, strict=True)), colour=ACCENT, width=2.2)
     canvas.ticks(axes, f"lag along {axis} / µm", "r")

@@ -5,17 +5,17 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from planish.flatten import CurvatureVerdict
 from planish.report import draw
 from planish.report.colours import GEOMETRY, SIGNED, Array, limits
 from planish.report.text import count, length, plain
-from planish.results import CurvatureFacts
 
 _ARROWS = 22  # across the longer side
 _POINTS = 600  # of a line of the convergence
 
 
 def draw_flattening(
-    surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureFacts
+    surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureVerdict
 ) -> list[draw.Picture]:  # fmt: skip
     """Draw the warp, what flattening moved and strained, and whether the surface can be paper."""
     pictures = [_warp(surfaces, flat), _displacement(flat), _strain(strain, flat)]

@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
-_FILTERS: dict[str, Any] = {"length_um": text.length, "limit": text.with_unit} | {
+_FILTERS: dict[str, Any] = {"is_known": is_known, "length_um": text.length, "limit": text.with_unit} | {
     name: getattr(text, name)
     for name in ("capital", "count", "fixed", "in_words", "number", "percent", "the", "typeset", "unit")
 }

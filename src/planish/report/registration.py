@@ -9,6 +9,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.analyze import LagNumbers
+from planish.core.facts import is_known
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
     BELOW,
@@ -29,7 +31,7 @@ from planish.report.draw import (
     reduced,
 )  # fmt: skip
 from planish.report.text import capital, count, in_words, length, plain, the, title_of
-from planish.results import LagFacts, RegistrationFacts
+from planish.results import RegistrationFacts
 
 ARROW, EDGE = "#ff5238", "#39c5ff"
 _MARK, _SILENT = "#ffb000", "#7d8790"
@@ -191,7 +193,7 @@ def draw_expected_error(
     )
 
 
-def draw_lags(lag: LagFacts | None, ground: Ground, *, first: str, second: str, width: float) -> Picture | None:
+def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str, width: float) -> Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
     if lag is None:
         return None
@@ -203,7 +205,7 @@ def draw_lags(lag: LagFacts | None, ground: Ground, *, first: str, second: str, 
     axes.dots(at, size=4, colour=ARROW, halo="white")
     factor = _arrows(canvas, axes, at, lags, share=0.11, most=0.16, label="{} of lag", width=2.2)
     doubt = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
-    side = f" of {plain(lag.tile_um)}" if lag.tile_um else ""
+    side = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
     return canvas.picture(
         title="Image-based check, tile by tile",
         caption=(
@@ -224,14 +226,14 @@ def machine_direction(r: RegistrationFacts, moving: str) -> tuple[float, str] | 
     return None if carried is None else (carried, f"carried over from {the(moving)}")
 
 
-def lag_places(lag: LagFacts, ground: Ground) -> tuple[Array, Array, Array]:
+def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     """Return where tiles with a distinct lag lie on a ground, their lags, and where the others lie, (n, 2) in um.
 
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
     y0, x0 = (float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
-    found = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles if t.distinct and t.lag_um is not None]
-    others = [(t.x + x0, t.y + y0) for t in lag.tiles if not t.distinct or t.lag_um is None]
+    found = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles if t.distinct and is_known(t.lag_um)]
+    others = [(t.x + x0, t.y + y0) for t in lag.tiles if not t.distinct or not is_known(t.lag_um)]
     distinct = np.array(found, dtype=np.float64).reshape(-1, 4)
     return distinct[:, :2], distinct[:, 2:], np.array(others, dtype=np.float64).reshape(-1, 2)
 

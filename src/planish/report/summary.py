@@ -6,8 +6,9 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import Literal, NamedTuple
 
+from planish.analyze import LagNumbers
 from planish.core.checks import State
-from planish.core.facts import Trust
+from planish.core.facts import Trust, is_known
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import (
@@ -25,7 +26,7 @@ from planish.report.text import (
     typeset,
     unit,
 )  # fmt: skip
-from planish.results import CorrelationRow, LagFacts, LayerFacts, Results
+from planish.results import CorrelationRow, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]
 """Layer and map -> title of the map."""
@@ -271,16 +272,16 @@ def _r_tile(row: CorrelationRow | None, label: str) -> Tile:
     return Tile(r_text(row), "", label, f"{interval}{square if row.r2 is not None else ''}{known}; {REGISTERED}")
 
 
-def lag_check(lag: LagFacts | None, *, first: str, second: str, name: str) -> Check | None:
+def lag_check(lag: LagNumbers | None, *, first: str, second: str, name: str) -> Check | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
-    width, state, word = math.hypot(*(lag.se_um or ())), "agrees", " agrees"
+    width, state, word = math.hypot(*lag.se_um), "agrees", " agrees"
     if lag.agrees is None:
         state, word = "grey", " inconclusive"
         end = (
             "The marks give no expected error to compare the result with."
-            if lag.length_um is not None
+            if is_known(lag.length_um)
             else "The result is inconclusive: it speaks neither for nor against the registration, whose error is known "
             "from the marks alone."
         )
@@ -290,7 +291,7 @@ def lag_check(lag: LagFacts | None, *, first: str, second: str, name: str) -> Ch
             "They do not coincide within the expected error. Until the cause is known, a position is known to about "
             f"{length(lag.length_um, 2)} and no better."
         )
-    elif width > (lag.expected_um or math.inf):
+    elif width > lag.expected_um > 0:
         end = (
             "They coincide, but locate the maps less precisely than the marks do: an error of up to about "
             f"{length(2 * width, 2)} would not be noticed."

@@ -90,7 +90,7 @@ def comparison_sentence(results: Results) -> str:
 def _light(results: Results) -> str:
     """A caution where the image shows slopes: they brighten one side of a thick place, and a shift can raise r."""
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
-    if lag is None or lag.light is None or lag.light < _SIDE_LIGHT:
+    if lag is None or not lag.light >= _SIDE_LIGHT:
         return ""
     share = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
     return (

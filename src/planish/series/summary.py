@@ -203,13 +203,15 @@ def _group(specimens: Sequence[Specimen], k: int, quantity: Quantity, group: Map
     if quantity.what == "r":
         n_eff = [math.nan if (n := one.cells[k].n_eff_interval) is None else n for one in own]
         pooled: PooledCorrelation = pooled_r(fields, n_eff)
-        return GroupFacts.of(
-            pooled, **about, mean=pooled.r, between_sheets=_heterogeneity(pooled.between_sheets),
+        return GroupFacts(
+            **about, sheets=pooled.sheets, fields=pooled.fields, mean=pooled.r, interval=pooled.interval,
+            reason=pooled.reason, between_sheets=_heterogeneity(pooled.between_sheets),
             between_fields=_heterogeneity(pooled.between_fields),
         )  # fmt: skip
     mean, variances = over_sheets(fields), variances_of(fields)
-    return GroupFacts.of(
-        mean, **about,
+    return GroupFacts(
+        **about, sheets=mean.sheets, fields=mean.fields, mean=mean.mean, sd=mean.sd, interval=mean.interval,
+        reason=mean.reason,
         variances=VarianceFacts(
             sd_between=_root(variances.between), sd_within=_root(variances.within), share=variances.share,
             share_interval=variances.share_interval, p=variances.p, reason=variances.reason,
@@ -273,8 +275,10 @@ def _difference(pair: _Pair, factor: str, margin: float | None) -> DifferenceFac
     found, held = pair.found, None
     if margin is not None:
         shown: Equivalence = equivalence(found, margin=margin)
-        held = EquivalenceFacts.of(shown)
-    return DifferenceFacts.of(
-        found, quantity=pair.quantity, within=pair.within, factor=factor, levels=pair.levels, left_out=pair.left_out,
-        smallest_seen=found.smallest_seen(), equivalence=held,
+        held = EquivalenceFacts(margin=shown.margin, interval=shown.interval, p=shown.p, verdict=shown.verdict)
+    return DifferenceFacts(
+        quantity=pair.quantity, within=pair.within, factor=factor, levels=pair.levels, kind=found.kind,
+        sheets=found.sheets, means=found.means, difference=found.difference, interval=found.interval, p=found.p,
+        p_of_table=found.p_of_table, smallest_seen=found.smallest_seen(), unpaired=found.unpaired,
+        left_out=pair.left_out, reason=found.reason, equivalence=held,
     )  # fmt: skip
