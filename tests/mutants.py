@@ -90,14 +90,14 @@ MUTANTS = [
     # register
     Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),
     Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),
-    Mutant("register/pairs.py", "(-points[:, 0] if mirrored else points[:, 0]) + 1j * points[:, 1]", "points[:, 0] + 1j * points[:, 1]", "register/test_fit.py"),
+    Mutant("register/pairs.py", "(-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]", "points[..., 0] + 1j * points[..., 1]", "register/test_fit.py"),
     Mutant("register/result.py", "np.sqrt(2.0 * self.field.mark_variance", "np.sqrt(self.field.mark_variance", "register/test_models.py"),
-    Mutant("register/result.py", "square = square * stretch + fit.expected_error_um(at) ** 2", "square = square + fit.expected_error_um(at) ** 2", "register/test_chain.py"),
+    Mutant("register/result.py", "square = square * stretch + fit.expected_error_um(places) ** 2", "square = square + fit.expected_error_um(places) ** 2", "register/test_chain.py"),
     Mutant("register/result.py", "% 2 == 1", ">= 1", "register/test_chain.py"),
-    Mutant("register/thin_plate.py", "0.5 * squares * np.log(squares)", "squares * np.log(squares)", "register/test_thin_plate.py"),
+    Mutant("register/spline.py", "0.5 * squares * np.log(squares)", "squares * np.log(squares)", "register/test_thin_plate.py"),
     Mutant("register/field.py", "np.log(_AFFINE[1:, None])", "0.5 * np.log(_AFFINE[1:, None])", "register/test_averaged.py"),
     Mutant("register/field.py", "form[6:, 6:] -= np.diag(away)", "form[6:, 6:] += np.diag(away)", "register/test_averaged.py"),
-    Mutant("register/robust.py", "keep[order[:wrong]] = False", "keep[order] = False", "register/test_robust.py"),
+    Mutant("register/fit.py", "keep[order[:wrong]] = False", "keep[order] = False", "register/test_robust.py"),
     # resample
     Mutant("resample/maps.py", "hand = -1.0 if similarity.mirrored else 1.0", "hand = 1.0", "resample/test_maps.py"),
     Mutant("resample/maps.py", "c * cos2 - s * hand * sin2", "c * cos2 + s * hand * sin2", "resample/test_maps.py"),

@@ -7,8 +7,7 @@ from scipy import ndimage
 from planish.analyze import by_shift, cross_fitted
 from planish.core.errors import CannotRegister, SizeError
 from planish.register import fit_transform
-from planish.register.free_form import FreeForm
-from planish.register.refinement import RefineOptions, refine
+from planish.register.refinement import FreeForm, RefineOptions, refine
 
 itk = pytest.importorskip("SimpleITK")
 PIXEL = 10.0
