@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import Annotated
-
-from pydantic import Field
+from pydantic import PositiveFloat
 
 from planish.core.options import Params, option
-
-Diameter = Annotated[float, Field(gt=0)]
 
 
 class HoleParams(Params):
     """Which holes are searched for."""
 
-    hole_um: tuple[Diameter, Diameter] = option(
+    hole_um: tuple[PositiveFloat, PositiveFloat] = option(
         (100.0, 300.0), metavar="LEAST,MOST", help="Range of hole diameters in um."
     )
     printed: bool = option(

@@ -41,8 +41,8 @@ _LAYERS = (("HOLES", 1), ("BURNT", 8), ("FIELD", 3), ("VIEW", 8), ("NUMBERS", 7)
 def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
     stage = stage or StageParams()
-    on, off = ("M3", "M5") if stage.pulse_code == "m3" else ("M64 P0", "M65 P0")
-    words = "M3 and M5" if stage.pulse_code == "m3" else "M64 P0, M65 P0"
+    is_m3 = stage.pulse_code == "m3"
+    on, off, words = ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
     if stage.power is not None:
         on = f"M3 S{_plain(stage.power, 3)}"
     points, origin = pattern.points_um, pattern.origin_um

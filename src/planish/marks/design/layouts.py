@@ -58,11 +58,9 @@ class Ruler:
 
     def with_corners(self, inner: Ints) -> Ints:
         """Add the holes in the corners to positions (..., n)."""
-        shape = (*inner.shape[:-1], 1)
-        parts = [np.zeros(shape, dtype=np.int64)] if self.start else []
-        parts.append(inner)
-        parts += [np.full(shape, self.length, dtype=np.int64)] if self.end else []
-        return np.concatenate(parts, axis=-1)
+        start = np.zeros((*inner.shape[:-1], int(self.start)), dtype=np.int64)
+        end = np.full((*inner.shape[:-1], int(self.end)), self.length, dtype=np.int64)
+        return np.concatenate([start, inner, end], axis=-1)
 
 
 def share_holes(count: int, lengths: Sequence[float], least: int) -> list[int]:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, PositiveFloat, model_validator
 
 from planish.core.options import Params, option
 
-Positive = Annotated[float, Field(gt=0)]
 Side = Annotated[float, Field(ge=500, le=1e6)]
 
 
@@ -72,7 +71,7 @@ class StageParams(Params):
 class ImagingParams(Params):
     """How well the holes are found, for the predicted error."""
 
-    pixel_um: tuple[Positive, Positive] = option(
+    pixel_um: tuple[PositiveFloat, PositiveFloat] = option(
         (5.0, 5.0), metavar="SIZE|A,B", repeat=True, help="Pixels of the two maps, for the predicted error."
     )
     roughness_um: float = option(5.0, ge=0, cli=None, help="Standard deviation of a rim's radius.")
