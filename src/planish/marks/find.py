@@ -145,7 +145,7 @@ def _holes(
         _raise_texture(floors, best.texture)
         rows = criteria.merge_floors(rows, floors)
     is_whole = criteria.is_whole(best.measured, fine.image.shape, fine.pixel_um)
-    met = criteria.criteria(best.measured, fine.pixel_um, low, high)
+    met = criteria.met_criteria(best.measured, fine.pixel_um, low, high)
     counts = count_rejected(best.measured, rows, met, is_whole, best.dropped)
     criteria.set_covariance(rows, fine.pixel_um)
     rows[:, k.X : k.Y + 1] += fine.origin_um

@@ -79,7 +79,7 @@ def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) ->
 Criteria = dict[str, Bools]
 
 
-def criteria(rows: Floats, size: tuple[float, float], low: float, high: float) -> Criteria:
+def met_criteria(rows: Floats, size: tuple[float, float], low: float, high: float) -> Criteria:
     """Apply each criterion to rows of `measure`; ``low, high`` is the range of radii in um."""
     radius, step = rows[:, k.RADIUS], rows[:, k.STEP]
     total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
@@ -100,7 +100,7 @@ def criteria(rows: Floats, size: tuple[float, float], low: float, high: float) -
 
 def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> Bools:
     """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
-    return np.all(list(criteria(rows, size, low, high).values()), axis=0)
+    return np.all(list(met_criteria(rows, size, low, high).values()), axis=0)
 
 
 def _is_round(rows: Floats, size: tuple[float, float]) -> Bools:

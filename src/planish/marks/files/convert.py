@@ -242,13 +242,13 @@ def _outgoing(
         marks = marks.isel(mark=np.flatnonzero(keep))
     if single:
         facts = [facts[0] if facts[0].pixel_um else facts[1]]
-    sent: list[Floats] = []
-    for layer, pixels, role in zip(sides, facts, ("moving", "fixed"), strict=False):
+    outgoing: list[Floats] = []
+    for layer, override, role in zip(sides, facts, ("moving", "fixed"), strict=False):
         about, points = about_layer(marks, layer), model.points_of(marks, layer)
         pixel, first = about.get("pixel_um"), about.get("origin_um", {})
         pixels = LayerPixels(
-            pixels.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
+            override.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
         )
         origin, factor = pixels.frame(unit, points.shape[1], f"The file for {form.title}", role)
-        sent.append((points - origin) / factor)
-    return marks, dict(zip(names if single else ("moving", "fixed"), sent[::-1] if swap else sent, strict=True))
+        outgoing.append((points - origin) / factor)
+    return marks, dict(zip(names if single else ("moving", "fixed"), outgoing[::-1] if swap else outgoing, strict=True))
