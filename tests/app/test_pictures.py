@@ -99,8 +99,10 @@ def test_a_tile_reads_its_chunk_and_no_more(tmp_path, maps, monkeypatch):
     found = written(tmp_path / "run", maps)
     assert found["p0"].codes  # learnt before: from the smallest copy
     read = []
-    whole = map_store._Stored.read
-    monkeypatch.setattr(map_store._Stored, "read", lambda self, where: read.append(part := whole(self, where)) or part)
+    whole = map_store._StoredArray.read
+    monkeypatch.setattr(
+        map_store._StoredArray, "read", lambda self, where: read.append(part := whole(self, where)) or part
+    )
     tiles = Tiles(found)
     for tile in ((0, 0), (0, 1), (1, 0), (1, 1)):
         tiles.tile("p0", 0, *tile)

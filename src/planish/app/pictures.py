@@ -22,8 +22,7 @@ from planish.core.overviews import count_of, middles
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
 from planish.io.map_store import OVERVIEWS, stored_group
-from planish.io.picture import Picture as Decoded
-from planish.io.picture import is_mapped, load_picture
+from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
 from planish.pipeline.compare import is_property
 from planish.pipeline.linking import LINKED
@@ -222,7 +221,7 @@ class _ImageValues:
     def __init__(self, file: ImageFile, shape: tuple[int, int]) -> None:
         self._file, self.shape, self.dtype = file, shape, np.dtype(np.float32)
         self._opening = threading.Lock()
-        self._picture: Decoded | None = None
+        self._picture: DecodedPicture | None = None
 
     def __getitem__(self, where: Where, /) -> NDArray[np.float32]:
         """Read a window."""

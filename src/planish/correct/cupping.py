@@ -66,11 +66,10 @@ def find_cupping(
     radius = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     offset = _mean_rings(sums, turning, rings)
     fits: dict[int, _Fit] = {}
-    if reach > 0:
-        for material in (BASE, BRIGHT):
-            fit = _fit_material(groups, material, levels, radius / reach, offset)
-            if fit is not None:
-                fits[material] = fit
+    for material in (BASE, BRIGHT) if reach > 0 else ():
+        fit = _fit_material(groups, material, levels, radius / reach, offset)
+        if fit is not None:
+            fits[material] = fit
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
         return None, (), "Cupping: too few voxels lie inside the sheet, nothing was corrected."

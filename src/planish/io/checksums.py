@@ -34,7 +34,7 @@ def store_fingerprint(path: Path) -> str:
     return hashlib.sha256("".join(f"{sha}  {name}\n" for name, sha in listed).encode()).hexdigest()
 
 
-class Journal:
+class ShardLists:
     """The lists of shards that are whole."""
 
     def __init__(self, folder: Path, ome: str) -> None:

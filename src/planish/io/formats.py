@@ -38,7 +38,7 @@ CHANNELS = ("luminance", *COLOURS)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Format:
+class VolumeFormat:
     """A format of volumes."""
 
     name: str
@@ -54,17 +54,17 @@ HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx")
 
 # The first line that fits is taken, so longer suffixes stand before shorter ones.
 FORMATS = (
-    Format(name="raw with a header", module="raw_volume", suffixes=(".toml", ".raw", ".vol")),
-    Format(name="OME-Zarr", module="zarr_volume", suffixes=(".zarr",), members=ZARR_MEMBERS, parts=True),
-    Format(name="NRRD", module="header_volume", suffixes=(".nrrd", ".nhdr")),
-    Format(name="MetaImage", module="header_volume", suffixes=(".mha", ".mhd")),
-    Format(name="HDF5 or NeXus", module="hdf5_volume", suffixes=HDF5_SUFFIXES, parts=True),
-    Format(name="NIfTI", module="nifti_volume", suffixes=(".nii", ".nii.gz")),
-    Format(name="MRC", module="mrc_volume", suffixes=MRC_SUFFIXES),
-    Format(name="MATLAB", module="matlab_volume", suffixes=(".mat",), parts=True),
+    VolumeFormat(name="raw with a header", module="raw_volume", suffixes=(".toml", ".raw", ".vol")),
+    VolumeFormat(name="OME-Zarr", module="zarr_volume", suffixes=(".zarr",), members=ZARR_MEMBERS, parts=True),
+    VolumeFormat(name="NRRD", module="header_volume", suffixes=(".nrrd", ".nhdr")),
+    VolumeFormat(name="MetaImage", module="header_volume", suffixes=(".mha", ".mhd")),
+    VolumeFormat(name="HDF5 or NeXus", module="hdf5_volume", suffixes=HDF5_SUFFIXES, parts=True),
+    VolumeFormat(name="NIfTI", module="nifti_volume", suffixes=(".nii", ".nii.gz")),
+    VolumeFormat(name="MRC", module="mrc_volume", suffixes=MRC_SUFFIXES),
+    VolumeFormat(name="MATLAB", module="matlab_volume", suffixes=(".mat",), parts=True),
 )
-TIFF = Format(name="TIFF", module="tiff_volume", suffixes=(".tif", ".tiff", ".btf", ".tf8"))
-SLICES = Format(name="folder of slices", module="slice_volume", suffixes=())
+TIFF = VolumeFormat(name="TIFF", module="tiff_volume", suffixes=(".tif", ".tiff", ".btf", ".tf8"))
+SLICES = VolumeFormat(name="folder of slices", module="slice_volume", suffixes=())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -130,7 +130,7 @@ def exists(path: Path) -> bool:
         return False
 
 
-def format_of(place: Place) -> Format:
+def format_of(place: Place) -> VolumeFormat:
     """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
     path = place.path
     name = path.name.lower()
@@ -145,7 +145,7 @@ def format_of(place: Place) -> Format:
     return file_format
 
 
-def loader(file_format: Format) -> Callable[..., LoadedVolume]:
+def loader(file_format: VolumeFormat) -> Callable[..., LoadedVolume]:
     """Import the module of a format and return its function ``load``."""
     module: Any = importlib.import_module(f"planish.io.{file_format.module}")
     return module.load

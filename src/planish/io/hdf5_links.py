@@ -33,7 +33,7 @@ def opened(path: Path) -> Generator[h5py.File]:
         yield file
 
 
-class Link(NamedTuple):
+class Hdf5Link(NamedTuple):
     """A member of a group: the thing itself, or the name of another place, perhaps in another file."""
 
     hard: bool
@@ -41,7 +41,7 @@ class Link(NamedTuple):
     file: str = ""
 
 
-def link_of(group: Any, name: str) -> Link | None:
+def link_of(group: Any, name: str) -> Hdf5Link | None:
     """Look at a member of a group without following it; None where there is none."""
     # To ask h5py whether the group holds it would open the file that an external link names.
     if not isinstance(group, h5py.Group):
@@ -52,11 +52,11 @@ def link_of(group: Any, name: str) -> Link | None:
         return None
     kind = links.get_info(key).type
     if kind == h5py.h5l.TYPE_HARD:  # pyright: ignore[reportAttributeAccessIssue]
-        return Link(hard=True)
+        return Hdf5Link(hard=True)
     value: Any = links.get_val(key)
     if kind == h5py.h5l.TYPE_SOFT:  # pyright: ignore[reportAttributeAccessIssue]
-        return Link(hard=False, target=os.fsdecode(value))
-    return Link(hard=False, target=os.fsdecode(value[1]), file=os.fsdecode(value[0]))
+        return Hdf5Link(hard=False, target=os.fsdecode(value))
+    return Hdf5Link(hard=False, target=os.fsdecode(value[1]), file=os.fsdecode(value[0]))
 
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:

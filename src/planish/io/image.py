@@ -15,7 +15,7 @@ from planish.core.facts import SIDES, Side
 from planish.core.lazy import labelled
 from planish.io.formats import COLOURS, LUMINANCE
 from planish.io.guard import check_memory, size_of_file
-from planish.io.picture import Picture, load_picture
+from planish.io.picture import DecodedPicture, load_picture
 from planish.io.sizes import PIXEL, Stated, agreed_size
 
 if TYPE_CHECKING:
@@ -115,7 +115,7 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
     return [Stated(source=s.source, um=s.um[1:], note=s.note if None in s.um[1:] else "") for s in stated]
 
 
-def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
+def pick_channel(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
     """Take one channel as float32, and name it; FileError where no pixel has a number."""
     picked, long_name = channel_of(picture, channel, file_name=file_name)
     if not np.isfinite(picked).any():
@@ -123,7 +123,7 @@ def pick_channel(picture: Picture, channel: str, *, file_name: str) -> tuple[NDA
     return picked, long_name
 
 
-def channel_of(picture: Picture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
+def channel_of(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
     """One channel as float32, of a whole picture or a window of it, and its name."""
     values = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
     samples = values.shape[-1]

@@ -171,7 +171,7 @@ def large_groups(path: Path) -> Iterator[str]:
         root = zarr.open_group(path, mode="r")
         for name, group in root.members(max_depth=None):
             if isinstance(group, zarr.Group):
-                size = sum(array.nbytes for _, array in _arrays(group) if array.ndim == 2)
+                size = _map_bytes(group)
                 of_large = name.startswith(f"{OVERVIEWS}/") and size and _is_large(root, name.split("/", 1)[1])
                 if size >= LARGE or of_large:
                     yield name
@@ -179,9 +179,14 @@ def large_groups(path: Path) -> Iterator[str]:
 
 def _is_large(root: zarr.Group, overview: str) -> bool:
     """True if the maps are large of which ``GROUP/LEVEL`` is an overview."""
-    of = root[overview.rsplit("/", 1)[0]]
-    assert isinstance(of, zarr.Group)
-    return sum(array.nbytes for _, array in _arrays(of) if array.ndim == 2) >= LARGE
+    group = root[overview.rsplit("/", 1)[0]]
+    assert isinstance(group, zarr.Group)
+    return _map_bytes(group) >= LARGE
+
+
+def _map_bytes(group: zarr.Group) -> int:
+    """Bytes of the maps of a group, decoded."""
+    return sum(array.nbytes for _, array in _arrays(group) if array.ndim == 2)
 
 
 def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:

@@ -44,7 +44,7 @@ Colour = Literal["grey", "rgb", "other"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Picture:
+class DecodedPicture:
     """A decoded picture."""
 
     values: NDArray[Any]  # dims (y, x) or (y, x, sample), as stored; palettes are looked up
@@ -77,7 +77,7 @@ def kind_of(path: Path) -> str:
     raise FileError(f"{path.name} is no TIFF, PNG, JPEG or BMP file. Export the image in one of these formats.")
 
 
-def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = True) -> Picture:
+def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = True) -> DecodedPicture:
     """Decode a picture, or give its shape and type alone: then all values are one 0 that takes no memory."""
     if kind_of(path) != "tiff":
         return _load_raster(path, memory_bytes=memory_bytes, decode=decode)
@@ -86,10 +86,9 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
         if axes not in PICTURE_AXES:
             raise FileError(f"{path.name} is not one picture but {shape_words(series)}. {ADVICE}")
         page = series.keyframe
+        values = constant_zeros(series.shape, series.dtype)
         if decode:
             values = map_or_decode(series, path, memory_bytes=memory_bytes)
-        else:
-            values = constant_zeros(series.shape, series.dtype)
         values = values.reshape([n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes])
         if axes[0] in "SC" and len(axes) == 3:
             values = np.moveaxis(values, 0, -1)
@@ -125,8 +124,10 @@ def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 
 
-def _picture(values: NDArray[Any], colour: Colour, bits: int, stated: Sequence[Stated], orientation: Any) -> Picture:
-    return Picture(
+def _picture(
+    values: NDArray[Any], colour: Colour, bits: int, stated: Sequence[Stated], orientation: Any
+) -> DecodedPicture:
+    return DecodedPicture(
         values=values,
         colour=colour,
         bits=bits,
@@ -151,16 +152,15 @@ def _sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
 
 def _apply_palette(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
     """Replace palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey."""
+    bits = 16
     if np.all(colormap % 257 == 0):
         colormap, bits = (colormap // 257).astype(np.uint8), 8
-    else:
-        bits = 16
     if np.array_equal(colormap[0], colormap[1]) and np.array_equal(colormap[0], colormap[2]):
         return colormap[0][index.astype(np.intp)], bits, "grey"
     return np.moveaxis(colormap[:, index.astype(np.intp)], 0, -1), bits, "rgb"
 
 
-def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Picture:
+def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> DecodedPicture:
     """Decode a PNG, JPEG or BMP file.
 
     The classes of Pillow are called directly: its own limit of pixels, which is a global, does not apply then,

@@ -21,7 +21,7 @@ from planish.core.tables import Table, parse_table, read_text
 from planish.io.formats import check_channel, colour_attrs, full_scale
 from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
-from planish.io.picture import Picture
+from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
 from planish.io.slice_volume import load_pictures
 from planish.io.slices import first_few, is_slice_name
@@ -122,7 +122,7 @@ class Sections:
 
     folder: Path
     values: NDArray[Any] | FileArray
-    first: Picture
+    first: DecodedPicture
     positions_um: NDArray[np.float64]
     kind: str
     file_bytes: int

@@ -14,7 +14,7 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, default_memory_limit, reading
 from planish.io.lazy import EAGER_BYTES, PagedArray, supported_type
-from planish.io.picture import ADVICE, PLUGINS, Picture, kind_of, load_picture
+from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
 from planish.io.slices import Scan, list_slices, named_slices, read_scan
 from planish.io.tiff import open_series, size_words, stored_rows
 
@@ -52,7 +52,7 @@ def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
 
 def load_pictures(
     files: list[Path], *, channel: str | None, memory_bytes: int | None, photographs: bool = False
-) -> tuple[NDArray[Any] | PagedArray, Picture]:
+) -> tuple[NDArray[Any] | PagedArray, DecodedPicture]:
     """Grey values of pictures that are alike, dims (picture, y, x), and the first picture.
 
     What does not fit into the memory, or can be read where it lies, stays in the files. Photographs of sections are
@@ -142,7 +142,7 @@ def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | Non
         return kind, series.dtype.newbyteorder(tif.byteorder), offset
 
 
-def _grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[Any]:
+def _grey_values(picture: DecodedPicture, file: Path, channel: str | None) -> NDArray[Any]:
     """Grey values of a picture in its own type; colour becomes luminance where no channel is chosen."""
     check_type(picture.values.dtype, file)
     if picture.values.ndim == 2:
@@ -157,7 +157,7 @@ def _grey_values(picture: Picture, file: Path, channel: str | None) -> NDArray[A
     )
 
 
-def _check_same(picture: Picture, first: Picture, *, file: Path, first_file: Path) -> None:
+def _check_same(picture: DecodedPicture, first: DecodedPicture, *, file: Path, first_file: Path) -> None:
     check_type(picture.values.dtype, file)
     facts = [
         (p.colour, f"{size_words(p.values.shape[:2])} pixels", f"{p.values.dtype} values") for p in (picture, first)

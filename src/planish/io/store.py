@@ -30,7 +30,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io.checksums import Array, Journal, Where
+from planish.io.checksums import Array, ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
 CHUNK = (64, 96, 96)
@@ -100,7 +100,7 @@ def write_store(
         lock = acquire_lock(partial / _LOCK, path)
         try:
             levels = _make_levels(partial, volume, ome)
-            done = Journal(partial, ome)
+            done = ShardLists(partial, ome)
             with limit_threads(threads):
                 _write_finest_levels(
                     volume, levels, done, memory_bytes=memory_bytes, executor=executor, workers=workers,
@@ -121,7 +121,7 @@ def write_store(
 
 
 def _write_finest_levels(
-    volume: xr.DataArray, levels: list[Array], done: Journal, *, memory_bytes: int, executor: Executor | None,
+    volume: xr.DataArray, levels: list[Array], done: ShardLists, *, memory_bytes: int, executor: Executor | None,
     workers: int, progress: Progress | None,
 ) -> None:  # fmt: skip
     """Write the volume and its half in one pass over the input."""
@@ -193,7 +193,7 @@ def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[l
     return written
 
 
-def _write_coarser_level(fine: Array, coarse: Array, done: Journal) -> None:
+def _write_coarser_level(fine: Array, coarse: Array, done: ShardLists) -> None:
     for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
         if not done.has(coarse, where):
             source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))

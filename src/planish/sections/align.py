@@ -14,7 +14,7 @@ import numpy as np
 from planish.core.typing import Bools, Floats
 from planish.sections.band import SectionSeries
 from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, slow_part, solve_places
-from planish.sections.pairs import FINEST_UM, GROUPS, Bands, Pairs, compare
+from planish.sections.pairs import FINEST_UM, GROUPS, Bands, SectionPairs, compare
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
 _CUTOFF_SECTIONS = 50.0  # corrections with longer wavelengths are not applied
@@ -110,7 +110,7 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
     # columns is measured once more in it, now that the sections lie near enough.
     close = (second - first == 1) & is_used
-    fine: Pairs | None = None
+    fine: SectionPairs | None = None
     coarse_pose = pose
     for _ in range(_FINE_ROUNDS if max(series.pixel_um) <= FINEST_UM and close.any() else 0):
         finer = _measure_pairs(series, pose, first[close], second[close], fine=True)
@@ -144,14 +144,16 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     )
 
 
-def _measure_pairs(series: SectionSeries, pose: Floats, first: Index, second: Index, *, fine: bool = False) -> Pairs:
+def _measure_pairs(
+    series: SectionSeries, pose: Floats, first: Index, second: Index, *, fine: bool = False
+) -> SectionPairs:
     """Measure the offsets of pairs of sections in bands that are straightened by their poses."""
     bands = Bands(stack=series.stack, band=series.band, pixel_um=series.pixel_um, fine=fine)
     return compare(bands.sums(pose, first, second), first, second, pose, fine=fine)
 
 
 def _spread_without_groups(
-    series: SectionSeries, coarse: Pairs, fine: Pairs | None, groups: list[Index], cutoff: float
+    series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, groups: list[Index], cutoff: float
 ) -> Floats:
     """Variance of the poses (sections, 3) where one run of columns after the other is left out, of the surface too."""
     poses: list[Floats] = []
@@ -202,7 +204,7 @@ def _sheet_course(series: SectionSeries, without: int = -1) -> Floats:
     return np.stack([mean, np.zeros(mean.size), slope], axis=1)
 
 
-def _join_pairs(pairs: Pairs, n: int) -> tuple[Floats, Bools]:
+def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
     """Places of all sections (sections, 3), and which pairs were used."""
     places = np.zeros((n, 3))
     shares = np.zeros((pairs.first.size, 3))
@@ -214,7 +216,7 @@ def _join_pairs(pairs: Pairs, n: int) -> tuple[Floats, Bools]:
     return places, sound & (np.min(shares, axis=1) > LEAST_SHARE)
 
 
-def _join_columns(coarse: Pairs, fine: Pairs, n: int) -> Floats:
+def _join_columns(coarse: SectionPairs, fine: SectionPairs, n: int) -> Floats:
     """Places along the columns from the coarse and the fine texture together; (sections,).
 
     The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.

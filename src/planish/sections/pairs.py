@@ -42,7 +42,7 @@ _BLOCK = 32  # sections that a thread takes at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Pairs:
+class SectionPairs:
     """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
 
     ``alike`` pairs show the same sheet, and the offset of ``sound`` ones is also known well enough. The offsets follow
@@ -60,7 +60,7 @@ class Pairs:
     base: Floats
     fine: bool
 
-    def without(self, group: int) -> Pairs:
+    def without(self, group: int) -> SectionPairs:
         """Return the same pairs without one group of the columns, of `GROUPS`."""
         parts = self.sums.shape[1]
         remaining = np.arange(parts) * GROUPS // parts != group
@@ -176,7 +176,7 @@ class Bands:
         return sums
 
 
-def compare(sums: Floats, first: Index, second: Index, pose: Floats, *, fine: bool) -> Pairs:
+def compare(sums: Floats, first: Index, second: Index, pose: Floats, *, fine: bool) -> SectionPairs:
     """Offsets of pairs from their sums (pairs, parts, 13); ``pose`` as the bands were made with.
 
     ``fine`` bands show neither a rotation nor whether both are of one sheet.
@@ -188,7 +188,7 @@ def compare(sums: Floats, first: Index, second: Index, pose: Floats, *, fine: bo
     return _solve(sums, first, second, pose[second] - pose[first], alike | fine, fine)
 
 
-def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools, fine: bool) -> Pairs:
+def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools, fine: bool) -> SectionPairs:
     size = 2 if fine else 3
     scale = np.array([1.0, 1.0, _TURN_UM])[:size]
     rows, cols = np.triu_indices(3)
@@ -218,7 +218,7 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
     sound = alike & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
     sigma = np.maximum(sigma, _LEAST_SIGMA_UM)
     sigma[:, 2] /= _TURN_UM
-    return Pairs(
+    return SectionPairs(
         first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base,
         fine=fine,
     )  # fmt: skip
