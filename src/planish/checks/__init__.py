@@ -1,4 +1,4 @@
-"""Whether a scan can be right: the order of its slices, its grey scale, one sheet and not two, dust."""
+"""Checks of a scan: the order of its slices, its grey scale, one sheet and not two, dust."""
 
 import lazy_loader as lazy
 

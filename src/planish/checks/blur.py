@@ -1,4 +1,4 @@
-"""Whether the scan is sharp enough for the coating: the width of its edges, and of its noise."""
+"""Sharpness of a scan against its coating: the width of its edges, and of its noise."""
 
 from __future__ import annotations
 

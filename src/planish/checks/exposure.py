@@ -1,4 +1,4 @@
-"""Whether an image's greys are cut off: paper that is as bright, or as dark, as the camera can show."""
+"""Check for greys of an image that are cut off: paper that is as bright, or as dark, as the camera can show."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whether a scan can be right: all checks of a volume and of the sheet that was found in it."""
+"""Checks of a scan: all those of a volume and of the sheet that was found in it."""
 
 from __future__ import annotations
 

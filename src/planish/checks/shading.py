@@ -1,4 +1,4 @@
-"""Whether the grey of the base changes from one border of the sheet to the other."""
+"""Change of the grey of the base from one border of the sheet to the other."""
 
 from __future__ import annotations
 

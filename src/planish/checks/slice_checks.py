@@ -1,4 +1,4 @@
-"""What faults of slices are called, how grave they are, and which figures they concern."""
+"""Checks of the slices: names of their faults, how grave they are, and which figures they concern."""
 
 from __future__ import annotations
 

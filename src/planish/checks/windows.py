@@ -1,4 +1,4 @@
-"""How slices differ from their neighbours, gathered along all three axes in one pass over parts of a volume.
+"""Differences of slices from their neighbours, read along all three axes in one pass over parts of a volume.
 
 Each axis is looked at through a window: all slices along it, some 300 x 300 voxels of each.
 """

@@ -1,4 +1,4 @@
-"""What grey values mean in one volume: the levels that the surface search learnt."""
+"""Meaning of the grey values in one volume: the levels that the surface search learnt."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ class Greys:
         return self.coating_top if side == "top" else self.coating_bottom
 
     def coated(self, side: str) -> bool:
-        """Whether that side has a coating."""
+        """Tell if that side has a coating."""
         return bool(np.isfinite(self.coating(side)))
 
     def need_coating(self, side: str, subject: str) -> float:

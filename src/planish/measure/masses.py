@@ -25,7 +25,7 @@ _FWHM = float(np.sqrt(8 * np.log(2.0)))
 
 
 class Densities(Params):
-    """What is known of the sheet from elsewhere; all of it may be missing."""
+    """Densities and masses that are known from elsewhere; all of them may be missing."""
 
     coating_g_cm3: float | None = option(
         None, gt=0, lt=1e4, cli="--coating-density", metavar="G/CM3",

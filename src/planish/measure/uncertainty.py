@@ -1,4 +1,4 @@
-"""How sure a value is: the noise of an integral along a ray, and what noise leaves open about a fitted layer.
+"""Uncertainty of a value: the noise of an integral along a ray, and what noise leaves open about a fitted layer.
 
 Errors of neighbouring columns are not independent: the lateral blur and the interpolation between columns share them
 out (autocorrelation 0.74, 0.41, 0.19 at one, two, three columns on specimens of several makers). The mean of N columns
@@ -62,7 +62,7 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shared:
-    """What the errors of a sheet's columns have in common.
+    """Noise and error that a sheet's columns have in common.
 
     Attributes
     ----------
@@ -132,7 +132,7 @@ def thickness_errors(
 
 
 def common_errors(unit_um: float) -> dict[str, float]:
-    """What averaging over columns does not lessen, of each thickness and topography, in um; ``unit_um``: a voxel."""
+    """Give the error of each thickness and topography that averaging does not lessen, um; ``unit_um``: of a voxel."""
     face, inner = (unit_um * COMMON[k] for k in ("face", "interface"))
     coating, base, sheet = float(np.hypot(face, inner)), float(np.sqrt(2)) * inner, float(np.sqrt(2)) * face
     return {

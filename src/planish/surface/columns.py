@@ -5,6 +5,7 @@ For the fit columns are oriented: the air at 0, the sheet above it.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -116,6 +117,13 @@ class Columns:
         return size // self.step if size % self.step == 0 and size // self.step <= _TILE else 1
 
 
+def join_tiles(parts: Iterable[tuple[Tile, Floats]], out: Floats) -> Floats:
+    """Put the parts of tiles where they belong in ``out``, (..., rows, cols), and return it."""
+    for tile, part in parts:
+        out[..., tile.rows, tile.cols] = part
+    return out
+
+
 def voxel_pitch(volume: xr.DataArray, axis: str) -> float:
     """Distance of the voxels along an axis, in um."""
     values = volume.coords[axis].values
@@ -159,7 +167,7 @@ def make_guide(coarse: CoarseSheet, columns: Columns) -> Guide:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scale:
-    """How grey is turned into what the fit sees."""
+    """Scale of the grey that the fit sees."""
 
     air: float  # its level becomes 0
     polarity: float  # -1 where the sheet is darker than the air

@@ -64,7 +64,7 @@ def draw_faces(surfaces: xr.Dataset, columns: Columns, corrections: Corrections,
 
 
 class _Edges(NamedTuple):
-    """What the search of a tile's columns needs; arrays are (n,) and depths count from the outer end."""
+    """Job of the search of edges in columns; arrays are (n,) and depths count from the outer end."""
 
     columns: Columns
     scale: Scale

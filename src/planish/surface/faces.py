@@ -13,7 +13,7 @@ from planish.core.grid import filled
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns, Guide, oriented
+from planish.surface.columns import Columns, Guide, join_tiles, oriented
 from planish.surface.levels import spread
 from planish.surface.priors import Priors
 
@@ -41,8 +41,8 @@ class Faces:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fit:
-    """What a tile's fit needs: the guide of the tile with its halo."""
+class FitJob:
+    """Job of a tile's fit, with the guide of the tile and its halo."""
 
     columns: Columns
     guide: Guide
@@ -53,25 +53,21 @@ class Fit:
 def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
     """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
     shape = columns.shape[:2]
-    depths = np.empty((4, *shape))
 
-    def job(tile: Tile) -> Fit:
-        return Fit(columns=columns, guide=guide.part(priors.scale.grown(tile, shape)), priors=priors)
+    def job(tile: Tile) -> FitJob:
+        return FitJob(columns=columns, guide=guide.part(priors.scale.grown(tile, shape)), priors=priors)
 
-    for tile, part in engine.map("faces", _fit_tile, job, columns.tiles(engine)):
-        depths[:, tile.rows, tile.cols] = part
+    depths = join_tiles(engine.map("faces", _fit_tile, job, columns.tiles(engine)), np.empty((4, *shape)))
     particles += _below_particles(depths, fit_job=job, columns=columns, guide=guide, priors=priors, engine=engine)
-    return placed(
-        depths, columns, (priors.sides[True].coated, priors.sides[False].coated), cleaned=True, particles=particles
-    )
+    return faces_from_depths(depths, columns, priors.coated, cleaned=True, particles=particles)
 
 
-def placed(
+def faces_from_depths(
     depths: Floats, columns: Columns, coated: tuple[bool, bool], *, cleaned: bool = False, particles: int = 0
 ) -> Faces:
     """Turn depths into heights.
 
-    ``found`` (4, rows, cols): depth of the face and thickness of the coating, counted from the high end, then from the
+    ``depths`` (4, rows, cols): depth of the face and thickness of the coating, counted from the high end, then from the
     low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
     ``particles`` were removed before.
     """
@@ -97,7 +93,7 @@ def placed(
 
 
 def _below_particles(
-    depths: Floats, *, fit_job: Callable[[Tile], Fit], columns: Columns, guide: Guide, priors: Priors, engine: Engine
+    depths: Floats, *, fit_job: Callable[[Tile], FitJob], columns: Columns, guide: Guide, priors: Priors, engine: Engine
 ) -> int:
     """Look again, below it, where the face was found on something that floats above the sheet.
 
@@ -120,12 +116,10 @@ def _below_particles(
             floating[k] = (expected[k] - depths[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
     tiles = [t for t in columns.tiles(engine) if floating[:, t.rows, t.cols].any()]
 
-    def job(tile: Tile) -> Fit:
+    def job(tile: Tile) -> FitJob:
         return replace(fit_job(tile), again=np.where(floating, expected, np.nan)[:, tile.rows, tile.cols])
 
-    below = np.full((4, *shape), np.nan)
-    for tile, part in engine.map("faces_below", _fit_tile, job, tiles):
-        below[:, tile.rows, tile.cols] = part
+    below = join_tiles(engine.map("faces_below", _fit_tile, job, tiles), np.full((4, *shape), np.nan))
     count = 0
     for k, plate in enumerate(plates):
         better = floating[k] & np.isfinite(below[2 * k])
@@ -177,7 +171,7 @@ def _share(mask: Bools, labels: NDArray[np.integer], count: int = 0) -> Floats:
     return np.bincount(flat, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(number, 1)
 
 
-def _fit_tile(fit: Fit, tile: Tile) -> Floats:
+def _fit_tile(fit: FitJob, tile: Tile) -> Floats:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
     columns, priors = fit.columns, fit.priors
     edge = priors.edge

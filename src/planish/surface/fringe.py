@@ -1,4 +1,4 @@
-"""What the shape of many profiles shows: a phase-contrast fringe, and the grey of a coating nowhere thick.
+"""Two things that the shape of many profiles shows: a phase-contrast fringe, and the grey of a coating nowhere thick.
 
 A staircase that is only blurred is nowhere darker than the air; a fringe makes the air beside the face darker than the
 air farther away. Where that is not seen none is taken: an edge steeper than a Gaussian's may have other reasons.
@@ -32,7 +32,7 @@ _THIN_SHARES = (0.0, 0.15, 0.3, 0.45, 0.6, 0.75)  # the same where there is no f
 
 
 def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool, Side], edge: Edge) -> bool:
-    """Whether the air beside the faces is darker than the air farther away.
+    """Tell if the air beside the faces is darker than the air farther away.
 
     The blur with which the faces are found need not be more than roughly right.
     """

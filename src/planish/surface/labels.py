@@ -14,8 +14,8 @@ from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Floats
 from planish.surface.assemble import assemble
-from planish.surface.columns import Columns, Guide, make_guide
-from planish.surface.faces import placed
+from planish.surface.columns import Columns, Guide, join_tiles, make_guide
+from planish.surface.faces import faces_from_depths
 from planish.surface.params import LabelParams, SurfaceParams
 from planish.surface.regions import doubtful
 from planish.surface.slices import first_where
@@ -61,18 +61,14 @@ def surfaces_from_labels(
     coarse, empty_share = survey_labels(columns, params, engine)
     guide = make_guide(coarse, columns)
     coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
-    shape = columns.shape[:2]
-    depths = np.empty((4, *shape))
     reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
-
-    tiles = columns.tiles(engine)
-    for tile, part in engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), tiles):
-        depths[:, tile.rows, tile.cols] = part
+    parts = engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), columns.tiles(engine))
+    depths = join_tiles(parts, np.empty((4, *columns.shape[:2])))
     share = [float(np.mean(thickness[np.isfinite(thickness)] > 0)) if np.isfinite(thickness).any() else 0.0
              for thickness in (depths[1], depths[3])]  # fmt: skip
     coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
     surfaces = assemble(
-        columns, params, placed(depths, columns, coated, particles=coarse.specks),
+        columns, params, faces_from_depths(depths, columns, coated, particles=coarse.specks),
         doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
     )  # fmt: skip
     surfaces.attrs["empty_share"] = empty_share

@@ -1,4 +1,4 @@
-"""What the fit has to know, learnt from some columns: the grey levels, how far they vary, the blur, the fringe."""
+"""Learning from some columns what the fit has to know: the grey levels, how far they vary, the blur, the fringe."""
 
 from __future__ import annotations
 
@@ -145,7 +145,7 @@ class _Learner:
         return float(_WIDTHS[best])
 
     def _is_thin(self, sample: Sample, side: Side, edge: Edge) -> bool:
-        """Whether no column shows the coating's own grey, because the blur reaches through all of it."""
+        """Tell if no column shows the coating's own grey, because the blur reaches through all of it."""
         if not side.coated or self.params.coating_grey is not None:
             return False
         # With a grey that is too low the layer seems thicker and the blur narrower than they are, hence the margin.

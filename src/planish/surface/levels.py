@@ -97,7 +97,7 @@ def material(blocks: NDArray[np.float32], air: float, air_scatter: float | None 
     """Return polarity, the threshold of a first, coarse search, and the least that noise allows, both above the air.
 
     ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
-    to the air where it is not ``known``.
+    to the air where ``air_scatter`` is not given.
     """
     subset = blocks.ravel()[:: 1 + blocks.size // _ENOUGH]
     deviation = subset[np.isfinite(subset)].astype(np.float64) - air

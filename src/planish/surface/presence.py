@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Floats
 from planish.surface import _kernels
-from planish.surface.columns import Columns
+from planish.surface.columns import Columns, join_tiles
 
 _FROM, _TO, _STEPS = 0.1, 0.42, 7  # of the thickness, and places between; the bottom's layer mirrors the top's
 _INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to the second place of either neighbour
@@ -38,7 +38,7 @@ def find_presence(
     leaves the volume. The voxels are read once for all layers. The bottom's layer mirrors the top's: with the other
     side on top, the two maps change places to the last bit.
     """
-    shape, pitch = columns.shape[:2], columns.pitch
+    pitch = columns.pitch
     slope = [np.gradient(centre, p, axis=i) for i, p in enumerate(pitch[:2])]
     length = np.sqrt(1 + slope[0] ** 2 + slope[1] ** 2)
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
@@ -47,10 +47,8 @@ def find_presence(
     def job(tile: Tile) -> _TileJob:
         return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
 
-    out = np.full((len(LAYERS), *shape), np.nan)
-    for tile, part in engine.map("layers", _tile_presence, job, columns.tiles(engine)):
-        out[:, tile.rows, tile.cols] = part
-    return dict(zip(LAYERS, out, strict=True))
+    parts = engine.map("layers", _tile_presence, job, columns.tiles(engine))
+    return dict(zip(LAYERS, join_tiles(parts, np.full((len(LAYERS), *columns.shape[:2]), np.nan)), strict=True))
 
 
 def _places() -> tuple[Floats, NDArray[np.int64]]:

@@ -1,4 +1,4 @@
-"""What the fit of a column knows before it looks at it: the edge's profile, and levels and spreads of both sides."""
+"""Priors of the fit of a column: the edge's profile, and levels and spreads of both sides."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Edge:
-    """How the scanner shows a sharp edge that a column crosses at a right angle; lengths in voxels."""
+    """Profile of a sharp edge as the scanner shows it, which a column crosses at a right angle; lengths in voxels."""
 
     width: float  # standard deviation of the blur
     # Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
@@ -30,7 +30,7 @@ class Edge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """What is known of the layers on one side before a column is looked at.
+    """Prior of the layers on one side of a column.
 
     Attributes
     ----------
@@ -67,6 +67,11 @@ class Priors:
         float  # grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet
     )
     sides: dict[bool, Side]  # by whether the side lies at the high end of the columns
+
+    @property
+    def coated(self) -> tuple[bool, bool]:
+        """Tell of the sides at the high and at the low end if they have a coating."""
+        return self.sides[True].coated, self.sides[False].coated
 
     def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
         """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""

@@ -91,7 +91,7 @@ def half_closed(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float]) ->
     """Find the holes of which less than 70 % is open.
 
     A hole is compared with its own ellipse, and where there are three or more, with the usual ellipse of all: what has
-    half closed with a straight edge is a smaller ellipse of its own. ``seen``: columns with a sheet; ``runs_out``:
+    half closed with a straight edge is a smaller ellipse of its own. ``is_sheet``: columns with a sheet; ``runs_out``:
     columns in which it goes on beyond the volume.
     """
     holes = all_holes(is_sheet | runs_out, pitch)

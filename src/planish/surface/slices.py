@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from planish.core.tiles import Engine, Tile, tiles_of
 from planish.core.typing import Bools, Floats
-from planish.surface.columns import Columns, Guide, oriented
-from planish.surface.faces import Faces, Fit, placed
+from planish.surface.columns import Columns, Guide, join_tiles, oriented
+from planish.surface.faces import Faces, FitJob, faces_from_depths
 from planish.surface.priors import Priors
 
 _BINS = 128
@@ -26,24 +26,22 @@ _BYTES = 16  # that a voxel of a slab takes
 def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
     """Find the faces and interfaces of every column with its slice's own thresholds; ``particles`` float in the air."""
     rows, cols, depth = columns.shape
-    depths = np.empty((4, rows, cols))
     # Whole rows: a threshold belongs to a slice.
     high = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * _BYTES)), 1)
 
-    def job(tile: Tile) -> Fit:
-        return Fit(columns=columns, guide=guide.part(priors.scale.grown(tile, (rows, cols))), priors=priors)
+    def job(tile: Tile) -> FitJob:
+        return FitJob(columns=columns, guide=guide.part(priors.scale.grown(tile, (rows, cols))), priors=priors)
 
-    for tile, part in engine.map("slices", _fit, job, tiles_of((rows, cols), (high, cols))):
-        depths[:, tile.rows] = part
-    return placed(depths, columns, (priors.sides[True].coated, priors.sides[False].coated), particles=particles)
+    tiles = tiles_of((rows, cols), (high, cols))
+    depths = join_tiles(engine.map("slices", _fit_slices, job, tiles), np.empty((4, rows, cols)))
+    return faces_from_depths(depths, columns, priors.coated, particles=particles)
 
 
-def _fit(job: Fit, tile: Tile) -> Floats:
+def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
     columns, priors = job.columns, job.priors
     grey = oriented(columns, tile, job.guide, priors.scale)
     guide = job.guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
-    coated = priors.sides[True].coated or priors.sides[False].coated
     margin = _AIR_UM / columns.pitch[2]
     out = np.full((4, *tile.shape), np.nan)
     reach = priors.reach / guide.tilt
@@ -55,7 +53,7 @@ def _fit(job: Fit, tile: Tile) -> Floats:
         grey_near = grey[i][near & np.isfinite(grey[i])]
         if grey_near.size < 100:
             continue
-        paper, coating = otsu(grey_near.astype(np.float64), 3 if coated else 2)
+        paper, coating = otsu(grey_near.astype(np.float64), 3 if any(priors.coated) else 2)
         for k, end in enumerate((True, False)):
             side = priors.sides[end]
             column = grey[i, :, ::-1] if end else grey[i]

@@ -30,7 +30,7 @@ _MOST = 2**25  # block means that are kept; above it the blocks get wider
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Survey:
-    """What the first look found."""
+    """Coarse sheet, grey levels and gaps of a volume, from the first look."""
 
     coarse: CoarseSheet
     air: float  # its grey
