@@ -54,8 +54,8 @@ def undershoots(sampler: Sampler, samples: dict[bool, Sample], sides: dict[bool,
 def _mean_error(depth: Floats) -> tuple[Floats, Floats]:
     """Mean over the rows and its standard error; NaN where too few rows are known."""
     count = np.isfinite(depth).sum(axis=1)
-    depth_of_rows = np.where(count[:, None] >= _ROWS, depth, 0.0)
-    mean, sd = np.nanmean(depth_of_rows, axis=1), np.nanstd(depth_of_rows, axis=1)
+    reliable = np.where(count[:, None] >= _ROWS, depth, 0.0)
+    mean, sd = np.nanmean(reliable, axis=1), np.nanstd(reliable, axis=1)
     return np.where(count >= _ROWS, mean, np.nan), sd / np.sqrt(np.maximum(count - 1, 1))
 
 
@@ -92,24 +92,24 @@ def with_fringe(
 
     The edge is returned as it came where the best has no fringe.
     """
-    few = {high: sample.thinned(3 if thin else 4) for high, sample in samples.items()}
-    misfit = _misfit(sampler, few, sides, edge, _WINDOW * max(edge.width, 1.0))
+    subset = {high: sample.thinned(3 if thin else 4) for high, sample in samples.items()}
+    misfit = _misfit(sampler, subset, sides, edge, _WINDOW * max(edge.width, 1.0))
 
-    def put(vector: Floats) -> tuple[Edge, dict[bool, Side]]:
-        tried = Edge(
+    def trial_of(vector: Floats) -> tuple[Edge, dict[bool, Side]]:
+        edge_of_trial = Edge(
             width=edge.width * float(np.exp(vector[0])), fringe=max(float(vector[1]), 0.0),
             fringe_width=FRINGE_PX * float(np.exp(vector[2])),
         )  # fmt: skip
-        return tried, _brighter(sides, thin, vector[3:])
+        return edge_of_trial, _brighter(sides, thin, vector[3:])
 
     def cost(vector: Floats) -> float:
         loose = (float(vector[2]) / _LOOSE) ** 2 + float(np.sum(vector[3:] ** 2))
-        return misfit(*put(vector)) + 1e-4 * loose + max(-float(vector[1]), 0.0)
+        return misfit(*trial_of(vector)) + 1e-4 * loose + max(-float(vector[1]), 0.0)
 
     steps = np.diag([0.1, 0.08, 0.25] + [0.1] * len(thin))
     starts = [np.array([0.1, 0.1, 0.0] + [share] * len(thin)) for share in (_SHARES if thin else (0.0,))]
-    best = min((_simplex(cost, start, steps, _TRIALS) for start in starts), key=lambda fitted: fitted[0])[1]
-    fitted, brighter = put(best)
+    best = min((_simplex(cost, start, steps, _TRIALS) for start in starts), key=lambda optimum: optimum[0])[1]
+    fitted, brighter = trial_of(best)
     return (fitted, brighter) if fitted.fringe > _SMALLEST else (edge, sides)
 
 
@@ -120,43 +120,43 @@ def thin_levels(
 
     Grey and thickness of one thin layer can hardly be separated; the shape of many profiles helps a little.
     """
-    few = {high: sample.thinned(3) for high, sample in samples.items()}
-    misfit = _misfit(sampler, few, sides, edge, _WINDOW * edge.width)
+    subset = {high: sample.thinned(3) for high, sample in samples.items()}
+    misfit = _misfit(sampler, subset, sides, edge, _WINDOW * edge.width)
 
-    def put(vector: Floats) -> tuple[Edge, dict[bool, Side]]:
+    def trial_of(vector: Floats) -> tuple[Edge, dict[bool, Side]]:
         return replace(edge, width=edge.width * float(np.exp(vector[0]))), _brighter(sides, thin, vector[1:])
 
     def cost(vector: Floats) -> float:
         # A layer's grey is seldom far from the brightest that was seen of it.
-        return misfit(*put(vector)) + 1e-4 * float(np.sum(vector**2))
+        return misfit(*trial_of(vector)) + 1e-4 * float(np.sum(vector**2))
 
     def with_width(share: float) -> tuple[float, Floats]:
         """Best width for coatings that are so much brighter."""
 
-        def of(log_width: float) -> float:
+        def cost_of_width(log_width: float) -> float:
             return cost(np.array([log_width, *[share] * len(thin)]))
 
-        best = optimize.minimize_scalar(of, bounds=(-0.2, 0.6), method="bounded", options={"xatol": 0.01})
+        best = optimize.minimize_scalar(cost_of_width, bounds=(-0.2, 0.6), method="bounded", options={"xatol": 0.01})
         return float(best.fun), np.array([float(best.x), *[share] * len(thin)])
 
     # Brighter layers with a wider blur look nearly the same: the search goes along that valley first.
-    _, start = min((with_width(share) for share in _THIN_SHARES), key=lambda costs: costs[0])
+    _, start = min((with_width(share) for share in _THIN_SHARES), key=lambda optimum: optimum[0])
     along = np.array([0.03, *[0.08] * len(thin)])
     steps = np.vstack([along, np.diag(np.where(np.arange(along.size) > 0, 0.08, 0.03))[1:]])
-    return put(_simplex(cost, start, steps, _THIN_TRIALS)[1])
+    return trial_of(_simplex(cost, start, steps, _THIN_TRIALS)[1])
 
 
 def _misfit(
-    sampler: Sampler, few: dict[bool, Sample], sides: dict[bool, Side], edge: Edge, window: float
+    sampler: Sampler, subset: dict[bool, Sample], sides: dict[bool, Side], edge: Edge, window: float
 ) -> Callable[[Edge, dict[bool, Side]], float]:
     """Return the cost of a column, in the mean of both sides, as a function of the edge and the sides."""
-    size = max(sum(s.outer.size for s in few.values()), 1)
-    most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in few.items()}
+    size = max(sum(s.outer.size for s in subset.values()), 1)
+    most = {high: most_cost(sampler.fit(sample, sides[high], edge, window)[4]) for high, sample in subset.items()}
 
-    def misfit(tried: Edge, tried_sides: dict[bool, Side]) -> float:
+    def misfit(edge_of_trial: Edge, sides_of_trial: dict[bool, Side]) -> float:
         total = 0.0
-        for high, sample in few.items():
-            cost = sampler.fit(sample, tried_sides[high], tried, window)[4]
+        for high, sample in subset.items():
+            cost = sampler.fit(sample, sides_of_trial[high], edge_of_trial, window)[4]
             total += float(np.sum(np.where(np.isfinite(cost), np.minimum(cost, most[high]), most[high])))
         return total / size
 
