@@ -49,11 +49,28 @@ def photograph(
     ``camera.oracle_r2`` is out of reach.
     """
     for_scatter, for_nuisance, for_tone, for_plain, for_print = (_child(seed, k) for k in range(5))
+    u, v = image_material(pose, shape, camera.pixel_um)
+    top, coating, rim, hole, image = _bare_sheet(sheet, camera, u, v, for_scatter)
+    nuisance, gain = _coarse(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
+    if camera.oracle_r2 is not None:
+        maps = (coating, image, _sampled(sheet, nuisance, u, v))
+        gain = _oracle_gain(maps, rim > _AWAY_UM, camera.pixel_um, camera.oracle_r2)
+    screen = (camera.screen or PrintParams()) if printed else None
+    tone = _coarse(sheet, _TONE_UM, for_tone)
+    _finish_paper(image, sheet, u, v, nuisance=(nuisance, gain), screen=screen, tone=tone, pixel_um=camera.pixel_um)
+    solid = np.clip(rim / camera.pixel_um + 0.5, 0, 1)
+    image = np.asarray(hole + (image - hole) * solid, dtype=np.float32)
+    return _expose(image, top, solid, camera, for_print if printed else for_plain)
+
+
+def _bare_sheet(
+    sheet: Sheet, camera: CameraParams, u: Floats, v: Floats, rng: np.random.Generator
+) -> tuple[Field, Field, Field, Field, Field]:
+    """Top face, top coating and distance to a rim in um at each pixel; reflectances of a hole and of the sheet."""
     pixel = camera.pixel_um
-    scatter = _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, for_scatter)
-    u, v = image_material(pose, shape, pixel)
-    top, coating, rim, hole, image = (np.empty(shape, dtype=np.float32) for _ in range(5))
-    for rows in _blocks(shape[0]):
+    scatter = _BASE_S_SD_M2_PER_KG * _coarse(sheet, _PAPER_UM, rng)
+    top, coating, rim, hole, image = (np.empty(u.shape, dtype=np.float32) for _ in range(5))
+    for rows in _blocks(u.shape[0]):
         uv = (u[rows], v[rows])
         faces = [sheet.at(face, *uv) for face in sheet.faces]
         top[rows] = faces[0]
@@ -70,33 +87,38 @@ def photograph(
             base_mass=sheet.at(sheet.base_mass, *uv),
             base_s_m2_per_kg=np.maximum(BASE_S_M2_PER_KG + _sampled(sheet, scatter, *uv), 0),
         )
-    nuisance, gain = _coarse(sheet, _PAPER_UM, for_nuisance), camera.nuisance_sd
-    if camera.oracle_r2 is not None:
-        away = rim > _AWAY_UM
-        gain = _oracle_gain((coating, image, _sampled(sheet, nuisance, u, v)), away, pixel, camera.oracle_r2)
-    tone, screen = _coarse(sheet, _TONE_UM, for_tone), camera.screen or PrintParams()
-    first, radius_um = _dots(sheet, screen, tone) if printed else ((0, 0), np.empty(0))
-    for rows in _blocks(shape[0]):
+    return top, coating, rim, hole, image
+
+
+def _finish_paper(
+    image: Field, sheet: Sheet, u: Floats, v: Floats, *, nuisance: tuple[Floats, float], screen: PrintParams | None,
+    tone: Floats, pixel_um: float,
+) -> None:  # fmt: skip
+    """Add to a reflectance in place what is not due to the coating (field, gain), the print, and the burnt rims."""
+    field, gain = nuisance
+    first, radius_um = _dots(sheet, screen, tone) if screen else ((0, 0), np.empty(0))
+    for rows in _blocks(len(image)):
         uv = (u[rows], v[rows])
-        paper = image[rows] + gain * _sampled(sheet, nuisance, *uv)
-        if printed:
-            cover = _inked(*uv, screen, first, radius_um, pixel)
+        paper = image[rows] + gain * _sampled(sheet, field, *uv)
+        if screen:
+            cover = _inked(*uv, screen, first, radius_um, pixel_um)
             paper = paper * (1 - cover) + screen.ink * cover  # Murray and Davies
         image[rows] = paper * (1 - 2 * (1 - _CHAR_RIM) * (1 - sheet.at(sheet.char, *uv)))
-    solid = np.clip(rim / pixel + 0.5, 0, 1)
-    image = np.asarray(hole + (image - hole) * solid, dtype=np.float32)
 
+
+def _expose(image: Field, top: Field, solid: Field, camera: CameraParams, rng: np.random.Generator) -> Field:
+    """Shade the sheet, where it is ``solid``, by its topography; add blur, vignetting and noise; round to the bits."""
+    shape = (image.shape[0], image.shape[1])
     if camera.shading > 0:
         # The light stands on the left: what rises to the right faces it.
-        slope = np.asarray(np.gradient(top, pixel, axis=1))
+        slope = np.asarray(np.gradient(top, camera.pixel_um, axis=1))
         image *= 1 + camera.shading / 0.1 * slope * solid
     if camera.lens_um > 0:
-        image = ndimage.gaussian_filter(image, camera.lens_um / pixel, mode="nearest")
+        image = ndimage.gaussian_filter(image, camera.lens_um / camera.pixel_um, mode="nearest")
     if camera.vignetting > 0:
         y, x = (np.linspace(-1, 1, n) * n for n in shape)
         corner = (y[:, None] ** 2 + x[None, :] ** 2) / (shape[0] ** 2 + shape[1] ** 2)  # 1 in the corners
         image *= 1 - camera.vignetting * corner.astype(np.float32)
-    rng = for_print if printed else for_plain
     image += np.float32(camera.noise) * rng.standard_normal(shape, dtype=np.float32)
     steps = 2**camera.bits - 1
     return (np.rint(np.clip(image, 0, 1) * steps) / steps).astype(np.float32)

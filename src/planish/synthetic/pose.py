@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,14 +113,19 @@ def draw_pose(camera: CameraParams, spread: ArrayLike, rng: np.random.Generator)
     while in_view(shape, centred) < _CENTRED_IN_VIEW:
         shape = (int(_GROWTH * shape[0]) + 1, int(_GROWTH * shape[1]) + 1)
     wanted = camera.shift_range_um * np.array([shift_x, shift_y])
+    return shape, posed(shape, _shortened(wanted, lambda shift: in_view(shape, shift) >= _LEAST_IN_VIEW))
+
+
+def _shortened(shift: Floats, is_enough: Callable[[Floats], bool]) -> Floats:
+    """Shorten a shift of the frame until enough of the field is in view."""
+    if is_enough(shift):
+        return shift
     # A frame that moves away from the middle of a rectangle loses field all the way, so halving finds the limit.
     low, high = 0.0, 1.0
-    if in_view(shape, wanted) < _LEAST_IN_VIEW:
-        for _ in range(30):
-            half = 0.5 * (low + high)
-            low, high = (half, high) if in_view(shape, half * wanted) >= _LEAST_IN_VIEW else (low, half)
-        wanted = low * wanted
-    return shape, posed(shape, wanted)
+    for _ in range(30):
+        half = 0.5 * (low + high)
+        low, high = (half, high) if is_enough(half * shift) else (low, half)
+    return low * shift
 
 
 def _sides(field: Floats, rotation: float) -> tuple[float, float]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core.arrays import not_taken
 from planish.core.errors import FileError
+from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.draws import generator, stream
 from planish.synthetic.holes import hole_pattern
@@ -161,6 +162,18 @@ def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **at
     return xr.DataArray(values, coords, dims, name, {"units": "1", "file_name": "synthetic specimen", **attrs})
 
 
+def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
+    """Bring the sheet's own origin to the middle of the volume; give the warp, its columns (u, v, z), and the depth."""
+    (width, height), p = params.size_um, params.paper
+    reach = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
+    warp = replace(params.warp, shift_um=(width / 2, height / 2, 0.0), reach_um=reach)
+    under = warp.columns(np.linspace(0, height, 61), np.linspace(0, width, 81))
+    thickness = p.base_um + p.coating_top_um + p.coating_bottom_um
+    air = (0.5 * thickness + 20.0) * float(np.hypot(1.0, warp.steepest)) + _MARGIN_UM
+    low_z, high_z = float(under[..., 2].min()) - air, float(under[..., 2].max()) + air
+    return replace(warp, shift_um=(width / 2, height / 2, -low_z)), under, high_z - low_z
+
+
 def make_specimen(
     params: SpecimenParams | None = None, folder: str | Path | None = None, *,
     sheet: Sheet | None = None,
@@ -201,16 +214,7 @@ def make_specimen(
     if params is not None and not isinstance(params, SpecimenParams):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise not_taken(params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen")
     params = params or DEMO
-    width, height = params.size_um
-    # The sheet's own origin comes to the middle of the volume; then one sees which material the volume shows.
-    reach = 2.0 * max(params.size_um) / np.cos(np.arctan(params.warp.steepest)) + 1000.0
-    warp = replace(params.warp, shift_um=(width / 2, height / 2, 0.0), reach_um=reach)
-    under = warp.columns(np.linspace(0, height, 61), np.linspace(0, width, 81))
-    p = params.paper
-    thickness = p.base_um + p.coating_top_um + p.coating_bottom_um
-    air = (0.5 * thickness + 20.0) * float(np.hypot(1.0, warp.steepest)) + _MARGIN_UM
-    low_z, high_z = float(under[..., 2].min()) - air, float(under[..., 2].max()) + air
-    warp = replace(warp, shift_um=(width / 2, height / 2, -low_z))
+    warp, under, depth_um = _place_in_volume(params)
     spread = np.concatenate([under[..., :2].min(axis=(0, 1)), under[..., :2].max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, spread, generator(params.seed, "pose"))
     rows, cols = np.multiply(image_shape, params.camera.pixel_um)
@@ -222,13 +226,13 @@ def make_specimen(
         inner_high = np.array([under[:, -1, 0].min(), under[-1, :, 1].min()])
         centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
         sheet = make_sheet(
-            p, params.holes, low=low, high=high, centres=centres, seed=params.seed,
+            params.paper, params.holes, low=low, high=high, centres=centres, seed=params.seed,
             stiffness=params.stiffness,
         )  # fmt: skip
     elif not sheet.covers(spread[:2], spread[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
     specimen = Specimen(
-        params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(width, height, high_z - low_z),
+        params=params, warp=warp, sheet=sheet, pose=pose, extent_um=(*params.size_um, depth_um),
         image_shape=image_shape
     )  # fmt: skip
     if folder is None:

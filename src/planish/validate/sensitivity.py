@@ -101,15 +101,17 @@ def sensitivity(
             name: measure(f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name))[0]
             for name in names
         }
-        for stage in off:
-            whole, name = loud[stage] or 0.0, keys[stage]
-            # A figure that is missing then changes nothing.
-            errors = {left_out: values.get(name) for left_out, values in less.items()}
-            changes = {k: 0.0 if v is None else abs(whole**2 - v**2) for k, v in errors.items()}
-            together[stage] = tuple(sorted(changes, key=lambda k: -changes[k])[:2])
+        together = {stage: _most_changing(loud[stage] or 0.0, keys[stage], less) for stage in off}
     return Sensitivity(
         keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(numbers)
     )
+
+
+def _most_changing(error: float, key: str, less: dict[str, Values]) -> tuple[str, ...]:
+    """Name the two nuisances without which a key figure's error changes most; a missing one changes nothing."""
+    errors = {name: figures.get(key) for name, figures in less.items()}
+    changes = {name: 0.0 if e is None else abs(error**2 - e**2) for name, e in errors.items()}
+    return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
 
 
 def make_row(name: str, keys: dict[str, str], quiet: dict[str, float], figures: Values, refusal: str | None) -> Row:
