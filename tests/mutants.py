@@ -36,7 +36,7 @@ MUTANTS = [
     Mutant("core/grid.py", "down, right = row - i, col - j", "down, right = col - j, row - i", "core/test_grid.py"),
     Mutant("core/grid.py", "(row <= rows - 1)", "(row <= rows - 2)", "core/test_grid.py"),
     Mutant("core/grid.py", "return float(self.x_um[0]), float(self.y_um[0])", "return float(self.y_um[0]), float(self.x_um[0])", "core/test_grid.py resample/test_maps.py marks/test_sheet_holes.py"),
-    Mutant("core/area.py", "weight >= least * factor[0]", "weight > 2 * least * factor[0]", "core/test_area.py"),
+    Mutant("core/area.py", "self._enough = least * factor[0]", "self._enough = 2 * least * factor[0]", "core/test_area.py"),
     Mutant("core/frame.py", '(self.through == "y") != (self.top == "low")', '(self.through == "y") == (self.top == "low")', "core/test_frame.py"),
     Mutant("core/frame.py", '1.0 if self.top == "high" else -1.0', "1.0", "core/test_frame.py measure/test_along_normals.py surface/test_any_sheet.py"),
     Mutant("core/transform.py", "np.array([[cos * flip, -sin], [sin * flip, cos]])", "np.array([[cos * flip, sin], [sin * flip, -cos]])", "core/test_transform.py register/test_fit.py"),

@@ -34,12 +34,12 @@ def prepare_streams() -> None:
 
 
 def plain() -> bool:
-    """Whether colours are off: ``NO_COLOR`` is set, or the terminal can show none."""
+    """Return True if colours are off: ``NO_COLOR`` is set, or the terminal can show none."""
     return bool(os.environ.get("NO_COLOR")) or _dumb()
 
 
 def animated() -> bool:
-    """Whether progress may be drawn over and over on one line of standard error."""
+    """Return True if progress may be drawn over and over on one line of standard error."""
     return sys.stderr.isatty() and not _dumb()
 
 
@@ -58,7 +58,7 @@ def console(*, err: bool = False, width: int | None = None) -> Console:
 
 
 def letters() -> bool:
-    """Whether standard error takes any letter, such as those of an animation."""
+    """Return True if standard error takes any letter, such as those of an animation."""
     return (sys.stderr.encoding or "").lower().startswith("utf")
 
 

@@ -106,7 +106,7 @@ class Value(click.ParamType[Any]):
 def options(
     model: type[Params], section: str, group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()
 ) -> Command:
-    """Give a command all options of a model, or some; :func:`given_options` collects what was said.
+    """Give a command all options of a model, or some; :func:`given_options` collects their values.
 
     ``section`` keeps fields of the same name in two models apart; ``group`` is the heading in the help; ``only`` and
     ``without`` are names of fields.
@@ -145,12 +145,12 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
 def _given_or_none(
     _context: click.Context, _parameter: click.Parameter, value: tuple[str, ...]
 ) -> tuple[str, ...] | None:
-    """An option that may be repeated and was not given is not said, which is other than none of them."""
+    """Give None for a repeatable option that was not given, which is other than an empty choice."""
     return value or None
 
 
 def _default(value: Any) -> str:
-    """How the help shows a default; nothing where there is none."""
+    """Write a default for the help; nothing where there is none."""
     if value in (None, (), ...) or value is PydanticUndefined:
         return ""
     values: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
@@ -158,7 +158,7 @@ def _default(value: Any) -> str:
 
 
 def given_options(values: dict[str, Any], section: str) -> dict[str, Any]:
-    """What was said on the command line for a section, as its model takes it."""
+    """Collect the options that the command line gives for a section, as its model takes them."""
     mark = f"{section}__"
     section_options = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
     set_options = {k: v for k, v in section_options.items() if v is not None and v is not False}  # 0 is a value
@@ -172,7 +172,7 @@ def given_options(values: dict[str, Any], section: str) -> dict[str, Any]:
 
 
 def build_params(model: type[P], values: dict[str, Any], section: str, **more: Any) -> P:
-    """The model of a section, of what was said on the command line and ``more``; what is wrong is wrong usage."""
+    """Build the model of a section from the command line and ``more``; a fault is wrong usage."""
     flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
     try:
         return model.model_validate(given_options(values, section) | more)
@@ -206,7 +206,7 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 
 
 def out_option(help: str, *, required: bool = True) -> Command:
-    """Where the results go; what stands there already is never overwritten."""
+    """Add the option of the place for the results, where nothing is overwritten."""
     return click.option("--out", "-o", required=required, type=click.Path(path_type=Path), help=help)
 
 

@@ -159,7 +159,7 @@ def _interval(low: float, high: float) -> str:
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:
-    """What a run folder holds; None where it is none, or damaged."""
+    """Read the facts of a run folder; None where it is none, or damaged."""
     if not (path / "run.toml").is_file():
         return None
     try:

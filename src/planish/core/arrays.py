@@ -102,12 +102,12 @@ def step_um(array: xr.DataArray, axis: str) -> float | None:
 
 
 def agree(first: float, second: float) -> bool:
-    """Whether two sizes are the same within :data:`TOLERANCE`."""
+    """Return True if two sizes are the same within :data:`TOLERANCE`."""
     return abs(first - second) <= TOLERANCE * min(first, second)
 
 
 def instead_of(value: object, kind: Kind) -> str:
-    """What to write for an object that is no volume, or no image."""
+    """Give the call to write for an object that is no volume, or no image."""
     if isinstance(value, str | Path):
         return f"pl.read_{kind.name}({str(value)!r})"
     array = 'dataset["NAME"]' if isinstance(value, xr.Dataset) else "array"

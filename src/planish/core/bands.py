@@ -31,7 +31,7 @@ def band_of(data: Rows, rows: slice) -> NDArray[Any]:
 
 
 def any_finite(data: Rows, where: Rows | None = None) -> bool:
-    """Whether a map has a value, where ``where`` is true."""
+    """Return True if a map has a value where ``where`` is true."""
     for rows in bands(data.shape[0]):
         is_finite = np.isfinite(band_of(data, rows))
         if (is_finite if where is None else is_finite & band_of(where, rows)).any():

@@ -63,7 +63,7 @@ class Frame:
 
     @property
     def mirrored(self) -> bool:
-        """Whether the lateral grid is a mirror image of what is seen from the top."""
+        """True if the lateral grid is a mirror image of the view from the top."""
         return (self.through == "y") != (self.top == "low")
 
     def columns(self, volume: xr.DataArray) -> xr.DataArray:

@@ -96,7 +96,7 @@ def replaced(volume: xr.DataArray, values: LazyArray) -> xr.DataArray:
 
 
 def held(values: NDArray[Any] | LazyArray) -> Any:
-    """What a variable takes as its values: an array, or a lazy one that stays one."""
+    """Wrap values for a variable: an array, or a lazy one that stays one."""
     return LazilyIndexedArray(_Backend(values)) if isinstance(values, LazyArray) else values
 
 

@@ -60,12 +60,12 @@ class Variable:
 
 
 def is_new(head: bytes) -> bool:
-    """Whether a file that begins with these 520 bytes is one of version 7.3."""
+    """Return True if a file that begins with these 520 bytes is one of version 7.3."""
     return head.startswith(_HDF5) or head[512:520] == _HDF5
 
 
 def is_version_5(head: bytes) -> bool:
-    """Whether a file that begins with these 128 bytes is one of version 5 to 7."""
+    """Return True if a file that begins with these 128 bytes is one of version 5 to 7."""
     return head[126:128] in (b"IM", b"MI") and 0 not in head[:4]
 
 

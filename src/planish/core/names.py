@@ -20,7 +20,7 @@ INSIDE = 120
 
 
 def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
-    """Why a file or folder cannot have a name; None where it can.
+    """Say why a file or folder cannot have a name; None where it can.
 
     Parameters
     ----------

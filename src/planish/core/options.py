@@ -60,7 +60,7 @@ def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str) 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shown:
-    """How the command line shows a field.
+    """Appearance of a field on the command line.
 
     ``flags`` such as ``("--cutoff-um",)``; ``metavar``, the placeholder of the value, where the type does not say it;
     ``repeat``, whether one number stands for all of a tuple.

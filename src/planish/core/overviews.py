@@ -35,7 +35,7 @@ def overviews(maps: xr.Dataset, *, least: int = LEAST) -> Iterator[xr.Dataset]:
 
 
 def count_of(shape: tuple[int, ...], *, least: int = LEAST) -> int:
-    """How many overviews maps of a shape need."""
+    """Count the overviews that maps of a shape need."""
     return max(math.ceil(math.log2(max(shape, default=1) / least)), 0)
 
 

@@ -23,5 +23,5 @@ def hash_sources(pattern: str = "*.py") -> str:
 
 
 def is_this_code(version: str, code: str) -> bool:
-    """Whether a version and a hash of sources are those of this program."""
+    """Return True if a version and a hash of sources are those of this program."""
     return version == __version__ and code == hash_sources()

@@ -38,7 +38,7 @@ class Row(NamedTuple):
 
 
 class Rows(NamedTuple):
-    """What stands in a text: rows, comments without their sign, separator, and faults of single lines."""
+    """Content of a text: rows, comments without their sign, separator, and faults of single lines."""
 
     rows: list[Row]
     comments: list[str]

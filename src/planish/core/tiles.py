@@ -67,7 +67,7 @@ def tiles_of(shape: tuple[int, int], size: tuple[int, int]) -> list[Tile]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Engine:
-    """How tiles are worked on; no result depends on it.
+    """Threads, memory or cluster that tiles are worked on with; no result depends on it.
 
     Attributes
     ----------

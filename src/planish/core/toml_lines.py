@@ -72,7 +72,7 @@ def _table(names: list[str], counts: dict[Key, int], *, array: bool) -> Key:
 
 
 def _end_of_value(text: str, position: int) -> int:
-    """Where the line ends on which a value ends that begins behind the sign of equality."""
+    """Find the end of the line on which the value ends that begins behind the sign of equality."""
     depth = 0
     while position < len(text) and (match := _TOKEN.match(text, position)):
         position = match.end()

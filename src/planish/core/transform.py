@@ -125,7 +125,7 @@ class NearSimilarity(ABC):
 
     @property
     def mirrored(self) -> bool:
-        """Whether the transformation changes handedness."""
+        """True if the transformation changes handedness."""
         return self.similarity.mirrored
 
 

@@ -25,7 +25,7 @@ _VOLUMES: dict[str, Instrument] = {"ct": "scanner", "sections": "sections", "sta
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InstrumentFiles:
-    """Where the files are and how their axes lie in space.
+    """Paths of the files, and the pose of their axes in space.
 
     Attributes
     ----------

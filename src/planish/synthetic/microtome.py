@@ -26,7 +26,7 @@ _RESIN_PX = 24
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Poses:
-    """Where each section that was kept truly lies; all (n,).
+    """True poses of the sections that were not lost; all (n,).
 
     ``counter_um`` is the position along the cut that the microtome counts, ``y_um`` the true one in space; the cut runs
     towards smaller y. A pixel at (x, z) of the picture shows the point

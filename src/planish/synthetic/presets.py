@@ -133,7 +133,7 @@ INSTRUMENTS = ("ct", "sections", "stack", "image", "print")
 
 
 class SpecimenOptions(Params):
-    """What a user orders: a paper, a size, the instruments, and their errors."""
+    """The user's order: a paper, a size, the instruments, and their errors."""
 
     preset: str = option("wfc135", help="Paper; --list names them.", metavar="NAME")
     size: Literal["T0", "T1", "T2", "T3"] = option(

@@ -57,7 +57,7 @@ class Sheet:
     holes: Floats
 
     def covers(self, low: Floats, high: Floats) -> bool:
-        """Whether the fields reach from (u, v) = ``low`` to ``high``, in um."""
+        """Return True if the fields reach from (u, v) = ``low`` to ``high``, in um."""
         rows, cols = self.faces.shape[1:]
         end = np.add(self.origin, PITCH_UM * np.array([cols - 1, rows - 1]))
         return bool(np.all(low >= self.origin) and np.all(high <= end))

@@ -78,7 +78,7 @@ class Specimen:
 
     @cached_property
     def poses(self) -> Poses:
-        """Where the sections were cut."""
+        """True poses of the sections."""
         return draw_poses(self.params.sections, self.extent_um[1], self.params.seed)
 
     @property
@@ -123,7 +123,7 @@ class Specimen:
 
     @cached_property
     def truth(self) -> xr.Dataset:
-        """What is true at each pixel of the image, dims (y, x), in um.
+        """True values at each pixel of the image, dims (y, x), in um.
 
         ``u, v`` material coordinates; ``volume_x, volume_y, volume_z`` of the centre surface; ``coating_top``,
         ``coating_bottom``, ``base_thickness``, ``thickness``; ``rim``: distance to the nearest hole's rim.

@@ -61,7 +61,7 @@ class Entry:
 
     @property
     def whole(self) -> bool:
-        """Whether there is a result of which no check failed."""
+        """True for a result of which no check failed."""
         return self.refusal is None and not self.failed
 
 
@@ -97,7 +97,7 @@ class Line:
 
     @property
     def met(self) -> bool | None:
-        """Whether the worst specimen keeps the limit; what could not be measured does not. None without a limit."""
+        """True if the worst specimen keeps the limit; False where it could not be measured, None without a limit."""
         return None if self.limit is None else self.limit.met(self.worst)
 
 
@@ -128,7 +128,7 @@ class Certificate:
 
     @property
     def passed(self) -> bool:
-        """Whether no check of any specimen failed, or it may end with a warning, and every limit is met."""
+        """True if every limit is met and no check of a specimen that counts failed."""
         return all(e.whole for e in self.judged) and all(line.met is not False for line in self.lines().values())
 
 

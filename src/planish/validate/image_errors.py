@@ -86,7 +86,7 @@ def contour_points(values: Floats, level: float) -> Floats:
 
 
 def hole_errors(comparison: Comparison) -> Values:
-    """What hole finding gives on either side, against the true holes; it is asked again as the run asks it."""
+    """Compare the holes of either side with the true ones; they are found again, with the run's options."""
     linked, maps, specimen = comparison.linked, comparison.groups["maps"], comparison.specimen
     hole_um = comparison.run.study.holes.hole_um
     true = specimen.sheet.holes

@@ -80,7 +80,7 @@ class SpecimenTemplate:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was taken from the run, and what was assumed."""
+        """Sentences on what was taken from the run and what was assumed."""
         return (*(f"Taken: {note}" for note in self.derived), *(f"Assumed: {note}" for note in self.assumed))
 
     def scenario(self, base: Scenario) -> Scenario:

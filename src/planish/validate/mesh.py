@@ -104,7 +104,7 @@ def cylinder(rows: int = 96, cols: int = 128) -> tuple[Floats, Floats]:
 
 
 def unrolled(flat: Floats) -> Floats:
-    """Where the nodes (rows, cols, 2) of the cylinder's projection lie when it is flat."""
+    """Unroll the cylinder: flat places of the nodes (rows, cols, 2) of its projection."""
     return np.stack([_RADIUS * np.arcsin(flat[..., 0] / _RADIUS), flat[..., 1]], axis=-1)
 
 

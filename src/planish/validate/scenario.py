@@ -48,7 +48,7 @@ class Table(BaseModel):
 
 
 class Limit(Table):
-    """What a figure may be: ``limit`` bounds its absolute value from above, ``least`` the value itself from below.
+    """Bound of a figure: ``limit`` holds its absolute value from above, ``least`` the value itself from below.
 
     ``from`` names where the bound comes from.
     """
@@ -69,7 +69,7 @@ class Limit(Table):
         return (self.least or 0.0) if self.limit is None else self.limit
 
     def met(self, value: float | None) -> bool:
-        """Whether a value keeps the limit; what could not be measured does not."""
+        """Return True if a value keeps the limit; False for one that could not be measured."""
         return value is not None and (value >= self.bound if self.limit is None else abs(value) <= self.bound)
 
     def worst(self, values: list[float]) -> float:

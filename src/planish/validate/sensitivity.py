@@ -115,7 +115,7 @@ def _most_changing(error: float, key: str, less: dict[str, Values]) -> tuple[str
 
 
 def make_row(name: str, keys: dict[str, str], quiet: dict[str, float], figures: Values, refusal: str | None) -> Row:
-    """What a nuisance adds to every stage, and the stage where it comes in.
+    """Give the error that a nuisance adds to every stage, and the stage where it comes in.
 
     Errors are carried along the line: the stage that suffers is the first one that grows at least half as much,
     relative to its own baseline, as the one that grows most.
@@ -133,7 +133,7 @@ def make_row(name: str, keys: dict[str, str], quiet: dict[str, float], figures: 
 
 
 def added_error(error: float | None, base: float) -> float | None:
-    """What has to be added in squares to ``base`` to give ``error``; 0 where it is not larger."""
+    """Give the error that adds to ``base`` in squares to make ``error``; 0 where that is not larger."""
     return None if error is None else float(np.sqrt(max(0.0, error**2 - base**2)))
 
 

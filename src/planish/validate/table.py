@@ -144,7 +144,7 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
 
 
 def verdict(certificate: Certificate) -> str:
-    """What a user may expect, in one or two sentences."""
+    """Say in one or two sentences which errors a user may expect."""
     means = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
         lines = certificate.lines()
@@ -167,7 +167,7 @@ def verdict(certificate: Certificate) -> str:
 
 
 def summary(certificate: Certificate) -> str:
-    """How many specimens came through and how many limits are met."""
+    """Count the specimens that came through and the limits that are met, in sentences."""
     entries, n = certificate.entries, len(certificate.entries)
     met = [line.met for line in certificate.lines().values() if line.met is not None]
     word = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
@@ -209,7 +209,7 @@ def with_unit(figure: Figure, value: float | None) -> str:
 
 
 def sensitivity_sentences(table: Sensitivity) -> list[str]:
-    """Which stage each nuisance harms, then whether the single errors of each stage add up."""
+    """Name the stage that each nuisance harms, then say of each stage if its single errors add up."""
     return [*(row_sentence(row) for row in table.rows), *(sum_sentence(stage, table) for stage in table.keys)]
 
 

@@ -74,7 +74,7 @@ class Comparison:
 
     @cached_property
     def measured(self) -> Bools:
-        """Whether the run measured the column."""
+        """True where the run measured the column."""
         return self.take(self.groups["surfaces"]["status"].values) == 0
 
     def places(self, heights: Floats, rows: Index, cols: Index) -> Floats:

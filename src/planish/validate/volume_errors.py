@@ -19,7 +19,7 @@ _LEAST_SECTIONS = 4
 
 
 def section_errors(comparison: truth.Comparison) -> Values:
-    """How far aligned sections are from their true places, about the best straight line through them.
+    """Measure the distances of aligned sections from their true places, about the best straight line.
 
     A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
     """
