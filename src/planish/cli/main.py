@@ -29,7 +29,7 @@ _MODULES = {
     "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
     "specimen": "validate", "validate": "validate", "export": "export", "doctor": "doctor",
     "completion": "completion", "new": "studies", "study": "series", "compare": "compare", "view": "view",
-    "explore": "explore",
+    "explore": "export",
 }  # fmt: skip
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from planish.core.arrays import not_taken
 from planish.core.errors import FileError
+from planish.core.lazy import labelled
 from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.draws import generator, stream
@@ -157,9 +158,9 @@ class Specimen:
 
 def _labelled(values: NDArray[Any], dims: tuple[str, ...], pitch_um: float, **attrs: Any) -> xr.DataArray:
     """Array with coordinates in um and the attributes that a reader of files gives."""
-    coords = {d: (d, np.arange(n) * pitch_um, {"units": "um"}) for d, n in zip(dims, values.shape, strict=True)}
     name = "volume" if len(dims) == 3 else "image"
-    return xr.DataArray(values, coords, dims, name, {"units": "1", "file_name": "synthetic specimen", **attrs})
+    attrs = {"units": "1", "file_name": "synthetic specimen", **attrs}
+    return labelled(values, dims, [pitch_um] * len(dims), name=name, attrs=attrs)
 
 
 def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
