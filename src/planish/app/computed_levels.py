@@ -16,9 +16,10 @@ import threading
 import weakref
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.lazy import LazyArray, Where
@@ -29,24 +30,6 @@ CACHE_BYTES = 8 * 2**30
 """Above this the copies that were not used for the longest time are removed."""
 
 _LAST_ON_DEMAND = 3  # levels up to this one are made of the window that is asked for
-
-
-class Values(Protocol):
-    """Values (rows, cols) of which a window is read at a time."""
-
-    @property
-    def shape(self) -> tuple[int, ...]:
-        """Rows and columns."""
-        ...
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Floating point or truth values."""
-        ...
-
-    def __getitem__(self, where: Where, /) -> Any:
-        """Read a window."""
-        ...
 
 
 def user_cache() -> Path:
@@ -82,7 +65,7 @@ class ComputedLevels:
         Whether the values themselves are kept there as well: those of a file of which no window can be read.
     """
 
-    def __init__(self, values: Values, place: Path, *, keep_all: bool = False) -> None:
+    def __init__(self, values: NDArray[Any] | xr.DataArray | LazyArray, place: Path, *, keep_all: bool = False) -> None:
         self._values, self._place = values, place
         rows, cols = values.shape
         self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(count_of((rows, cols)) + 1)]

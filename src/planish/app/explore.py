@@ -64,7 +64,10 @@ def explore(
     with limit_threads(compute.threads):
         progress("maps", str(run))
         maps = maps_of(source)
-        stacks = _stacks(source, maps, compute, progress)
+        sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
+        layers, budget = map(source.results.layer, sheets), BUDGET // max(len(sheets), 1)
+        read = (stack_of(source, layer, budget, compute, progress) for layer in layers)
+        stacks = [stack for stack in read if stack is not None]
         notes = _notes(maps, stacks)
         page = render(source.results, maps, stacks, notes).encode()
     assert len(page) <= LARGEST
@@ -72,15 +75,6 @@ def explore(
     return Explored(
         path=out, bytes=len(page), maps=len(maps.maps), slices=sum(len(stack.at_um) for stack in stacks), notes=notes
     )
-
-
-def _stacks(source: ExportSource, maps: MapsOfPage, compute: Compute, progress: Progress) -> list[Stack]:
-    """Slices of every sheet whose places in the volume the maps give, the budget shared among them."""
-    sheets = dict.fromkeys(group.sheet for group in maps.groups if group.sheet)
-    stacks = (
-        stack_of(source, source.results.layer(name), BUDGET // len(sheets), compute, progress) for name in sheets
-    )  # fmt: skip
-    return [stack for stack in stacks if stack is not None]
 
 
 def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
 
@@ -162,7 +163,11 @@ def fitted(
     leave_one_out_um[used], leave_one_out_um[~used] = fit.leave_one_out_um, residual[~used]
     if is_outlier.any():
         kind = "auto" if model == "auto" and not quick and not error else fit.model
-        leave_one_out_um = _leave_one_out(kind, moving, fixed, used & ~is_outlier, mirrored, leave_one_out_um)
+        # Marks that stand out take part in no fit here: they would spoil the errors of the others.
+        weights = (used & ~is_outlier).astype(np.float64)
+        with suppress(PlanishError):  # too few are left for this model
+            fit_to_others = _least_squares(moving, fixed, kind, mirrored, inspect=False, weights=weights)
+            leave_one_out_um = fit_to_others.leave_one_out_um
     about_marks = _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
     return Fitted(
         **common, fit=fit, outliers=is_outlier, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
@@ -203,17 +208,6 @@ def _fits_mirrored(moving: Floats, fixed: Floats) -> bool:
 def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **how: Any) -> FittedTransform:
     """Least squares, in which no mark is left out."""
     return fit_transform(moving, fixed, model=model, mirrored=mirrored, robust=False, lowest="similarity", **how)
-
-
-def _leave_one_out(
-    model: str, moving: Floats, fixed: Floats, is_fitted: Bools, mirrored: bool | None, leave_one_out_um: Floats
-) -> Floats:  # fmt: skip
-    """Leave-one-out errors where the marks that stand out take part in no fit: they would spoil those of the others."""
-    try:
-        fit = _least_squares(moving, fixed, model, mirrored, inspect=False, weights=is_fitted.astype(np.float64))
-    except PlanishError:  # too few are left for this model
-        return leave_one_out_um
-    return fit.leave_one_out_um
 
 
 def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, None, str]:

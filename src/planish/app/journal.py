@@ -73,7 +73,8 @@ class Journal:
         if self._lock is None:
             raise FileError(f"{self.path} is read only here. Nothing was changed.")
         is_new = self._end == 0
-        data = (_head(self.of) if is_new else b"") + line + b"\n"
+        head = json.dumps({"format": FORMAT, "of": self.of}).encode() + b"\n" if is_new else b""
+        data = head + line + b"\n"
         try:
             with self.path.open("ab" if is_new else "r+b", buffering=0) as file:
                 try:
@@ -158,10 +159,6 @@ def _object(line: bytes) -> Mapping[str, Any]:
     except (ValueError, RecursionError):
         return {}
     return parsed if isinstance(parsed, dict) else {}  # pyright: ignore[reportUnknownVariableType]
-
-
-def _head(of: str) -> bytes:
-    return json.dumps({"format": FORMAT, "of": of}).encode() + b"\n"
 
 
 def _write_all(file: Any, data: bytes) -> None:

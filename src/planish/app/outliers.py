@@ -93,14 +93,11 @@ def _some_pairs(n: int) -> NDArray[np.intp]:
 
 
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
-    return w - _fit(z, w, inliers)
-
-
-def _fit(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
+    """Give the residuals of all marks from the similarity that fits the inliers best."""
     source, target = z[inliers].mean(), w[inliers].mean()
     away = z[inliers] - source
     turn = np.sum(away.conj() * (w[inliers] - target)) / max(float(np.sum(np.abs(away) ** 2)), 1e-300)
-    return target + turn * (z - source)
+    return w - (target + turn * (z - source))
 
 
 def _scaled_errors(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> tuple[Floats, float]:

@@ -17,7 +17,7 @@ from planish.app.picture import Picture, Plane, Stored
 from planish.app.strain import strains
 from planish.core.errors import InputError
 from planish.core.grid import Grid
-from planish.core.lazy import Where, held
+from planish.core.lazy import LazyArray, Where, held
 from planish.core.overviews import count_of, middles
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
@@ -215,7 +215,7 @@ def image_picture(file: ImageFile, *, plane: Plane, name: str) -> Picture:
     )  # fmt: skip
 
 
-class _ImageValues:
+class _ImageValues(LazyArray):
     """One channel of an image file; decoded when a window is read for the first time, where the file is not mapped."""
 
     def __init__(self, file: ImageFile, shape: tuple[int, int]) -> None:
@@ -223,7 +223,7 @@ class _ImageValues:
         self._opening = threading.Lock()
         self._picture: DecodedPicture | None = None
 
-    def __getitem__(self, where: Where, /) -> NDArray[np.float32]:
+    def read(self, where: Where) -> NDArray[np.float32]:
         """Read a window."""
         with self._opening:
             if self._picture is None:
