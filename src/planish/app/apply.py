@@ -166,7 +166,7 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
     free: dict[str, list[End]] = {}
     for side in PLANES:
         holes = [end for end in ends_of(before, side) if end is not None]
-        inside = _inside(ends[side], holes)
+        inside = _ends_in_holes(ends[side], holes)
         size = [next((holes[k].diameter for k in np.flatnonzero(row)), None) or usual_um for row in inside]
         ends[side] = [
             end.model_copy(update={"diameter": end.diameter or um}) if end is not None else None
@@ -182,7 +182,7 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
     return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
 
 
-def _inside(ends: Sequence[End | None], holes: Sequence[End]) -> Bools:
+def _ends_in_holes(ends: Sequence[End | None], holes: Sequence[End]) -> Bools:
     """Tell which end (rows) lies in which hole (columns): each in the nearest at most."""
     is_inside = np.zeros((len(ends), len(holes)), dtype=bool)
     if not is_inside.size:

@@ -92,7 +92,7 @@ class Applying:
         if self.session.read_only:
             return
         self._clean()
-        self._unlisten = self.session.listen(self._foresee)
+        self._unlisten = self.session.listen(self._warm_soon)
 
     @property
     def progress(self) -> Progress:
@@ -106,7 +106,7 @@ class Applying:
             if not self._closed and (self._ready is None or self._ready.poll() is not None):
                 self._ready = _worker()
 
-    def _foresee(self) -> None:
+    def _warm_soon(self) -> None:
         """Once something was changed, it will be applied; but not while the first clicks follow each other."""
         if self.session.state is not self.session.first:
             self._unlisten()
@@ -144,7 +144,7 @@ class Applying:
                 process.stdin.flush()
             self._process, self._stopped = process, False
             self._progress = Progress(state="working", message=f"Making {out.name} ...")
-            self._reader = threading.Thread(target=self._follow, args=(process, out), daemon=True)
+            self._reader = threading.Thread(target=self._follow_progress, args=(process, out), daemon=True)
             self._reader.start()
             return self._progress
 
@@ -171,9 +171,9 @@ class Applying:
             ready, self._ready, self._closed = self._ready, None, True
         if ready is not None:
             ready.kill()
-            _end(ready)
+            _wait_and_close(ready)
 
-    def _follow(self, process: subprocess.Popen[str], out: Path) -> None:
+    def _follow_progress(self, process: subprocess.Popen[str], out: Path) -> None:
         """Follow the progress that a process reports until it ends."""
         assert process.stdout is not None
         last: dict[str, Any] = {}
@@ -184,7 +184,7 @@ class Applying:
                 with self._lock:
                     share = max(self._progress.share, _BEHIND.get(stage, 0.0))
                     self._progress = Progress(state="working", stage=stage, share=share, message=last["message"])
-        _end(process)
+        _wait_and_close(process)
         state, message = str(last.get("state", "")), str(last.get("message", ""))
         if state == "done":
             ticket = secrets.token_urlsafe(24)
@@ -216,7 +216,7 @@ def _worker() -> subprocess.Popen[str]:
     )  # fmt: skip
 
 
-def _end(process: subprocess.Popen[str]) -> None:
+def _wait_and_close(process: subprocess.Popen[str]) -> None:
     """Wait for the end of a process, and close what led to it."""
     process.wait()
     for stream in (process.stdin, process.stdout):

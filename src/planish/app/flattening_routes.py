@@ -22,7 +22,7 @@ async def flattening(request: Request) -> Response:
     if sheet_run(state.session.folder, layer) is None:
         return JSONResponse(None)
     headline = state.session.results.layer(layer).headline
-    return JSONResponse(await run_sync(_shown, state.pictures, layer, headline))
+    return JSONResponse(await run_sync(_picture_ids, state.pictures, layer, headline))
 
 
 async def mesh(request: Request) -> Response:
@@ -32,7 +32,7 @@ async def mesh(request: Request) -> Response:
     return JSONResponse({"lines": lines, "every": every})
 
 
-def _shown(pictures: Pictures, layer: str, headline: str) -> dict[str, Any]:
+def _picture_ids(pictures: Pictures, layer: str, headline: str) -> dict[str, Any]:
     ids = {
         picture.name.rpartition("/")[2]: picture.id
         for picture in pictures

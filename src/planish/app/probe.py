@@ -75,7 +75,7 @@ def cursor(tiles: Tiles, picture: Picture, x: float, y: float) -> Cursor:
             ValueAt(id=p.id, layer=p.layer, name=p.name, title=p.title, units=p.units, value=value_of[p.id])
             for p in pictures
         ),
-        volume=_volume(picture, pictures, value_of),
+        volume=_volume_place(picture, pictures, value_of),
     )  # fmt: skip
 
 
@@ -115,7 +115,7 @@ def _pixels(picture: Picture, points: Floats, level: int) -> tuple[NDArray[np.in
     return rows, cols, (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
 
 
-def _volume(picture: Picture, pictures: list[Picture], value_of: dict[str, float | None]) -> VolumePlace | None:
+def _volume_place(picture: Picture, pictures: list[Picture], value_of: dict[str, float | None]) -> VolumePlace | None:
     """The place in the volume, of the picture's own layer or the first one that has it."""
     places = {(p.layer, p.name.split("/")[-1]): value_of[p.id] for p in pictures}
     for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):

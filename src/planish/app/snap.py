@@ -51,12 +51,12 @@ def hole_at(
     session: Session, pictures: Pictures, layer: str, plane: Plane, point_um: tuple[float, float]
 ) -> End | None:  # fmt: skip
     """The hole around a point, with what is known of it; None where there is none."""
-    return _nearest(session.holes(layer)[plane], point_um) or _nearest(
-        _searched(session, pictures, layer, plane, point_um), point_um
+    return _nearest_hole(session.holes(layer)[plane], point_um) or _nearest_hole(
+        _search_holes(session, pictures, layer, plane, point_um), point_um
     )
 
 
-def _nearest(holes: xr.Dataset | None, point_um: tuple[float, float]) -> End | None:
+def _nearest_hole(holes: xr.Dataset | None, point_um: tuple[float, float]) -> End | None:
     if holes is None or not holes.sizes["mark"] or "diameter" not in holes:
         return None
     away = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
@@ -67,13 +67,13 @@ def _nearest(holes: xr.Dataset | None, point_um: tuple[float, float]) -> End | N
     return End(x=float(holes["x"].values[k]), y=float(holes["y"].values[k]), source="detected", **extras)
 
 
-def _searched(
+def _search_holes(
     session: Session, pictures: Pictures, layer: str, plane: Plane, point_um: tuple[float, float]
 ) -> xr.Dataset | None:  # fmt: skip
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
     reach = _AROUND * params.hole_um[1]
-    shown = _shown(session, pictures, layer, plane)
+    shown = _hole_layers(session, pictures, layer, plane)
     if not shown:
         return None
     windows = {name: window for name, data in shown.items() if (window := _window(data, point_um, reach)) is not None}
@@ -90,7 +90,7 @@ def _searched(
     return holes.assign(x=holes["x"] + right, y=holes["y"] + down)
 
 
-def _shown(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
+def _hole_layers(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
     """Give what shows the holes of a plane: an image, or the layers of material of a sheet."""
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}

@@ -116,18 +116,18 @@ def maps_of(source: ExportSource) -> MapsOfPage:
     InputError
         If the run holds no maps.
     """
-    wanted = _wanted(source)
+    wanted = _map_names(source)
     shape = Grid.of(source.group(wanted[0][0])).shape
     most = min(
         _MOST_PIXELS, 2 * BUDGET // max(1, sum(len(names) for _, names in wanted))
     )  # two pixels a letter at best
     halvings = max(0, math.ceil(math.log(shape[0] * shape[1] / most, 4)))
-    while (maps := _packed(source, wanted, halvings)).letters() > BUDGET:
+    while (maps := _packed_maps(source, wanted, halvings)).letters() > BUDGET:
         halvings += 1
     return maps
 
 
-def _wanted(source: ExportSource) -> list[tuple[str, list[str]]]:
+def _map_names(source: ExportSource) -> list[tuple[str, list[str]]]:
     """Groups and the names of their maps: the headline of each first, then what it is compared with."""
     results, groups = source.results, source.groups
     names = ["linked"] if "linked" in groups else [f"layers/{one.name}" for one in results.layers]
@@ -146,7 +146,7 @@ def _wanted(source: ExportSource) -> list[tuple[str, list[str]]]:
     return out
 
 
-def _packed(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
+def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
     results = source.results
     maps: list[ShownMap] = []
     groups: list[Group] = []
@@ -155,8 +155,8 @@ def _packed(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings:
         places = [f"volume_{axis}" for axis in "xyz"]
         stored = source.group(name)
         placed = all(place in stored for place in places)
-        data = _smaller(source, name, [*names, *(places if placed else []), *(["valid"] if "valid" in stored else [])],
-                        halvings)  # fmt: skip
+        extra_names = [*(places if placed else []), *(["valid"] if "valid" in stored else [])]
+        data = _halved_maps(source, name, names + extra_names, halvings)
         grid = grid or Grid.of(data)
         valid = data["valid"].values.astype(bool) if "valid" in data else None
         groups.append(Group(
@@ -171,14 +171,14 @@ def _packed(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings:
             counted = values[np.isfinite(values) & (True if valid is None else valid)].astype(np.float64)
             if headline is None:
                 headline = np.where(True if valid is None else valid, values, np.nan).astype(np.float32)
-            maps.append(_shown(layer_map, counted, layer, results, group))
+            maps.append(_packed_map(layer_map, counted, layer, results, group))
     assert grid is not None
     assert headline is not None
     maps.sort(key=lambda shown: shown.name != _layer_of(results, wanted[shown.group][0], shown.name).headline)
     return MapsOfPage(maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline)
 
 
-def _shown(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Results, group: int) -> ShownMap:
+def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Results, group: int) -> ShownMap:
     name = str(data.name)
     figure = POSITION if name == "expected_error" else name
     checks = concerned(results.checks, (layer.name,), (figure,))
@@ -195,7 +195,7 @@ def _shown(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Resu
     )  # fmt: skip
 
 
-def _smaller(source: ExportSource, name: str, names: list[str], halvings: int) -> xr.Dataset:
+def _halved_maps(source: ExportSource, name: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
     data, stored = source.group(name)[names], 0
     if source.folder is not None and not source.is_in_memory:

@@ -41,8 +41,8 @@ def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: S
     script = script_text()
     page = template(_PACKAGE, "explore.html.j2").render(
         results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=maps.maps[0],
-        still=_still(maps), notes=notes, stacks=stacks, style=style, script=script, policy=_policy(style, script),
-        data=_json(_data(results, maps, stacks)), blocks=list(_blocks(maps, stacks)),
+        still=_still_picture(maps), notes=notes, stacks=stacks, style=style, script=script,
+        policy=_policy(style, script), data=_json(_data(results, maps, stacks)), blocks=list(_blocks(maps, stacks)),
     )  # fmt: skip
     return f"{page}\n"
 
@@ -145,7 +145,7 @@ def _pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
     return out
 
 
-def _still(maps: MapsOfPage) -> str:
+def _still_picture(maps: MapsOfPage) -> str:
     """The map that leads as a picture for those without a script."""
     values = maps.headline
     factor = max(1.0, max(values.shape) / _STILL)
