@@ -36,7 +36,7 @@ class CurvatureVerdict(Facts):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class CurvatureCheck:
-    """Whether a surface can be paper.
+    """The strain by which a surface differs from one that paper can have.
 
     Attributes
     ----------

@@ -1,4 +1,4 @@
-"""How much flattening stretched each cell of the mesh, and by how much the sheet grew against its projection."""
+"""The strain of each cell of the mesh by flattening, and the growth of the sheet against its projection."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where the sheet would lie in the plane if another surface were the one that stays unstrained."""
+"""The places of the sheet in the plane if another surface were the neutral one, which stays unstrained."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def flat_moves(
     surfaces: xr.Dataset, others: Mapping[str, NDArray[np.floating]], *, neutral: NDArray[np.floating] | float = 0.0,
     rest: Rest = "arc",
 ) -> xr.Dataset:  # fmt: skip
-    """How far every place of the sheet moves in the plane when other surfaces are flattened instead of the neutral one.
+    """Moves of every place of the sheet in the plane when other surfaces are flattened instead of the neutral one.
 
     All are flattened on one mesh, coarser than that of the maps: what the mesh itself does is the same for all.
 

@@ -1,4 +1,4 @@
-"""Where points of the flat sheet would lie if the spacing of the volume through the sheet were another."""
+"""The places of points of the flat sheet if the spacing of the volume through the sheet were another."""
 
 from __future__ import annotations
 

@@ -42,7 +42,7 @@ class Bent(NearSimilarity):
     nodes: Floats
     affine: Floats
     everywhere: ClassVar[bool]
-    """Whether the local changes end beside the marks, so that the inverse has a meaning far from them."""
+    """True where the local changes end beside the marks, so that the inverse has a meaning far from them."""
 
     @abstractmethod
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:

@@ -235,7 +235,7 @@ class Field:
         return out
 
     def left_out(self) -> tuple[Floats, Floats]:
-        """How the others miss the marks: vectors (n, 2) in um, and the log of the chance of being missed by more (n,).
+        """Errors of the marks left out (n, 2) in um, and the log of the chance (n,) that a right one is missed by more.
 
         The vectors hold the mixture; the chances are those of the others alone. With the residual operator ``P`` the
         vector is ``(P_ii)**-1 (P y)_i`` and the chance ``(1 - q / rest)**(freedom / 2 - 1)``, the tail of a t

@@ -6,20 +6,18 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, get_args
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
 from planish.core.typing import Floats
 from planish.register.fit import fit_transform
 from planish.register.match import Matched, match_by_design, match_marks
+from planish.register.match_search import Ints
 from planish.register.params import RegistrationParams
 from planish.register.result import FittedTransform
 
 if TYPE_CHECKING:
     import xarray as xr
-
-Ints = NDArray[np.intp]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -33,7 +31,7 @@ class DesignedHoles:
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Registration:
-    """How one layer lies on another.
+    """The transformation between two layers, and the holes that support it.
 
     Attributes
     ----------
@@ -157,7 +155,7 @@ def _match(
 
 
 def _covariance_um2(holes: xr.Dataset, rows: Ints) -> Floats | None:
-    """Covariances (k, 2, 2) of some holes; None where they are not known."""
+    """Covariances (k, 2, 2) of the holes in ``rows``; None where they are not known."""
     if "cov_xx" not in holes:
         return None
     return np.stack([holes[f"cov_{k}"].values[rows] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)

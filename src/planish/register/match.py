@@ -13,18 +13,16 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
 from planish.core.typing import Floats
 from planish.register.match_choose import Choice, choose
-from planish.register.match_search import marks_needed
+from planish.register.match_search import Ints, marks_needed
 from planish.register.match_symmetry import self_likeness
 from planish.register.pairs import Pairs, listed, points_of
 from planish.register.similarity import SimilarityModel
-
-Ints = NDArray[np.intp]
 
 # A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
 _ACCEPTED_LOG_CHANCE = -3.0

@@ -5,13 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.typing import Bools, Floats
-from planish.register.match_search import Arrangements, Complexes, chance_without, search
+from planish.register.match_search import Arrangements, Complexes, Ints, chance_without, search
 from planish.register.pairs import as_complex
-
-Ints = NDArray[np.intp]
 
 # Of the marks of the smaller side that lie in the field of the other, this share has to agree.
 _LEAST_SHARE = 0.35
@@ -40,12 +37,12 @@ class Choice:
 
     @property
     def mirrored(self) -> bool:
-        """Whether one side is turned over."""
+        """True where one side is turned over."""
         return bool(self.arrangements.mirrored[self.best])
 
     @property
     def needed(self) -> int:
-        """How many marks have to agree at least."""
+        """Number of marks that have to agree at least."""
         if len(self.small) == 3:
             return 3
         in_common_field = np.count_nonzero(_inside(self.arrangements.landed[self.best], self.large, 0.05))
@@ -93,7 +90,7 @@ def choose(
 
 
 def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float) -> tuple[float, int]:
-    """How likely chance is to offer the best different arrangement, and the marks that agree in it."""
+    """Give log10 of how often chance offers the best different arrangement, and the marks that agree in it."""
     used = arrangements.squares[best] <= tolerance * tolerance
     moved = np.max(np.abs(arrangements.landed[:, used] - arrangements.landed[best, used]), axis=1)
     turned_over = arrangements.mirrored != arrangements.mirrored[best]
@@ -119,7 +116,7 @@ def _gate_um(squares: Floats, freedom: float, tolerance: float) -> float:
 
 
 def _inside(points: Complexes, around: Complexes, border: float) -> Bools:
-    """Whether points lie in the rectangle around others, widened by a share of its longer side."""
+    """Mask of the points in the rectangle around others, widened by a share of its longer side."""
     x0, x1, y0, y1 = around.real.min(), around.real.max(), around.imag.min(), around.imag.max()
     extra = border * max(x1 - x0, y1 - y0)
     inside_x = (points.real >= x0 - extra) & (points.real <= x1 + extra)

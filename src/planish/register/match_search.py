@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.typing import Bools, Floats
+from planish.register.pairs import Complexes
 
-Complexes = NDArray[np.complex128]
 Ints = NDArray[np.intp]
 
 # Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced rival is noticed.
@@ -223,7 +223,7 @@ def _like_lengths(a: Complexes, b: Complexes, scale_tolerance: float, tolerance:
 
 
 def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np.uint8]]:
-    """Which cells of a raster lie within ``reach`` of a mark, roughly: ``x0, y0, size, near``; its border is 0."""
+    """Raster of the cells within ``reach`` of a mark, roughly: ``x0, y0, size, near``; its border is 0."""
     x0, x1 = b.real.min() - reach, b.real.max() + reach
     y0, y1 = b.imag.min() - reach, b.imag.max() + reach
     size = float(max(reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / _MOST_CELLS), max(x1 - x0, y1 - y0) / 20000.0))

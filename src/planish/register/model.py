@@ -1,4 +1,4 @@
-"""What a registration model is: how it is fitted to marks, and how it misses marks that are left out.
+"""The base of all registration models: the fit to marks, and the error at marks that are left out.
 
 Models of a fixed number of parameters share everything but the fit itself and the derivatives by the parameters.
 """
@@ -70,7 +70,7 @@ class ParametricModel(Model):
     """A transformation with a fixed number of parameters."""
 
     linear: ClassVar[bool] = False
-    """Whether the image is linear in the parameters: leave-one-out errors then follow from the leverages."""
+    """True where the image is linear in the parameters: leave-one-out errors then follow from the leverages."""
 
     @abstractmethod
     def design(self, transform: Any, frame: Frame, points: Floats, /) -> Floats:

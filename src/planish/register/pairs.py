@@ -41,7 +41,7 @@ class Pairs:
 
     @property
     def isotropic(self) -> bool:
-        """Whether no pair knows a direction better than the other."""
+        """True where no pair knows a direction better than the other."""
         info = self.information
         return bool(np.all(info[:, 0, 0] == info[:, 1, 1]) and np.all(info[:, 0, 1] == 0))
 

@@ -14,12 +14,11 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
-from planish.core.transform import Affine
+from planish.core.transform import Affine, Pair
 from planish.core.typing import Bools, Floats
 from planish.register.result import FittedTransform
 from planish.register.strain import NOTABLE
 
-Pair = tuple[float, float]
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
 
@@ -150,7 +149,7 @@ class Refined:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RefineOptions:
-    """How a registration is refined by the maps.
+    """Options of a refinement by the maps.
 
     Attributes
     ----------

@@ -72,7 +72,7 @@ class FittedTransform:
 
     @property
     def mirrored(self) -> bool:
-        """Whether the transformation changes handedness."""
+        """True where the transformation changes handedness."""
         return self.transform.mirrored
 
     @property
@@ -86,7 +86,7 @@ class FittedTransform:
 
     @cached_property
     def field(self) -> Field:
-        """What the marks in use say of the map, whichever model was fitted."""
+        """The map and errors that the marks in use make likely, whichever model was fitted."""
         return self.known or Field(self._pairs.take(self.weights > 0), self.mirrored)
 
     @cached_property
@@ -108,7 +108,7 @@ class FittedTransform:
         return weighted_rms(self.leave_one_out_um, self.weights)
 
     def agreement(self, labels: Sequence[str]) -> str:
-        """How many marks agree, how well, and which were left out because they do not, in a sentence.
+        """State in a sentence how many marks agree, how well, and which were left out because they do not.
 
         ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
         """
@@ -267,7 +267,7 @@ class Chain:
 
     @property
     def mirrored(self) -> bool:
-        """Whether handedness changes."""
+        """True where handedness changes."""
         return sum(fit.mirrored for fit in self.fits) % 2 == 1
 
     def expected_error_um(self, points: ArrayLike) -> Floats:

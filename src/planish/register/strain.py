@@ -1,4 +1,4 @@
-"""How a transformation stretches the map from place to place, and whether it folds it."""
+"""The local strain of a transformation from place to place, and its folds."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ class ThroughScale:
 
     @property
     def excludes_one(self) -> bool:
-        """Whether the marks exclude a scale of 1."""
+        """True where the marks exclude a scale of 1."""
         return self.evidence > self.limit
 
 

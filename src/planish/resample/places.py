@@ -1,4 +1,4 @@
-"""Where the pixels of a regular grid lie in a flattened quad mesh.
+"""The places of the pixels of a regular grid in a flattened quad mesh.
 
 Hirn et al. (2009), section 2.3.4, triangulate the moved points anew (Delaunay). Here the connectivity of the mesh is
 used: no triangle can bridge a gap, and overlaps are noticed. The paper's mode can be had for comparison.
@@ -33,7 +33,7 @@ _BANDS = 4  # per thread, so that one with an easy band takes over from one with
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Places:
-    """Where each pixel of a regular grid lies in the mesh; good for any number of fields.
+    """The place of each pixel of a regular grid in the mesh; good for any number of fields.
 
     Attributes
     ----------

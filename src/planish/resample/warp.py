@@ -20,15 +20,15 @@ from planish.core.errors import CannotRegister, InputError, ResourceError, SizeE
 from planish.core.grid import Grid
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
+from planish.core.transform import Pair
 from planish.core.typing import Floats
 from planish.resample._kernels import integrals, interpolate
 
 Integers = NDArray[np.int64]
-Pair = tuple[float, float]
 Mapping = Callable[[Floats], Floats]
 
 TOLERANCE = 0.01
-"""What a place may be wrong by, in source pixels."""
+"""Error that a place may have, in source pixels."""
 
 LARGER = 1.1
 """Length of a pixel's longer side in source pixels from which on values are averaged. A calibration that is a few
@@ -126,7 +126,7 @@ def warp_image(
 
 
 def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: Tile) -> None:
-    """Do one tile; ``out`` is NaN before."""
+    """Set one tile of ``out``, which is NaN before."""
     for (y0, y1, x0, x1), nodes in zip(*find_patches(mapping, tile, image.shape), strict=True):
         sides = y1 - y0, x1 - x0
         down, across = ((nodes[k] - nodes[0, 0]) / n for k, n in zip(((-1, 0), (0, -1)), sides, strict=True))
