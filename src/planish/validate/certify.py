@@ -198,7 +198,7 @@ def run_specimen(
 
 def _make_specimens(
     scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
-) -> list[tuple[Specimen, InstrumentFiles]]:  # fmt: skip
+) -> list[tuple[Specimen, InstrumentFiles]]:
     """Make the specimen as each instrument has it, and write their files."""
     specimen = make_specimen(params)
     if scenario.second is None:
