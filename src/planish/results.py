@@ -28,7 +28,20 @@ from planish.analyze.thin_regions import RegionDifference
 from planish.analyze.variograms import VariogramCurve
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import AtPoints, Facts, Interval, KnownPair, Number, OfLayer, OfMap, Pair, Side, Trust, Value
+from planish.core.facts import (
+    NULL,
+    AtPoints,
+    Facts,
+    Interval,
+    KnownPair,
+    Number,
+    OfLayer,
+    OfMap,
+    Pair,
+    Side,
+    Trust,
+    Value,
+)
 from planish.core.results import HoleTiltFacts, InputFile, SheetNumbers
 from planish.core.sources import is_this_code
 from planish.flatten import FlatteningQuality
@@ -344,17 +357,17 @@ class MapVariogram(VariogramCurve, OfMap):
 
 
 class _WithPoint(Facts):
-    point_um: Value = Field(default=None, description="Edge of a point.")
+    point_um: Value = Field(default=NULL, description="Edge of a point.")
 
 
 class Twice(Agreement, _WithPoint, RingCorrelation):
     """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
 
     units: str = Field(default="1", description="Of the values.")
-    error_ratio: Value = Field(default=None, description="Variance of the errors of b over that of a, as it was given.")
-    error_slope: Value = Field(default=None, description="Slope of b over a where both have such errors (Deming).")
-    error_intercept: Value = Field(default=None, description="Of the line by the ratio of errors.")
-    error_interval: Interval = Field(default=None, description="In which that slope lies with 95 %.")
+    error_ratio: Value = Field(default=NULL, description="Variance of the errors of b over that of a, as it was given.")
+    error_slope: Value = Field(default=NULL, description="Slope of b over a where both have such errors (Deming).")
+    error_intercept: Value = Field(default=NULL, description="Of the line by the ratio of errors.")
+    error_interval: Interval = Field(default=NULL, description="In which that slope lies with 95 %.")
 
 
 class EvidenceFacts(Facts):

@@ -13,7 +13,7 @@ from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, PairSums, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances, covariance_of
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Facts, Interval, Unsaved, Value
+from planish.core.facts import NULL, Facts, Interval, Unsaved, Value
 
 _CHANCE = 0.95
 _LEAST = 3
@@ -31,20 +31,20 @@ class Agreement(Facts):
     """
 
     n: int | None = Field(default=None, description="Points of which bias and scatter are.")
-    bias: Value = Field(default=None, description="Mean of b - a at the larger points.")
-    bias_interval: Interval = Field(default=None, description="In which it lies with 95 %.")
-    sd: Value = Field(default=None, description="Standard deviation of b - a.")
+    bias: Value = Field(default=NULL, description="Mean of b - a at the larger points.")
+    bias_interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
+    sd: Value = Field(default=NULL, description="Standard deviation of b - a.")
     sd_interval: Interval = Field(
-        default=None, description="In which the standard deviation of the difference lies with 95 %."
+        default=NULL, description="In which the standard deviation of the difference lies with 95 %."
     )
-    limits: Interval = Field(default=None, description="Between them lie 95 % of normal differences.")
+    limits: Interval = Field(default=NULL, description="Between them lie 95 % of normal differences.")
     limit_intervals: tuple[Interval, Interval] = Field(
-        default=(None, None), description="In which the lower and the upper limit lie with 95 %."
+        default=(NULL, NULL), description="In which the lower and the upper limit lie with 95 %."
     )
-    n_eff: Unsaved = Field(default=None, exclude=True, description="Independent points of the mean difference.")
-    n_eff_sd: Unsaved = Field(default=None, exclude=True, description="Independent points of its standard deviation.")
-    slope: Unsaved = Field(default=None, exclude=True, description="Least squares of b on a.")
-    slope_x_on_y: Unsaved = Field(default=None, exclude=True, description="Least squares of a on b: a per b.")
+    n_eff: Unsaved = Field(default=NULL, exclude=True, description="Independent points of the mean difference.")
+    n_eff_sd: Unsaved = Field(default=NULL, exclude=True, description="Independent points of its standard deviation.")
+    slope: Unsaved = Field(default=NULL, exclude=True, description="Least squares of b on a.")
+    slope_x_on_y: Unsaved = Field(default=NULL, exclude=True, description="Least squares of a on b: a per b.")
 
 
 def bland_altman(

@@ -16,7 +16,7 @@ from planish.analyze.correlation import Correlation, correlate, on_one_grid
 from planish.analyze.texture import low_pass
 from planish.analyze.trend import without_trend
 from planish.core.errors import CannotMeasure, InputError, SizeError
-from planish.core.facts import Facts, Interval, Value
+from planish.core.facts import NULL, Facts, Interval, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -33,9 +33,9 @@ class Partial(Facts):
     given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
     point_um: float = Field(description="Edge of the points.")
     n: int | None = Field(default=None, description="Points that are valid in all maps.")
-    r: Value = Field(default=None, description="Partial correlation.")
-    n_eff: Value = Field(default=None, description="Independent points of what is left.")
-    interval: Interval = Field(default=None, description="In which r lies with 95 %.")
+    r: Value = Field(default=NULL, description="Partial correlation.")
+    n_eff: Value = Field(default=NULL, description="Independent points of what is left.")
+    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
     silence: str | None = Field(default=None, description="Why there is no partial correlation.")
 
 

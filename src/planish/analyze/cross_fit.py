@@ -19,7 +19,7 @@ from planish.analyze.ncc import MaskedNcc
 from planish.analyze.peak import find_peak, within
 from planish.analyze.surrogates import Unrelated, correlation_length_um, without_plane
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Facts, Interval, Value
+from planish.core.facts import NULL, Facts, Interval, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -53,17 +53,17 @@ class RefinementR(Facts):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
     r: Value = Field(description="Pearson's correlation.")
-    interval: Interval = Field(default=None, description="In which r lies with 95 %.")
-    n_eff: Value = Field(default=None, description="Independent points.")
-    r_of_marks: Value = Field(default=None, description="By the marks alone, over the same pixels.")
-    gain_interval: Interval = Field(default=None, description="In which r - r_of_marks lies with 95 %.")
+    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
+    r_of_marks: Value = Field(default=NULL, description="By the marks alone, over the same pixels.")
+    gain_interval: Interval = Field(default=NULL, description="In which r - r_of_marks lies with 95 %.")
     registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
     sentence: str = Field(description="The same in words.")
     n: int | None = Field(default=None, description="Pixels that are reported on.")
-    tile_um: Value = Field(default=None, description="Side of the tiles of the checkerboard.")
-    guard_um: Value = Field(default=None, description="Distance kept from the pixels that were tuned on.")
-    null_95: Value = Field(default=None, description="|r| that the search reaches on 95 % of unrelated maps.")
-    p: Value = Field(default=None, description="Share of unrelated maps that reach this r.")
+    tile_um: Value = Field(default=NULL, description="Side of the tiles of the checkerboard.")
+    guard_um: Value = Field(default=NULL, description="Distance kept from the pixels that were tuned on.")
+    null_95: Value = Field(default=NULL, description="|r| that the search reaches on 95 % of unrelated maps.")
+    p: Value = Field(default=NULL, description="Share of unrelated maps that reach this r.")
     surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
 
 

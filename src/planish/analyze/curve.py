@@ -20,7 +20,7 @@ from scipy import optimize
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.core.errors import CannotMeasure, InputError
-from planish.core.facts import Facts, Interval, Pair, Unsaved, Value
+from planish.core.facts import NULL, Facts, Interval, Pair, Unsaved, Value
 from planish.core.light import layer_over
 
 Array = NDArray[np.float64]
@@ -41,9 +41,9 @@ class Curvature(Facts):
     n: int = Field(description="Points that are valid in both.")
     n_eff: Value = Field(description="Independent points.")
     n_eff_square: Unsaved = Field(
-        default=None, exclude=True, description="Independent points that the interval of the curvature counts."
+        default=NULL, exclude=True, description="Independent points that the interval of the curvature counts."
     )
-    mean_x: Unsaved = Field(default=None, exclude=True, description="Mean of x.")
+    mean_x: Unsaved = Field(default=NULL, exclude=True, description="Mean of x.")
     slope: Value = Field(description="Slope of the straight line.")
     slope_interval: Interval = Field(description="In which the slope lies with 95 %.")
     curvature: Value = Field(description="Coefficient of the square.")
@@ -116,20 +116,20 @@ class KubelkaMunk(Facts):
 
     ratio: float = Field(description="Absorption over scattering, as it was given.")
     n: int | None = Field(default=None, description="Points that are valid in both maps.")
-    n_eff: Value = Field(default=None, description="Independent points.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
     weight: bool = Field(
         default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
     )
-    scattering: Value = Field(default=None, description="Coefficient S of the coating.")
+    scattering: Value = Field(default=NULL, description="Coefficient S of the coating.")
     scattering_interval: Interval = Field(
-        default=None, description="In which S lies with 95 %; none where it has no end."
+        default=NULL, description="In which S lies with 95 %; none where it has no end."
     )
-    backing: Value = Field(default=None, description="Reflectance below the coating, extrapolated.")
-    backing_interval: Interval = Field(default=None, description="In which it lies with 95 %.")
+    backing: Value = Field(default=NULL, description="Reflectance below the coating, extrapolated.")
+    backing_interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
     backing_at_ends: Interval = Field(
-        default=None, description="Backing that fits best with each end of the interval of S."
+        default=NULL, description="Backing that fits best with each end of the interval of S."
     )
-    rms: Value = Field(default=None, description="Of what the curve leaves of the reflectance.")
+    rms: Value = Field(default=NULL, description="Of what the curve leaves of the reflectance.")
 
     def __call__(self, x: ArrayLike) -> Array:
         """Reflectance of the layer at thicknesses or weights x."""

@@ -14,7 +14,7 @@ from pydantic import Field
 from planish.analyze.correlation import Correlation, correlate, on_one_grid
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
-from planish.core.facts import Facts, Interval, Pair, Value
+from planish.core.facts import NULL, Facts, Interval, Pair, Value
 
 Array = NDArray[np.float64]
 
@@ -33,7 +33,7 @@ class SizeRow(Facts):
     r: Value = Field(description="Pearson's correlation.")
     n_eff: Value = Field(description="Independent points.")
     interval: Interval = Field(description="In which this r lies with 95 %.")
-    band: Interval = Field(default=None, description="In which the r of all sizes lie together with 95 %.")
+    band: Interval = Field(default=NULL, description="In which the r of all sizes lie together with 95 %.")
 
     @classmethod
     def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:

@@ -14,7 +14,7 @@ from planish.analyze.correlation import correlate, on_one_grid
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import Facts, Interval, Value
+from planish.core.facts import NULL, Facts, Interval, Value
 
 Array = NDArray[np.float64]
 
@@ -27,13 +27,13 @@ class LightSpread(Facts):
     width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
     point_um: float = Field(description="Edge of a point.")
     n: int | None = Field(default=None, description="Points that are valid in both maps.")
-    r: Value = Field(default=None, description="Correlation.")
-    n_eff: Value = Field(default=None, description="Independent points.")
-    interval: Interval = Field(default=None, description="In which this r lies with 95 %.")
+    r: Value = Field(default=NULL, description="Correlation.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
+    interval: Interval = Field(default=NULL, description="In which this r lies with 95 %.")
     difference: Value = Field(
-        default=None, description="This r minus that of the coating as it is, at the same points."
+        default=NULL, description="This r minus that of the coating as it is, at the same points."
     )
-    difference_interval: Interval = Field(default=None, description="In which the difference lies with 95 %.")
+    difference_interval: Interval = Field(default=NULL, description="In which the difference lies with 95 %.")
     silence: str | None = Field(default=None, description="Why there is no such r.")
 
 

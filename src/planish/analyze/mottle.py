@@ -14,7 +14,7 @@ from pydantic import Field
 
 from planish.analyze.screen import known_of, pixel_of, smooth
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Facts, Value
+from planish.core.facts import NULL, Facts, Value
 
 _LEAST_PX = 4.0  # of the shortest wave: shorter ones are no waves on a grid
 _FIELD = 0.2  # of the shorter side: of longer waves a field has too few
@@ -35,7 +35,7 @@ class Mottle(Facts):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
     bands: tuple[MottleBand, ...] = Field(default=(), description="From the longest waves to the shortest.")
-    mean: Value = Field(default=None, description="Of the image.")
+    mean: Value = Field(default=NULL, description="Of the image.")
     n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
     measured: str | None = Field(default=None, description="What the values are of.")
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from pydantic.json_schema import SkipJsonSchema
 from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, correlate
 from planish.core.errors import CannotMeasure, InputError
-from planish.core.facts import Facts, Interval, Value
+from planish.core.facts import NULL, Facts, Interval, Value
 
 _CHANCE = 0.95
 _LEAST = 3
@@ -25,13 +25,13 @@ class Reliability(Facts):
 
     point_um: float = Field(description="Edge of a point.")
     n: int | None = Field(default=None, description="Points that are known in both halves.")
-    halves_r: Value = Field(default=None, description="Correlation of both halves.")
+    halves_r: Value = Field(default=NULL, description="Correlation of both halves.")
     value: Value = Field(
-        default=None, description="Share of the variance of the map that both halves show: an upper bound."
+        default=NULL, description="Share of the variance of the map that both halves show: an upper bound."
     )
-    interval: Interval = Field(default=None, description="In which it lies with 95 %.")
-    n_eff: Value = Field(default=None, description="Independent points.")
-    shared_errors: Annotated[bool, SkipJsonSchema()] = Field(
+    interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
+    shared_errors: SkipJsonSchema[bool] = Field(
         default=True, exclude=True, description="Whether both measurements may share errors."
     )
 

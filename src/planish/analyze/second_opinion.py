@@ -17,7 +17,7 @@ from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, correlate, on_one_grid, pearson
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.core.area import area_mean
-from planish.core.facts import Facts, Interval, Unsaved, Value
+from planish.core.facts import NULL, Facts, Interval, Unsaved, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -31,7 +31,7 @@ class SecondOpinion(Facts):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
 
     point_um: float = Field(description="Edge of a point.")
-    r: Unsaved = Field(default=None, exclude=True, description="Pearson's correlation.")
+    r: Unsaved = Field(default=NULL, exclude=True, description="Pearson's correlation.")
     interval: Interval = Field(description="In which r lies with 95 %.")
     standard_error: Value = Field(description="Of Fisher's z.")
     critical: Value = Field(description="Standard errors to either side.")

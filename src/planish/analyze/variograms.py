@@ -14,7 +14,7 @@ from scipy import optimize
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Facts, Pair, Value
+from planish.core.facts import NULL, Facts, Pair, Value
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -37,10 +37,10 @@ class VariogramCurve(Facts):
     range_um: Value = Field(
         description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
     )
-    md_deg: Value = Field(default=None, description="Machine direction on the reference, where the run knows it.")
-    range_along_um: Value = Field(default=None, description="The range within 22.5 degrees of the machine direction.")
-    range_across_um: Value = Field(default=None, description="The same across it.")
-    ratio: Value = Field(default=None, description="Range along over range across.")
+    md_deg: Value = Field(default=NULL, description="Machine direction on the reference, where the run knows it.")
+    range_along_um: Value = Field(default=NULL, description="The range within 22.5 degrees of the machine direction.")
+    range_across_um: Value = Field(default=NULL, description="The same across it.")
+    ratio: Value = Field(default=NULL, description="Range along over range across.")
     distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
 
@@ -84,9 +84,10 @@ class Variogram:
         """Return what stands in the results of a run: the values at up to 60 distances, closer for short ones."""
         far = np.unique(np.geomspace(1, self.lags_um.size, _MOST).round().astype(np.intp)) - 1
         return VariogramCurve(
-            units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill, range_um=self.range_um, md_deg=md_deg,
-            range_along_um=self.range_along_um, range_across_um=self.range_across_um, ratio=self.ratio,
-            distances_um=tuple(self.lags_um[far].tolist()), values=tuple(self.values[far].tolist()),
+            units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill, range_um=self.range_um,
+            md_deg=math.nan if md_deg is None else md_deg, range_along_um=self.range_along_um,
+            range_across_um=self.range_across_um, ratio=self.ratio, distances_um=tuple(self.lags_um[far].tolist()),
+            values=tuple(self.values[far].tolist()),
         )  # fmt: skip
 
 

@@ -55,8 +55,10 @@ Interval = Annotated[
     Pair, BeforeValidator(_nan_pair), PlainSerializer(_null), WithJsonSchema({"anyOf": [_PAIR, _NULL]})
 ]
 """Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are finite."""
-Unsaved = Annotated[Value, Field(default=None, exclude=True), SkipJsonSchema()]
-"""A number that stands beside a result in memory and in no file."""
+Unsaved = SkipJsonSchema[Value]
+"""A number that stands beside a result in memory and, as a field with ``exclude=True``, in no file."""
+NULL: Any = None
+"""Default of a value or interval: null in JSON and its schema, NaN in memory."""
 
 Side = Literal["top", "bottom"]
 """Side of a sheet."""

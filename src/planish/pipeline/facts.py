@@ -150,7 +150,7 @@ def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumb
         expected_error=ExpectedError(
             median_um=np.median(known), largest_um=known.max(), shares=error_shares(maps)
         ) if known.size else None,
-        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=tuple(fit.transform.shift_um),
+        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=fit.transform.shift_um,
         orientation=orientation_facts(layer, link.path[1], fit), lag=lag,
     )  # fmt: skip
 

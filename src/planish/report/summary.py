@@ -149,7 +149,7 @@ def _of_map(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     return sentence, [
         Tile(number(shown.mean if shown else None), "µm", "mean sheet thickness", spread),
         Tile(_whole(measured), "%", "of the volume's columns are measured", f"of {count(sheet.surfaces.columns)}"),
-        Tile(number(None if strain is None else 100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
+        Tile(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
         Tile(
             number(sheet.flatten.largest_move_um), "µm", "largest displacement", "between projection and flat sheet"
         ),

@@ -199,7 +199,8 @@ def _names_fields(*groups: Sequence[Specimen]) -> bool:
 
 def _group(specimens: Sequence[Specimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
     own = [one for one in specimens if _key(one, [*group]) == tuple(group.values())]
-    fields, about = _fields(own, k), {"quantity": k, "group": dict(group), "left_out": _left_out(own, k)}
+    fields = _fields(own, k)
+    about: dict[str, Any] = {"quantity": k, "group": dict(group), "left_out": _left_out(own, k)}
     if quantity.what == "r":
         n_eff = [math.nan if (n := one.cells[k].n_eff_interval) is None else n for one in own]
         pooled: PooledCorrelation = pooled_r(fields, n_eff)
