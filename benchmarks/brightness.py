@@ -17,6 +17,7 @@ from resource import RUSAGE_SELF, getrusage
 
 import planish as pl
 from planish.analyze import Correlation, correlate, difference_of
+from planish.core.facts import is_known
 from planish.pipeline import Run
 from planish.synthetic import (
     MICRO_CT,
@@ -73,7 +74,7 @@ def _said(name: str, run: Run, r2: float) -> Correlation:
         f"    {name}, r² of the true maps {r2}: r {one.r:.3f} ({low:.3f} to {high:.3f}), r² {one.r2:.3f}, n_eff "
         f"{one.n_eff:.0f} of {one.n}; the true r {'lies' if low <= r2**0.5 <= high else 'does not lie'} in the interval"
     )
-    rows = ", ".join(f"{row.registration} {row.r2:.3f}" for row in run.results.comparison if row.r2 is not None)
+    rows = ", ".join(f"{row.registration} {row.r2:.3f}" for row in run.results.comparison if is_known(row.r2))
     print(f"    r² by registration: {rows}")
     for evidence in run.results.evidence:
         if evidence.short_waves is not None:

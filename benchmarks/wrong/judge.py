@@ -11,6 +11,7 @@ from benchmarks.wrong.case import Case, traced
 from benchmarks.wrong.specimens import NAMES
 from planish.analyze import correlate
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES
+from planish.core.facts import is_known
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.pipeline import Run
@@ -167,7 +168,7 @@ def _position(case: Case, run: Run) -> list[Figure]:
 def _correlation(case: Case, run: Run) -> list[Figure]:
     """r of the headline, coating of the side that the image truly shows, against r of the true map."""
     headline = run.results.layers[0].headline
-    rows = [row for row in run.results.correlations if row.a_map == headline and row.n and row.r is not None]
+    rows = [row for row in run.results.correlations if row.a_map == headline and row.n and is_known(row.r)]
     if not rows:
         return []
     row = max(rows, key=lambda k: k.point_um)

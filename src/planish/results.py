@@ -13,6 +13,7 @@ from pydantic import Field, ValidationError
 
 from planish.analyze.agreement import Agreement
 from planish.analyze.beside import Partial
+from planish.analyze.correlation import Correlation
 from planish.analyze.correlograms import CorrelogramProfiles
 from planish.analyze.cross_fit import RefinementR
 from planish.analyze.curve import Curvature, KubelkaMunk
@@ -28,20 +29,7 @@ from planish.analyze.thin_regions import RegionDifference
 from planish.analyze.variograms import VariogramCurve
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import (
-    NULL,
-    AtPoints,
-    Facts,
-    Interval,
-    KnownPair,
-    Number,
-    OfLayer,
-    OfMap,
-    Pair,
-    Side,
-    Trust,
-    Value,
-)
+from planish.core.facts import NULL, AtPoints, Facts, Interval, Number, OfLayer, OfMap, Pair, Side, Trust, Value
 from planish.core.results import HoleTiltFacts, InputFile, SheetNumbers
 from planish.core.sources import is_this_code
 from planish.flatten import FlatteningQuality
@@ -249,33 +237,8 @@ class LayerFacts(Facts):
     image: ImageFacts | None = Field(default=None, description="None for a sheet.")
 
 
-class _Statement(Facts):
-    """Correlation of b with a over points of one size, and how sure it is."""
-
-    point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
-    n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
-    r: Number = Field(description="Pearson's correlation.")
-    r2: Number = Field(description="Its square.")
-    rho: Number = Field(default=None, description="Spearman's rank correlation.")
-    slope: Number = Field(description="Least squares of b on a.")
-    intercept: Number = Field(description="Of the line of b on a.")
-    slope_x_on_y: Number = Field(default=None, description="Least squares of a on b: a per b.")
-    mean_a: Number = Field(default=None, description="Mean of a over the points.")
-    mean_b: Number = Field(default=None, description="Mean of b over the points.")
-    n_eff: Number = Field(default=None, description="Independent points that would test r = 0 as well.")
-    p: Number = Field(
-        default=None, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
-    )
-    interval: KnownPair = Field(default=None, description="In which r lies with 95 %.")
-    n_eff_interval: Number = Field(default=None, description="Independent points that would give this interval.")
-    warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
+class _Judged(Correlation):
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-
-    @property
-    def direction(self) -> int:
-        """1 or -1 where the interval of r excludes 0, else 0."""
-        low, high = self.interval or (0.0, 0.0)
-        return 1 if low > 0 else -1 if high < 0 else 0
 
 
 _NUMBERS_OF_R = (
@@ -284,7 +247,7 @@ _NUMBERS_OF_R = (
 )  # fmt: skip
 
 
-class CorrelationRow(_Statement):
+class CorrelationRow(_Judged):
     """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
 
     WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
@@ -293,19 +256,19 @@ class CorrelationRow(_Statement):
     a_map: str = Field(description="Its map.")
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
-    p_of_table: Number = Field(
-        default=None, description="p after Holm, put right for the number of rows at this point size."
+    p_of_table: Value = Field(
+        default=NULL, description="p after Holm, put right for the number of rows at this point size."
     )
     same_quantity: bool = Field(
         default=False, description="Whether both maps are of one quantity, so that their difference means something."
     )
-    difference_mean: Number = Field(default=None, description="Mean of b less a, for equal quantities.")
-    difference_sd: Number = Field(default=None, description="Standard deviation of that difference.")
-    limits: Pair | None = Field(default=None, description="Limits of agreement: where 95 % of the differences lie.")
+    difference_mean: Value = Field(default=NULL, description="Mean of b less a, for equal quantities.")
+    difference_sd: Value = Field(default=NULL, description="Standard deviation of that difference.")
+    limits: Interval = Field(default=NULL, description="Limits of agreement: where 95 % of the differences lie.")
     units: str | None = Field(default=None, description="Unit of the difference.")
 
 
-class ComparisonRow(_Statement):
+class ComparisonRow(_Judged):
     """The headline correlation by one registration, as the paper compares them, all on the same pixels."""
 
     WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
@@ -313,8 +276,8 @@ class ComparisonRow(_Statement):
     registration: str = Field(description="How the map was laid on the image.")
     property: str = Field(description="The map.")
     marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
-    difference: Number = Field(default=None, description="r of the run's own registration minus this r.")
-    difference_interval: KnownPair = Field(default=None, description="In which the difference lies with 95 %.")
+    difference: Value = Field(default=NULL, description="r of the run's own registration minus this r.")
+    difference_interval: Interval = Field(default=NULL, description="In which the difference lies with 95 %.")
 
 
 class _OverPoints(Facts):

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-from dataclasses import asdict
 from pathlib import Path
 from typing import Any
 
@@ -67,8 +66,7 @@ def rows_of(maps: dict[str, xr.Dataset], a: str, a_map: str, b: str, b_map: str)
     pair.add(0, p, q)
     rows: list[Given] = []
     for row, (u, v) in ((correlate(p, q, pixel_um=6.0), (p, q)), (pair.at_points(), pair.points())):
-        found = asdict(row)
-        found["point_um"] = found.pop("support_um")
+        found = dict(row)
         rows.append({"a": a, "a_map": a_map, "b": b, "b_map": b_map, **found, "same_quantity": a_map == b_map})
         off = (v - u)[np.isfinite(u) & np.isfinite(v)]
         if a_map == b_map and off.size > 1:

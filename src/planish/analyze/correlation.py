@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from pydantic import Field
 
 from planish.analyze.chance import normal_quantile, ranks, student_quantile, student_tail
 from planish.analyze.covariance import Lags, PairCovariances
@@ -18,6 +18,7 @@ from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import InputError, SizeError
+from planish.core.facts import NULL, Facts, Interval, Value
 
 Array = NDArray[np.float64]
 
@@ -35,63 +36,39 @@ _CHANCE = 0.95
 _UNEQUAL = 1.4  # standard error of the second opinion over that of the model
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Correlation:
-    """Correlation of b with a over points of one size.
+class Correlation(Facts):
+    """Correlation of b with a over points of one size, and how sure it is.
 
-    Attributes
-    ----------
-    n : int
-        Points that are valid in both maps. Neighbours resemble each other: n is no sample size.
-    support_um : float
-        Edge of a point.
-    r, r2 : float
-        Pearson's correlation coefficient and its square; NaN with fewer than 3 points or a constant map.
-    rho : float
-        Spearman's rank correlation.
-    slope, intercept : float
-        Least squares of b on a.
-    slope_x_on_y : float
-        Least squares of a on b: a per b. The line of a perfect relation lies between the two.
-    mean_a, mean_b : float
-        Through which both lines go.
-    n_eff : float
-        Independent points that would test r = 0 as well (Dutilleul 1993); at most n.
-    p : float
-        Of the test of r = 0, two-sided; NaN where fewer than 10 independent points say nothing.
-    interval : (float, float)
-        In which the r of such maps lies with 95 %; (NaN, NaN) like ``p``.
-    n_eff_interval : float
-        Independent points that would give this interval by Fisher's z.
-    warnings : tuple of str
-        What to be careful about; empty where all is well.
+    r is NaN with fewer than 3 points or a constant map; p and interval are, where fewer than 10 points are independent.
+    The line of a perfect relation lies between both lines of least squares; they cross at the means.
     """
 
-    n: int
-    support_um: float
-    r: float = math.nan
-    r2: float = math.nan
-    rho: float = math.nan
-    slope: float = math.nan
-    intercept: float = math.nan
-    slope_x_on_y: float = math.nan
-    mean_a: float = math.nan
-    mean_b: float = math.nan
-    n_eff: float = math.nan
-    n_eff_interval: float = math.nan
-    p: float = math.nan
-    interval: tuple[float, float] = (math.nan, math.nan)
-    warnings: tuple[str, ...] = ()
+    point_um: float = Field(description="Edge of the squares over which both maps are averaged.")
+    n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
+    r: Value = Field(description="Pearson's correlation.")
+    r2: Value = Field(description="Its square.")
+    rho: Value = Field(default=NULL, description="Spearman's rank correlation.")
+    slope: Value = Field(description="Least squares of b on a.")
+    intercept: Value = Field(description="Of the line of b on a.")
+    slope_x_on_y: Value = Field(default=NULL, description="Least squares of a on b: a per b.")
+    mean_a: Value = Field(default=NULL, description="Mean of a over the points.")
+    mean_b: Value = Field(default=NULL, description="Mean of b over the points.")
+    n_eff: Value = Field(default=NULL, description="Independent points that would test r = 0 as well.")
+    p: Value = Field(
+        default=NULL, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
+    )
+    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
+    n_eff_interval: Value = Field(default=NULL, description="Independent points that would give this interval.")
+    warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
 
     @property
-    def saved(self) -> dict[str, Any]:
-        """What a row in the results of a run holds of it, by name."""
-        numbers = asdict(self)
-        return {"point_um": numbers.pop("support_um"), **numbers}
+    def support_um(self) -> float:
+        """Edge of a point."""
+        return self.point_um
 
     @property
     def direction(self) -> int:
-        """1 or -1 where the interval excludes 0, else 0."""
+        """1 or -1 where the interval of r excludes 0, else 0."""
         low, high = self.interval
         return 1 if low > 0 else -1 if high < 0 else 0
 
@@ -343,11 +320,14 @@ def _stated(
     if math.isnan(r):
         constant = [f"Map {name} is constant." for name, same in zip("ab", sums.constant, strict=True) if same]
         few = f"Only {sums.n} points are valid in both maps."
-        return Correlation(n=sums.n, support_um=support_um, warnings=(few,) if sums.n < _LEAST else tuple(constant))
+        return Correlation(
+            point_um=support_um, n=sums.n, r=r, r2=r, slope=r, intercept=r,
+            warnings=(few,) if sums.n < _LEAST else tuple(constant),
+        )  # fmt: skip
     slope, intercept, other = sums.lines
     n_eff, p, width, warnings = _certainty(r, sums, cells, pitch_um)
     return Correlation(
-        n=sums.n, support_um=support_um, r=r, r2=r * r, rho=spearman(*ranked), slope=slope, intercept=intercept,
+        point_um=support_um, n=sums.n, r=r, r2=r * r, rho=spearman(*ranked), slope=slope, intercept=intercept,
         slope_x_on_y=other, mean_a=sums.means[0], mean_b=sums.means[1], n_eff=n_eff, p=p, interval=_interval(r, width),
         n_eff_interval=(normal_quantile((1 + _CHANCE) / 2) / width) ** 2 + 3 if width > 0 else math.nan,
         warnings=(*_nearly_constant(ranked), *warnings),

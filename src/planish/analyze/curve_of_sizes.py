@@ -38,7 +38,7 @@ class SizeRow(Facts):
     @classmethod
     def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:
         """Take what a curve shows of a correlation."""
-        return cls(point_um=row.support_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, band=band)
+        return cls(point_um=row.point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, band=band)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -12,6 +12,7 @@ import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
 from planish.cli.console import animated, console, letters, sentence, table
+from planish.core.facts import is_known
 from planish.core.memory import enough_gb
 from planish.core.text import printable, quoted
 
@@ -49,7 +50,7 @@ def stages(total: int) -> Generator[Tell]:
 
 def number(value: float | None, digits: int = 3) -> str:
     """Write a number, or a dash where there is none."""
-    return "-" if value is None else f"{value:.{digits}f}"
+    return f"{value:.{digits}f}" if value is not None and is_known(value) else "-"
 
 
 def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
@@ -140,9 +141,9 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
             str(r.n),
             number(r.n_eff, 0),
             number(r.r),
-            "-" if r.interval is None else _interval(*r.interval),
+            _interval(*r.interval) if is_known(r.interval) else "-",
             number(r.r2),
-            "-" if r.slope is None else f"{r.slope:.4g}",
+            f"{r.slope:.4g}" if is_known(r.slope) else "-",
             number(rms_um, 1),
         )
         for (name, r), rms_um in zip(rows, marks, strict=True)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -13,7 +13,19 @@ from planish.core.facts import Trust
 from planish.core.grid import Grid
 from planish.core.results import HoleTiltFacts
 from planish.register import FittedTransform
-from planish.results import CorrelationRow, LayerFacts, LinkedArea, RegistrationFacts, Results, SheetFacts
+from planish.results import (
+    ComparisonRow,
+    CorrelationRow,
+    ExpectedError,
+    LayerFacts,
+    LinkedArea,
+    PropertyFacts,
+    RegistrationFacts,
+    Results,
+    SheetFacts,
+)
+
+Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 
 _MD_LIMIT_DEG = 10.0
 _LEAST_COVERAGE, _LEAST_AREA, _LEAST_FIELD = 0.5, 0.5, 0.05
@@ -206,10 +218,7 @@ def with_trust(results: Results) -> Results:
     layers = tuple(_layer_with_trust(layer, results.checks) for layer in results.layers)
     rows = rows_with_trust(results.correlations, results.checks)
     both = tuple(layer.name for layer in results.layers)
-    comparison = [
-        row.model_copy(update=_marks(trust_of_pair(both, (row.property,), results.checks), row))
-        for row in results.comparison
-    ]
+    comparison = [_marked(row, trust_of_pair(both, (row.property,), results.checks)) for row in results.comparison]
     withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
     evidence = tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld)
     return results.model_copy(
@@ -219,17 +228,14 @@ def with_trust(results: Results) -> Results:
 
 def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
     """The same correlations, each marked by the checks that concern it."""
-    return tuple(
-        row.model_copy(update=_marks(trust_of_pair((row.a, row.b), (row.a_map, row.b_map), checks), row))
-        for row in rows
-    )
+    return tuple(_marked(row, trust_of_pair((row.a, row.b), (row.a_map, row.b_map), checks)) for row in rows)
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     update: dict[str, Any] = {}
     if layer.sheet is not None:
         trusts: dict[str, Trust] = {name: trust_of(checks, (layer.name,), (name,)) for name in layer.sheet.properties}
-        found = {k: p.model_copy(update=_marks(trusts[k], p)) for k, p in layer.sheet.properties.items()}
+        found = {k: _marked(p, trusts[k]) for k, p in layer.sheet.properties.items()}
         numbers = layer.sheet.numbers
         if "withheld" in trusts.values():  # they are made of the maps
             numbers = None
@@ -237,7 +243,7 @@ def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     r = layer.registration
     if r is not None and r.expected_error is not None:
         trust = trust_of(checks, (layer.name,), (POSITION,))
-        error = r.expected_error.model_copy(update=_marks(trust, r.expected_error))
+        error = _marked(r.expected_error, trust)
         update["registration"] = r.model_copy(update={"expected_error": error})
     return layer.model_copy(update=update)
 
@@ -253,7 +259,7 @@ def trust_of(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[s
     return "withheld" if "fail" in states else "doubtful" if "look" in states else "ok"
 
 
-def _marks(trust: Trust, facts: Any) -> dict[str, Any]:
-    """What changes in a figure: its trust, and its numbers where they are withheld."""
-    numbers = dict.fromkeys(type(facts).WITHHELD) if trust == "withheld" else {}
-    return {"trust": trust, **numbers}
+def _marked(figure: Figure, trust: Trust) -> Figure:
+    """Give a figure its trust, and take its numbers where they are withheld."""
+    numbers = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}
+    return type(figure).model_validate({**dict(figure), **numbers, "trust": trust})

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
@@ -114,19 +113,18 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
         at_sizes = [*one.sizes()]
         for row, own in at_sizes if at_sizes[0][0].n else []:
             more = _differences(own, str(first[of_a].attrs.get("units", "1"))) if sheets else {}
-            found.append(CorrelationRow(**row.saved, a=a, a_map=of_a, b=b, b_map=of_b, **more))
+            found.append(CorrelationRow.holding(row, a=a, a_map=of_a, b=b, b_map=of_b, **more))
     for size in {row.point_um for row in found}:
         of_size = [k for k, row in enumerate(found) if row.point_um == size]
-        every = holm([math.nan if (p := found[k].p) is None else p for k in of_size])
-        for k, p in zip(of_size, every, strict=True):
-            found[k] = found[k].model_copy(update={"p_of_table": None if math.isnan(p) else p})
+        for k, p in zip(of_size, holm([found[k].p for k in of_size]), strict=True):
+            found[k] = found[k].model_copy(update={"p_of_table": p})
     yield from found
 
 
 def _differences(sums: PairSums, units: str) -> dict[str, Any]:
     """Mean and spread of b - a, and the limits of agreement."""
-    mean, sd = (float(v) if np.isfinite(v) else None for v in sums.difference)
-    limits = None if mean is None or sd is None else (mean - _LIMITS * sd, mean + _LIMITS * sd)
+    mean, sd = sums.difference
+    limits = (mean - _LIMITS * sd, mean + _LIMITS * sd)
     return {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
 
 
@@ -179,7 +177,7 @@ def comparison_rows(
                 moved = r - found.r - apart.difference
                 low, high = (v + moved for v in apart.interval)
                 more = {"difference": r - found.r, "difference_interval": (low, high)}
-            yield ComparisonRow(**found.saved, registration=title, property=name, marks_rms_um=rms_um, **more)
+            yield ComparisonRow.holding(found, registration=title, property=name, marks_rms_um=rms_um, **more)
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:

@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from typing import Any
 
 from planish.core.checks import Check, concerned
+from planish.core.facts import is_known
 from planish.core.tables import table_text
 from planish.results import LayerFacts, Results
 
@@ -62,8 +63,8 @@ def _correlations(results: Results) -> Iterator[Row]:
         name = f"r of {row.a_map} and {row.b_map}"
         size, layers = f"points of {row.point_um:g} um", f"{row.a} {row.b}"
         yield layers, name, size, _text(row.r), "", "1", row.n, row.trust, why
-        for end, value in zip(("lower", "upper"), row.interval or (), strict=False):
-            yield layers, name, f"{size}, {end} 95 % limit", value, "", "1", round(row.n_eff or 0), row.trust, why
+        for end, value in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
+            yield layers, name, f"{size}, {end} 95 % limit", value, "", "1", round(row.n_eff), row.trust, why
 
 
 def _names(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> str:
@@ -71,4 +72,4 @@ def _names(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str
 
 
 def _text(value: float | None) -> float | str:
-    return "" if value is None else value
+    return "" if value is None or not is_known(value) else value

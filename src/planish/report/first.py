@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 import xarray as xr
 
+from planish.core.facts import is_known
 from planish.report import maps, relation
 from planish.report.colours import Array
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
@@ -113,9 +114,9 @@ def _surer(results: Results) -> list[tuple[str, Check | None]]:
 def _of_field(rows: Sequence[CorrelationRow]) -> str:
     """Say what a larger field would do to the interval of r."""
     row = largest(rows) if rows else None
-    if row is None or row.trust != "ok" or row.r is None:
+    if row is None or row.trust != "ok" or not is_known(row.r):
         return ""
-    if row.interval is None:
+    if not is_known(row.interval):
         return "A larger field, or more fields: there are too few independent points for an interval of r."
     low, high = row.interval
     if (high - low) / 2 <= _WIDE and row.direction:

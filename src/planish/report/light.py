@@ -33,7 +33,7 @@ def draw_kubelka_munk(
         border = np.concatenate([np.stack([x, ends[0]], axis=1), np.stack([x, ends[1]], axis=1)[::-1]])
         axes.area(border, colour=POINT, opacity=0.2)
     drawn = [(np.stack([x, curve(x)], axis=1), "7 4")]
-    if row.slope is not None and row.intercept is not None:
+    if is_known(row.slope):
         drawn.insert(0, (np.array([(v, row.intercept + row.slope * v) for v in axes.extent[:2]]), ""))
     for line, dash in drawn:
         axes.line(line, colour="white", width=4)

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
+from planish.core.facts import is_known
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Field, Picture, Table, pitch
 from planish.report.statement import r_interval_text, r_text
@@ -132,10 +133,10 @@ def draw_points(
         axes.line(ends, colour="white", width=4)
         axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
     canvas.ticks(axes, *labels)
-    limits = f" (95 %: {r_interval_text(row)})" if row.interval else ""
-    canvas.text(box[0], 18, f"r = {r_text(row)}{limits}" if row.r is not None else "no correlation", bold=True)
+    limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
+    canvas.text(box[0], 18, f"r = {r_text(row)}{limits}" if is_known(row.r) else "no correlation", bold=True)
     canvas.text(box[0], 34, f"n = {count(row.n)} points of {size}", size=SMALL, colour=SOFT)
-    known = f", {count(round(row.n_eff))} of them independent" if row.n_eff is not None else ""
+    known = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
     doubt = " Doubtful: see the checks." if row.trust == "doubtful" else ""
     return canvas.picture(
         title=f"Points of {size}",
@@ -150,9 +151,10 @@ def draw_points(
 
 def in_grams(row: CorrelationRow, density: float) -> CorrelationRow:
     """Turn the thickness of a coating in um into g/m2: 1 um of 1 g/cm3 is 1 g/m2."""
-    other = {"slope": None if row.slope is None else row.slope / density}
-    more = {k: None if (v := getattr(row, k)) is None else v * density for k in ("slope_x_on_y", "mean_a")}
-    return row.model_copy(update=other | more)
+    in_weight = {
+        "slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density, "mean_a": row.mean_a * density
+    }  # fmt: skip
+    return row.model_copy(update=in_weight)
 
 
 def weighed(name: str, density: float) -> str:
@@ -170,10 +172,10 @@ def _lines(
     row: CorrelationRow, extent: tuple[float, float, float, float]
 ) -> Iterator[tuple[list[tuple[float, float]], str]]:
     """Give the line of least squares of b on a, and dashed that of a on b, within the axes."""
-    if row.slope is None or row.intercept is None:
+    if not is_known(row.slope):
         return
     yield [(x, row.intercept + row.slope * x) for x in extent[:2]], ""
-    if row.slope_x_on_y and row.mean_a is not None and row.mean_b is not None:
+    if row.slope_x_on_y and is_known(row.slope_x_on_y) and is_known(row.mean_a):
         yield [(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in extent[2:]], "7 4"
 
 
@@ -186,7 +188,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
     """Draw the difference over the mean of the two, with its mean and limits."""
     mean, apart = (a + b) / 2, b - a
     units = unit(row.units or "") or units
-    known = [v for v in (row.difference_mean, *(row.limits or ())) if v is not None]
+    known = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
     low, high = _limits(apart)
     room = 0.04 * (high - low)
     span = min(low, *known) - room if known else low, max(high, *known) + room if known else high
@@ -207,9 +209,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
-    return tuple(
-        beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *(row.limits or (None, None)))
-    )
+    return tuple(beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
 
 
 def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
@@ -259,8 +259,8 @@ def _limits(data: Array, percent: float = 0.05) -> tuple[float, float]:
 
 
 def _numbers(row: CorrelationRow, units: tuple[str, str]) -> str:
-    if row.r is None or row.r2 is None:
+    if not is_known(row.r):
         return "no correlation: too few points, or a constant map"
     per = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
-    limits = f" (95 %: {r_interval_text(row)})" if row.interval else ""
+    limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
     return f"r = {r_text(row)}{limits}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"

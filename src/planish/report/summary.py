@@ -105,8 +105,8 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
         return []
     if len(results.moving) == 1:
         return headline_pair(results, results.moving[0])
-    onto = [g for g in by_pair(results) if results.reference.name in (g[0].a, g[0].b) and largest(g).r2 is not None]
-    return min(onto, key=lambda group: largest(group).r2 or 0.0, default=[])
+    onto = [g for g in by_pair(results) if results.reference.name in (g[0].a, g[0].b) and is_known(largest(g).r2)]
+    return min(onto, key=lambda group: largest(group).r2, default=[])
 
 
 def density_of(results: Results, row: CorrelationRow) -> float | None:
@@ -187,7 +187,7 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     if pixel is not None and pixel.trust != "ok":
         a, b = (in_words(titles.get(key, key[1])) for key in ((pixel.a, pixel.a_map), (pixel.b, pixel.b_map)))
         return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
-    if pixel is None or pixel.r is None or pixel.r2 is None:
+    if pixel is None or not is_known(pixel.r):
         n = count(pixel.n if pixel else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."
     a, b = (in_words(titles.get(key, key[1])) for key in ((pixel.a, pixel.a_map), (pixel.b, pixel.b_map)))
@@ -195,9 +195,9 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     what, than = ("The image", a) if image else (f"{capital(b)} of {pixel.b}", f"{a} of {pixel.a}")
     row = largest(rows)
     independent = f"{count(row.n)} points of {point_of(row)}"
-    if row.n_eff is not None:
+    if is_known(row.n_eff):
         independent += f", {count(round(row.n_eff))} of them independent"
-    if row.interval is None or row.r is None:
+    if not is_known(row.interval):
         return f"Nothing is claimed about {than} and {what[:1].lower()}{what[1:]}: of {independent} ({REGISTERED})."
     limits = f"r = {r_text(row)} with a 95 % interval of {r_interval_text(row)}, over {independent} ({REGISTERED})."
     if not row.direction:
@@ -227,7 +227,7 @@ def declared(results: Results) -> str:
 
 def _difference(row: CorrelationRow, titles: Titles) -> str:
     """State the difference of two maps of the same quantity; empty where it is not known."""
-    if not row.same_quantity or row.difference_mean is None or row.limits is None:
+    if not row.same_quantity or not is_known(row.limits):
         return ""
     units, (mean, _, low, high) = unit(row.units or ""), written_difference(row)
     return (
@@ -266,10 +266,10 @@ def _r_tile(row: CorrelationRow | None, label: str) -> Tile:
         return Tile(NONE, "", label, f"{row.trust}; see the checks")
     if row is None:
         return Tile(NONE, "", label, NONE)
-    interval = f"95 %: {r_interval_text(row)}" if row.interval else "no interval"
-    square = f"; r² {r2_text(row)}{f' ({r2_interval_text(row)})' if row.interval else ''}"
-    known = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if row.n_eff is not None else ""
-    return Tile(r_text(row), "", label, f"{interval}{square if row.r2 is not None else ''}{known}; {REGISTERED}")
+    interval = f"95 %: {r_interval_text(row)}" if is_known(row.interval) else "no interval"
+    square = f"; r² {r2_text(row)}{f' ({r2_interval_text(row)})' if is_known(row.interval) else ''}"
+    known = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if is_known(row.n_eff) else ""
+    return Tile(r_text(row), "", label, f"{interval}{square if is_known(row.r2) else ''}{known}; {REGISTERED}")
 
 
 def lag_check(lag: LagNumbers | None, *, first: str, second: str, name: str) -> Check | None:

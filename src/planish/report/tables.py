@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
+from planish.core.facts import is_known
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
 from planish.report.statement import limits_text, r_text
@@ -62,24 +63,24 @@ def comparison(results: Results) -> list[PairLine]:
 def _change(rows: Sequence[ComparisonRow]) -> str:
     """Write how much larger r is with the run's own registration, at the largest points."""
     row = max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
-    if row.difference is None:
+    if not is_known(row.difference):
         return NONE
     return f"{fixed(row.difference, 3)}\n{limits_text(row.difference_interval, 3)}"
 
 
 def comparison_sentence(results: Results) -> str:
     """State what flattening changed at the largest points, with the interval of the difference."""
-    rows = [row for row in results.comparison if row.n and row.r is not None]
+    rows = [row for row in results.comparison if row.n and is_known(row.r)]
     size = max((row.point_um for row in rows), default=None)
     rows = [row for row in rows if row.point_um == size]
     flat = [row for row in rows if row.registration.startswith("flattened")]
     others = [row for row in rows if not row.registration.startswith("flattened")]
     if not flat or not others:
         return ""
-    best = max(others, key=lambda row: row.r2 or 0.0)
+    best = max(others, key=lambda row: row.r2)
     text = f"Over points of {plain(best.point_um)}, r is {r_text(flat[-1])} flattened and {r_text(best)} by the better "
     text += f"projection ({best.registration})"
-    if best.difference is None or best.difference_interval is None:
+    if not is_known(best.difference_interval):
         return f"{text}; whether they differ cannot be told."
     low, high = best.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"

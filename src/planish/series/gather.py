@@ -176,7 +176,7 @@ def _instruments(member: Member, results: Results) -> list[InstrumentFacts]:
         if row.trust == "withheld":
             found.append(InstrumentFacts.model_validate(about))
             continue
-        slopes = (row.slope, 1 / row.slope_x_on_y) if row.slope is not None and row.slope_x_on_y else None
+        slopes = (row.slope, 1 / row.slope_x_on_y) if is_known(row.slope) and row.slope_x_on_y else None
         found.append(
             InstrumentFacts.model_validate(
                 about

@@ -140,13 +140,13 @@ def _of_pairs(results: Results) -> Iterator[dict[str, Any]]:
         about: dict[str, Any] = {"layer": row.a, "map": row.a_map, "other_layer": row.b, "other_map": row.b_map}
         figures = (row.a_map, row.b_map, "position", "correlation")
         about |= _trusted(row.trust, results, (row.a, row.b), figures) | {"at_um": row.point_um}
-        low, high = row.interval or (None, None)
-        yield about | {"quantity": "r", "value": row.r, "low": low, "high": high}
-        yield about | {"quantity": "r2", "value": row.r2}
-        yield about | {"quantity": "slope", "value": row.slope}
+        low, high = map(_number, row.interval)
+        yield about | {"quantity": "r", "value": _number(row.r), "low": low, "high": high}
+        yield about | {"quantity": "r2", "value": _number(row.r2)}
+        yield about | {"quantity": "slope", "value": _number(row.slope)}
         yield about | {"quantity": "points", "value": float(row.n)}
-        yield about | {"quantity": "n_eff", "value": row.n_eff}
-        yield about | {"quantity": "n_eff_interval", "value": row.n_eff_interval}
+        yield about | {"quantity": "n_eff", "value": _number(row.n_eff)}
+        yield about | {"quantity": "n_eff_interval", "value": _number(row.n_eff_interval)}
         if row.same_quantity:
             yield from (about | {"unit": row.units or "1"} | one for one in _differences(row, twice.get(key)))
     for one in results.mottle:
@@ -157,9 +157,13 @@ def _of_pairs(results: Results) -> Iterator[dict[str, Any]]:
             }  # fmt: skip
 
 
+def _number(value: float) -> float | None:
+    return value if is_known(value) else None
+
+
 def _differences(row: CorrelationRow, twice: Twice | None) -> Iterator[dict[str, Any]]:
     """Bias and limits of two measurements of one quantity, with intervals at the points where the run states them."""
-    bias, limits = row.difference_mean, row.limits or (None, None)
+    bias, limits = _number(row.difference_mean), [_number(limit) for limit in row.limits]
     ends, of_limits, shared = None, (None, None), None
     if twice is not None and abs(twice.point_um - row.point_um) < 1e-6 and row.trust != "withheld":
         ends, *of_limits = (e if is_known(e) else None for e in (twice.bias_interval, *twice.limit_intervals))
