@@ -20,7 +20,7 @@ from scipy.spatial import Delaunay
 
 from planish.core.grid import Grid
 from planish.core.threads import limit_threads
-from planish.resample import Places, find_places, resample, resample_labels
+from planish.resample import Places, find_places, resample
 
 Array = NDArray[np.float64]
 Result = TypeVar("Result")
@@ -74,8 +74,6 @@ def main(rows: int = 2048, cols: int = 1536) -> int:
         sampling, _ = _timed(lambda threads=threads: values(threads))
         both.append(finding + sampling)
         _row(f"planish, threads {threads}: places + values", finding, sampling)
-    labels = (np.arange(rows * cols).reshape(rows, cols) % 7).astype(np.uint8)
-    print(f"{'labels':44s} {'':9s} {_timed(lambda: resample_labels(labels, places))[0]:9.3f}")
     for degrees in (30.0, 90.0):
         other = turned(uv, degrees)
         seconds, _ = _timed(lambda other=other: find(None, other))

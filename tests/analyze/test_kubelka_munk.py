@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from planish.analyze import Layer, pile, reflectance, stack, weight_from_thickness
+from planish.analyze import Layer, pile, reflectance, stack
 from planish.core.errors import InputError
 
 
@@ -25,7 +25,7 @@ def test_a_coating_over_a_pile_of_its_base():
 def test_only_the_units_of_weight_and_coefficients_have_to_agree():
     # 1 um of 1.6 g/cm3 is 1.6e-3 kg/m2, so 150 m2/kg are 0.24 per um.
     um = np.array([3.0, 12.0])
-    by_weight = reflectance(weight_from_thickness(um, 1.6) / 1000, scattering=150.0, absorption=0.3, backing=0.8)
+    by_weight = reflectance(1.6e-3 * um, scattering=150.0, absorption=0.3, backing=0.8)
     assert reflectance(um, scattering=0.24, absorption=0.48e-3, backing=0.8) == pytest.approx(by_weight, abs=1e-14)
 
 
@@ -82,11 +82,6 @@ def test_maps_broadcast_and_what_is_missing_stays_so():
     assert np.isfinite(found[:, :2]).all()
 
 
-def test_weight_from_thickness():
-    assert weight_from_thickness([10.0, np.nan], 1.6)[0] == 16.0
-    assert np.isnan(weight_from_thickness([10.0, np.nan], 1.6)[1])
-
-
 @pytest.mark.parametrize(
     ("call", "message"),
     [
@@ -95,8 +90,6 @@ def test_weight_from_thickness():
         (lambda: reflectance(0.01, scattering=150.0, backing=[0.2, 131.0]), "backing is 131; .* white reference"),
         (lambda: stack([Layer(weight=0.01, scattering=1.0)], -0.1), "backing is -0.1"),
         (lambda: pile(scattering=0.0, absorption=0.0), "Give a scattering above 0"),
-        (lambda: weight_from_thickness(-1.0, 1.6), "thickness_um has 1 of 1 values"),
-        (lambda: weight_from_thickness(1.0, 0.0), "density_g_cm3 is 0"),
     ],
 )
 def test_what_cannot_be_is_refused(call, message):

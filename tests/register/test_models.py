@@ -7,9 +7,6 @@ import pytest
 
 from planish.core.transform import Affine, Projective, Similarity
 from planish.register import (
-    Chain,
-    chain_from_json,
-    chain_to_json,
     fit_transform,
     registration_from_json,
     registration_to_json,
@@ -119,9 +116,6 @@ def test_json_gives_the_fit_back_to_the_byte(model, robust):
     for of in (lambda f: f(where), lambda f: f.expected_error_um(where), lambda f: f.leave_one_out_um,
                lambda f: f.inverse(where), lambda f: f.jacobian(where), lambda f: f.weights):  # fmt: skip
         assert of(again).tobytes() == of(fit).tobytes()
-    chain = Chain(fits=(fit, fit))
-    read = chain_from_json(json.loads(json.dumps(chain_to_json(chain))))
-    assert read.expected_error_um(where).tobytes() == chain.expected_error_um(where).tobytes()
 
 
 def test_json_keeps_what_it_has_no_numbers_for():

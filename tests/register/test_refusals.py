@@ -5,7 +5,7 @@ import pytest
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.register import chain_from_json, fit_transform, registration_from_json
+from planish.register import fit_transform, registration_from_json
 
 TURN = Similarity(scale=1.01, rotation_rad=0.3, shift_um=(50.0, 20.0))
 
@@ -109,5 +109,3 @@ def test_what_is_no_registration_is_refused():
     for data in (None, "", [], {}, {"format": "other"}, {"format": "planish registration 1", "model": "affine"}):
         with pytest.raises(MarkError, match=r"no registration|format 'other'"):
             registration_from_json(data)
-    with pytest.raises(MarkError, match="no chain"):
-        chain_from_json({})

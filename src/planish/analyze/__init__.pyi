@@ -55,7 +55,6 @@ from .kubelka_munk import Layer as Layer
 from .kubelka_munk import pile as pile
 from .kubelka_munk import reflectance as reflectance
 from .kubelka_munk import stack as stack
-from .kubelka_munk import weight_from_thickness as weight_from_thickness
 from .lag import Lag as Lag
 from .lag import LagNumbers as LagNumbers
 from .lag import LagTile as LagTile
@@ -77,10 +76,8 @@ from .pooled import difference_of_pooled_r as difference_of_pooled_r
 from .pooled import pooled_r as pooled_r
 from .pooled import random_effects as random_effects
 from .reliability import Deming as Deming
-from .reliability import Disattenuated as Disattenuated
 from .reliability import Reliability as Reliability
 from .reliability import deming as deming
-from .reliability import disattenuated as disattenuated
 from .reliability import split_reliability as split_reliability
 from .rings import Ring as Ring
 from .rings import RingCorrelation as RingCorrelation

@@ -112,23 +112,6 @@ def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Array:
     return s / (s + k + np.sqrt(k * (k + 2 * s)))  # a - b as 1 / (a + b): nothing cancels
 
 
-def weight_from_thickness(thickness_um: ArrayLike, density_g_cm3: ArrayLike) -> Array:
-    """Weight in g/m2: 1 um of 1 g/cm3 is 1 g/m2. Divide by 1000 for coefficients in m2/kg.
-
-    The density is that of the layer with its voids; 1.6 +- 0.15 g/cm3 is usual for a coating of ground calcium
-    carbonate. State it beside every weight.
-
-    Raises
-    ------
-    InputError
-        If a thickness is negative, or a density not above 0.
-    """
-    values = _at_least_0(thickness_um=thickness_um, density_g_cm3=density_g_cm3)
-    if np.any(values["density_g_cm3"] == 0):
-        raise InputError("density_g_cm3 is 0. Give the density of the layer with its voids, as 1.6 for a coating.")
-    return values["density_g_cm3"] * values["thickness_um"]
-
-
 def _at_least_0(**given: ArrayLike) -> dict[str, Array]:
     """Turn what is given into arrays; every fault is reported at once."""
     values = {name: np.asarray(v, dtype=np.float64) for name, v in given.items()}

@@ -12,7 +12,7 @@ from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.chance import student_quantile
-from planish.analyze.correlation import LEAST_CLAIMED, Correlation, correlate
+from planish.analyze.correlation import LEAST_CLAIMED, correlate
 from planish.core.errors import CannotMeasure, InputError
 from planish.core.facts import NULL, Facts, Interval, Value
 
@@ -89,54 +89,6 @@ def split_reliability(
 def _of_both(r: float) -> float:
     """Reliability of the mean of two measurements that correlate with r; a share of variance is not below 0."""
     return r if math.isnan(r) else 2 * r / (1 + r) if r > 0 else 0.0
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Disattenuated:
-    """A correlation as it was seen, and what noise alone lets conclude on the one without noise.
-
-    Attributes
-    ----------
-    r : float
-        As seen.
-    lower_bound : float
-        r over the root of both reliabilities, with its sign: the true r is about as large or larger in amount. At most
-        1 in amount.
-    """
-
-    r: float
-    lower_bound: float
-
-    @property
-    def sentence(self) -> str:
-        """What may be said."""
-        return (
-            f"r = {self.r:.2f} was seen. Noise lowers it: without noise it is about {self.lower_bound:.2f} or further "
-            "from 0 (a lower bound of the true r, as reliabilities are upper bounds; it scatters like r)."
-        )
-
-
-def disattenuated(found: Correlation, a: Reliability | None = None, b: Reliability | None = None) -> Disattenuated:
-    """Put a correlation right for the noise of one map or both (Spearman 1904).
-
-    Raises
-    ------
-    InputError
-        If no reliability is given, one is 0, or they are not of the size of points that r is of.
-    """
-    given = [m for m in (a, b) if m is not None]
-    if not given:
-        raise InputError("No reliability is given. Give that of map a, of map b, or of both.")
-    for m in given:
-        if not m.value > 0:
-            raise InputError("A reliability is 0: the map is noise, and no r can be put right. Measure it again.")
-        if not math.isclose(m.point_um, found.support_um, rel_tol=0.02):
-            raise InputError(
-                f"r is over points of {found.support_um:g} um, a reliability of {m.point_um:g} um. Give both the same "
-                "point_um."
-            )
-    bound = found.r / math.sqrt(math.prod(m.value for m in given))
-    return Disattenuated(r=found.r, lower_bound=bound if math.isnan(bound) else max(-1.0, min(1.0, bound)))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

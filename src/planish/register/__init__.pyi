@@ -13,8 +13,6 @@ from .refinement import RefineOptions as RefineOptions
 from .refinement import refine as refine
 from .result import Chain as Chain
 from .result import FittedTransform as FittedTransform
-from .saved import chain_from_json as chain_from_json
-from .saved import chain_to_json as chain_to_json
 from .saved import registration_from_json as registration_from_json
 from .saved import registration_to_json as registration_to_json
 from .through_scale import ThroughScale as ThroughScale

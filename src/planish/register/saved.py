@@ -10,7 +10,7 @@ import numpy as np
 from planish.core.errors import MarkError
 from planish.core.typing import Floats
 from planish.register.models import model_named
-from planish.register.result import Chain, FittedTransform
+from planish.register.result import FittedTransform
 
 FORMAT = "planish registration 1"
 _ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
@@ -65,18 +65,6 @@ def registration_from_json(data: Any) -> FittedTransform:
         raise MarkError(
             f"This is no registration written by planish ({fault!r}). Register the marks again and save that."
         ) from fault
-
-
-def chain_to_json(chain: Chain) -> list[dict[str, Any]]:
-    """Return the fits of a chain, the first one first."""
-    return [registration_to_json(fit) for fit in chain.fits]
-
-
-def chain_from_json(data: Any) -> Chain:
-    """Read back what `chain_to_json` returned; MarkError if it is no such chain."""
-    if not isinstance(data, list):
-        raise MarkError("This is no chain of registrations written by planish: a list is needed.")
-    return Chain(fits=tuple(registration_from_json(one) for one in data))  # pyright: ignore[reportUnknownVariableType]
 
 
 def _plain(value: Any) -> Any:

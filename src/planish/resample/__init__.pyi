@@ -1,6 +1,5 @@
 from .fields import resample as resample
 from .fields import resample_dataset as resample_dataset
-from .fields import resample_labels as resample_labels
 from .fields import support as support
 from .maps import Lattice as Lattice
 from .maps import SheetOnto as SheetOnto
