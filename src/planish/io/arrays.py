@@ -95,14 +95,14 @@ def image(
         As for :func:`planish.volume`.
     """
     from planish.io.image import pick_channel
-    from planish.io.picture import Picture
+    from planish.io.picture import DecodedPicture
 
     if side is not None:
         check_choice("side", side, SIDES)
     given = _array(array, IMAGE)
     stored = given.values
     colour = "rgb" if stored.ndim == 3 else "grey"
-    picture = Picture(values=stored, colour=colour, bits=64, stated=(), orientation=1)
+    picture = DecodedPicture(values=stored, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
     attrs = {
         "full_scale": picture.full_scale, "channel": channel, "stored_dtype": str(stored.dtype), "orientation": 1,

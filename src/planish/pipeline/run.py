@@ -12,6 +12,7 @@ import xarray as xr
 from planish.core.arrays import check_path
 from planish.core.checks import Check
 from planish.core.errors import FileError
+from planish.core.facts import is_known
 from planish.io.run_folder import read_groups, read_tree
 from planish.marks.regions import Regions, read_regions
 from planish.pipeline.layers import Layer
@@ -132,7 +133,7 @@ class Run:
         lines.append(f"checks: {checks}")
         if pair := lead_pair(self.results):
             row = largest(pair)
-            r = "withheld" if row.r is None else f"{row.r:.2f}"
+            r = f"{row.r:.2f}" if is_known(row.r) else "withheld"
             lines.append(f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of {row.point_um:g} um")
         groups = ", ".join(f"{name} {'x'.join(map(str, data.sizes.values()))}" for name, data in self.groups.items())
         lines.append(f"groups: {groups if len(groups) < _MOST_LETTERS else f'{groups[:_MOST_LETTERS]} ...'}")
