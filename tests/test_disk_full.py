@@ -64,7 +64,7 @@ Moment = tuple[int, str]  # the limit, and the function or file that fails under
 CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, Moment]] = {
     "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "_keep")),
     "link": (lambda given: ("link", given.run, given.image), (0, "claim_folder"), (600_000, "report.html")),
-    "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write")),
+    "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write_shards")),
     "specimen": (
         lambda _given: ("specimen", "--size", "T0", "--seed", "7", "--instrument", "image"),
         (100, "write_image"), (50_000, "write_truth"),

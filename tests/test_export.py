@@ -346,7 +346,7 @@ def test_what_cannot_be_is_refused(linked_run, tmp_path, options, out, error, wo
 
 def test_nodes_closer_than_columns_are_refused_before_work(linked_run, tmp_path):
     steps = []
-    with pytest.raises(StudyError, match="--mesh-um 1 is less than a column of 4 um"):
+    with pytest.raises(StudyError, match="mesh_um=1 is less than a column of 4 um"):
         pl.export(
             linked_run, tmp_path / "o", to="ply", mesh_um=1.0, progress=lambda step, words: steps.append((step, words))
         )

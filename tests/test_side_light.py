@@ -60,7 +60,7 @@ def test_a_displacement_towards_the_light_raises_r_only_under_light_from_one_sid
         assert 0.02 < towards - right < 0.12
 
 
-def sentence_with(light: float | None) -> str:
+def sentence_with(light: float) -> str:
     """What the page says of flattening where ``light`` of the texture needs the slopes."""
     results = Results.model_validate(a_run()["results"])
     layer = results.layers[0]
@@ -76,7 +76,7 @@ def sentence_with(light: float | None) -> str:
 def test_the_page_cautions_where_the_image_shows_slopes():
     assert "displaced towards the light can have a larger r" in sentence_with(0.6)
     assert "(60 % of what" in sentence_with(0.6)
-    for even in (None, 0.0, 0.2):
+    for even in (np.nan, 0.0, 0.2):
         said = sentence_with(even)
         assert "r changes by" in said
         assert "light" not in said

@@ -37,7 +37,7 @@ def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeyp
     values += np.random.default_rng(3).normal(0, 6, values.shape)
     volume = pl.volume(values.astype(np.float32), voxel_um=5)
     with monkeypatch.context() as patch:
-        patch.setattr("planish.surface.find.learn", None)  # what comes after the first look
+        patch.setattr("planish.surface.find.learn_priors", None)  # what comes after the first look
         with pytest.raises(VolumeError, match=r'is seen edge on: along z .* most along y: try through="y"'):
             pl.find_surfaces(volume, params={"rim_um": 15.0})
     surfaces = pl.find_surfaces(volume, through="y", params={"rim_um": 15.0})

@@ -54,7 +54,7 @@ class SurfaceParams(Params):
     )
     fringe: Fringe = option(
         "auto", metavar="auto|off|SIZE",
-        help="Phase-contrast fringe beside every edge: priors, none, or its size as a share of the edge's step.",
+        help="Phase-contrast fringe beside every edge: learnt, none, or its size as a share of the edge's step.",
     )  # fmt: skip
     envelope_um: float | None = option(
         None, gt=0, help="Radius of a ball that rolls over both faces (50 to 250): loose fibres do not lift envelopes."
