@@ -103,7 +103,7 @@ def test_a_small_field_gets_a_margin_with_room_for_its_holes(field_um):
         ({"field_um": (8_000.0, 8_000.0), "layout": "line", "margin_um": 300.0}, ("rule 'spacing'", "layout 'coded'")),
         pytest.param(
             {"field_um": (20_000.0, 15_000.0), "spacing_um": 4_000.0},
-            ("rule 'spacing'", "--spacing-um"),
+            ("rule 'spacing'", "spacing_um="),
             marks=pytest.mark.study,
         ),
         ({"field_um": (20_000.0, 15_000.0), "spacing_um": 300.0}, ("below 3 diameters, 525 um",)),
