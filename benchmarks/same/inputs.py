@@ -19,6 +19,7 @@ from planish.synthetic import (
     SpecimenParams,
     Warp,
     make_specimen,
+    write_image,
     write_instruments,
 )
 
@@ -61,6 +62,10 @@ def main(folder: Path) -> None:
     write_instruments(make_specimen(printed, sheet=small.sheet), folder / "printed")
     rings = replace(_SMALL, scanner=ScannerParams(voxel_um=VOXEL_UM, rings=3, cupping=0.05, noise=0.02))
     write_instruments(make_specimen(rings, sheet=small.sheet), folder / "rings", image=False)
+
+    wide = replace(_SMALL, size_um=(3200.0, 2700.0))  # two octaves of mottle
+    for name, camera in (("wide", _CAMERA), ("wide-turned", replace(_CAMERA, turn_deg=30.0))):
+        write_image(make_specimen(replace(wide, camera=camera)), folder / f"{name}.tif")
 
     grey = small.volume.values
     save(folder / "upside-down.tif", grey[::-1, ::-1])  # turned about x: the image shows its bottom

@@ -132,7 +132,8 @@ def two_volumes(side: Side) -> None:
 @part
 def two_images(side: Side) -> None:
     """Two images of one sheet."""
-    side.planish("link", f"first={SMALL[1]}", f"second={OTHER[1]}", "--mottle", "--out", "run")
+    side.planish("link", f"first={SMALL[1]}", f"second={OTHER[1]}", "--out", "run")
+    side.planish("link", f"first={IN}/wide.tif", f"second={IN}/wide-turned.tif", "--mottle", "--out", "wide")
 
 
 @part
@@ -178,7 +179,7 @@ def refine(side: Side) -> None:
 def light(side: Side) -> None:
     """Kubelka and Munk, spread light, mottle, a print screen, partial correlations, a declared region."""
     run = side.linked()
-    grey = ("--dark-grey", 100, "--white-grey", 60000)
+    grey = ("--dark-grey", 1000, "--white-grey", 65000)
     more = ("--kubelka-munk", 0.002, "--light-spread-um", 30, "--mottle", "--beside", "base_thickness")
     side.planish("link", run, SMALL[1], *grey, *more, "--out", "reflectance")
     print_ = ("--printed", "--screen-um", 167, "--mottle")
