@@ -60,9 +60,6 @@ def main(folder: Path) -> None:
     (folder / "specimens.csv").write_text("\n".join(["name,volume,image,paper,sheet", *rows]) + "\n", encoding="utf-8")
     printed = replace(_SMALL, camera=replace(_CAMERA, screen=PrintParams()))
     write_instruments(make_specimen(printed, sheet=small.sheet), folder / "printed")
-    rings = replace(_SMALL, scanner=ScannerParams(voxel_um=VOXEL_UM, rings=3, cupping=0.05, noise=0.02))
-    write_instruments(make_specimen(rings, sheet=small.sheet), folder / "rings", image=False)
-
     wide = replace(_SMALL, size_um=(3200.0, 2700.0))  # two octaves of mottle
     for name, camera in (("wide", _CAMERA), ("wide-turned", replace(_CAMERA, turn_deg=30.0))):
         write_image(make_specimen(replace(wide, camera=camera)), folder / f"{name}.tif")
@@ -71,6 +68,10 @@ def main(folder: Path) -> None:
     save(folder / "upside-down.tif", grey[::-1, ::-1])  # turned about x: the image shows its bottom
     save(folder / "laid.tif", grey[:, ::-1].transpose(1, 0, 2))  # turned further: through y, the top at the low end
     save(folder / "cut-grey.tif", np.minimum(grey, np.percentile(grey, 93)).astype(grey.dtype))
+    y, x = (np.arange(n) - (n - 1) / 2 for n in grey.shape[1:])
+    radius = np.hypot(y[:, None], x)
+    rings = 10 * np.exp(-(((radius - 50) / 1.5) ** 2)) - 8 * np.exp(-(((radius - 85) / 2) ** 2))
+    save(folder / "rings.tif", np.clip(grey + rings, 0, 255).astype(grey.dtype))
     sharp = replace(_SMALL, scanner=ScannerParams(voxel_um=VOXEL_UM, fwhm_um=0.5, noise=0.0))
     clear = make_specimen(sharp, sheet=small.sheet).volume.values
     save(folder / "labels.tif", np.digitize(clear, _THRESHOLDS).astype(np.uint8))

@@ -206,7 +206,7 @@ def properties(side: Side) -> None:
 def correct(side: Side) -> None:
     """Rings and cupping taken off a volume, which is then mapped in wide columns; facts of files."""
     corrections = ("--correct-rings", "--correct-cupping")
-    side.planish("import", f"{IN}/rings/volume.tif", *corrections, "--out", "sheet.zarr")
+    side.planish("import", f"{IN}/rings.tif", *corrections, "--out", "sheet.zarr")
     side.planish("map", "sheet.zarr", "--column-um", 8, "--out", "run")
     for path in ("sheet.zarr", SMALL[0], SMALL[1], "run"):
         side.planish("info", path, "--json")
