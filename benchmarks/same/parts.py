@@ -271,6 +271,7 @@ def series(side: Side) -> None:
     (side.folder / "runs.csv").write_text("\n".join(["run,paper,sheet", *table]) + "\n", encoding="utf-8")
     compared = ("--by", "paper", "--margin", "coating_top=0.5", "--margin", "r=0.1")
     side.planish("compare", "--table", "runs.csv", *compared, "--out", "compared", "--json")
+    side.planish("compare", *runs, "--out", "alone", "--json")
 
 
 @part
