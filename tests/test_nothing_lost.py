@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 import tifffile
 
-from planish.core.axis import likely_through
 from planish.core.errors import InputError
+from planish.core.frame import likely_through
 from planish.pipeline import open_run
 from planish.study import read_study, with_values, write_study
 

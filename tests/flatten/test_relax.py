@@ -7,7 +7,7 @@ from scipy import ndimage
 from naive import relax as slow_relax
 from naive import springs as slow_springs
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.threads import limit_threads
 from planish.flatten import RelaxationParams, cell_strain, edge_strain, relax_grid
 from planish.flatten.levels import Team

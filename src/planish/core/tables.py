@@ -30,7 +30,7 @@ MOST_FAULTS = 8
 """Faults that one message names; of the others it gives the number."""
 
 
-class Row(NamedTuple):
+class CsvRow(NamedTuple):
     """A row and the number of its line in the file, counted from 1."""
 
     line: int
@@ -40,7 +40,7 @@ class Row(NamedTuple):
 class Rows(NamedTuple):
     """Content of a text: rows, comments without their sign, separator, and faults of single lines."""
 
-    rows: list[Row]
+    rows: list[CsvRow]
     comments: list[str]
     delimiter: str
     faults: list[str]
@@ -87,7 +87,7 @@ def split_rows(text: str) -> Rows:
     comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
     lines = [(number, line) for number, line in lines if not line.startswith("#")]
     delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
-    rows: list[Row] = []
+    rows: list[CsvRow] = []
     faults: list[str] = []
     for number, line in lines:
         try:
@@ -95,7 +95,7 @@ def split_rows(text: str) -> Rows:
         except csv.Error as error:
             faults.append(f"row {number}: {error}")
             continue
-        rows.append(Row(number, [cell.strip() for cell in cells]))
+        rows.append(CsvRow(number, [cell.strip() for cell in cells]))
     return Rows(rows, comments, delimiter, faults)
 
 
@@ -112,22 +112,22 @@ def finite(value: object, *, decimal_comma: bool = False) -> float | None:
 
 
 @dataclass(slots=True, kw_only=True)
-class Table:
+class CsvTable:
     """A table with a header. Faults are collected and raised once, by :meth:`check`."""
 
     name: str  # name of the file
     header: list[str]  # column names in small letters
-    rows: list[Row]  # rows with as many cells as the header
+    rows: list[CsvRow]  # rows with as many cells as the header
     comments: list[str] = field(default_factory=list[str])
     error: type[PlanishError] = InputError  # class of the error that names the faults
     decimal_comma: bool = False
     faults: list[str] = field(default_factory=list[str])
 
-    def text(self, row: Row, column: str, default: str = "") -> str:
+    def text(self, row: CsvRow, column: str, default: str = "") -> str:
         """Cell of a row; the default where there is no such column, or nothing in the cell."""
         return (row.cells[self.header.index(column)] if column in self.header else "") or default
 
-    def number(self, row: Row, column: str) -> float:
+    def number(self, row: CsvRow, column: str) -> float:
         """Give the finite number in a cell; anything else is a fault and NaN."""
         text = self.text(row, column)
         value = finite(text, decimal_comma=self.decimal_comma)
@@ -142,7 +142,7 @@ class Table:
         values = [[self.number(row, column) for column in columns] for row in self.rows]
         return np.array(values, dtype=np.float64).reshape(-1, len(columns))
 
-    def fault(self, row: Row, words: str) -> None:
+    def fault(self, row: CsvRow, words: str) -> None:
         """Note a fault of a row."""
         self.faults.append(f"row {row.line}: {words}")
 
@@ -153,7 +153,7 @@ class Table:
 
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
-) -> Table:  # fmt: skip
+) -> CsvTable:  # fmt: skip
     """Make a table of a text with a header.
 
     Parameters
@@ -169,8 +169,8 @@ def parse_table(
 
     Returns
     -------
-    Table
-        With the faults of header and rows, which :meth:`Table.check` raises together with those found later.
+    CsvTable
+        With the faults of header and rows, which :meth:`CsvTable.check` raises together with those found later.
 
     Raises
     ------
@@ -196,7 +196,7 @@ def parse_table(
     if parsed.delimiter == "," and any(len(row.cells) > len(header) for row in wrong):
         faults[-1] += " (decimal commas need semicolons between the columns)"
     rows = [row for row in body if len(row.cells) == len(header)]
-    return Table(
+    return CsvTable(
         name=name, header=header, rows=rows, comments=parsed.comments, error=error,
         decimal_comma=parsed.delimiter != ",", faults=faults,
     )  # fmt: skip

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Floats
 from planish.flatten._kernels import FAR, advance, descend, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import hold_open, interpolate

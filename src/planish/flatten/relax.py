@@ -9,7 +9,7 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.threads import count_threads
 from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE

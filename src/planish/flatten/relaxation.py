@@ -8,7 +8,7 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Bools, Floats
 from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.geodesics import folded_cells, triangle_areas

@@ -17,7 +17,7 @@ from planish.core.facts import Facts, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Bools, Floats
 from planish.flatten.curvature import CurvatureCheck, CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion

@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from planish.core.axis import likely_through
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
+from planish.core.frame import likely_through
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, bytes_to_map
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file

@@ -13,11 +13,11 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
+from planish.core.area import count_of, halved, middles
 from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
-from planish.core.overviews import count_of, halved, middles
 from planish.core.tiles import Tile, tiles_of
 
 CHUNK = 512  # pixels along the edge of a chunk of a map

@@ -22,8 +22,7 @@ from filelock import FileLock, Timeout
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, delete, disk_full, move, writing
-from planish.core.names import check_length, check_name
+from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
 from planish.io.formats import find_place
 from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
 

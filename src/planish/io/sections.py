@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
-from planish.core.tables import Table, parse_table, read_text
+from planish.core.tables import CsvTable, parse_table, read_text
 from planish.io.formats import check_channel, colour_attrs, full_scale
 from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
@@ -186,7 +186,7 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     return Sections(folder=folder, values=values, first=first, positions_um=positions, kind=kind, file_bytes=file_bytes)
 
 
-def _kind_of_sections(table: Table) -> str:
+def _kind_of_sections(table: CsvTable) -> str:
     """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
     split = [comment.partition(":") for comment in table.comments]
     kinds = sorted({value.strip().lower() for key, colon, value in split if colon and key.strip().lower() == "kind"})

@@ -30,7 +30,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io.checksums import Array, ShardLists, Where
+from planish.io.hashes import Array, ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
 CHUNK = (64, 96, 96)

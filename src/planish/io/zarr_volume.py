@@ -16,9 +16,9 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.checksums import missing_shards
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
+from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words

@@ -70,7 +70,7 @@ class _KernelFit:
     log: Floats  # (a, g): logarithm of the restricted likelihood times prior
 
 
-class Field:
+class DeviationField:
     """Map and errors that pairs make likely.
 
     Attributes

@@ -13,7 +13,7 @@ import numpy as np
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Transform
 from planish.core.typing import Floats
-from planish.register.field import Field
+from planish.register.field import DeviationField
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 
 Frame = tuple[Floats, float]
@@ -54,12 +54,12 @@ class Model(ABC):
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Any:
         """Weighted least squares."""
 
-    def refit(self, pairs: Pairs, transform: Any, _field: Field, /) -> Any:
+    def refit(self, pairs: Pairs, transform: Any, _field: DeviationField, /) -> Any:
         """Fit pairs that were moved, with all else that the first fit found: its transformation and its field."""
         return self.fit(pairs, transform.mirrored)
 
     @abstractmethod
-    def left_out(self, pairs: Pairs, transform: Any, field: Field, /) -> Floats:
+    def left_out(self, pairs: Pairs, transform: Any, field: DeviationField, /) -> Floats:
         """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing.
 
         Weights and smoothing stay as they are.
@@ -76,7 +76,7 @@ class ParametricModel(Model):
     def design(self, transform: Any, frame: Frame, points: Floats, /) -> Floats:
         """Derivatives of the image of points (..., 2) by the parameters, which the frame scales: (..., 2, p)."""
 
-    def left_out(self, pairs: Pairs, transform: Transform, _field: Field, /) -> Floats:
+    def left_out(self, pairs: Pairs, transform: Transform, _field: DeviationField, /) -> Floats:
         """``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise."""
         if len(pairs) <= self.least:
             return np.full((len(pairs), 2), np.nan)

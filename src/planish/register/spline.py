@@ -18,7 +18,7 @@ from planish.core.transform import Pair
 from planish.core.typing import Floats
 from planish.register._bent_kernels import add_thin_plate
 from planish.register.bent import Bent, Kernel
-from planish.register.field import Field
+from planish.register.field import DeviationField
 from planish.register.model import Model, refuse_line
 from planish.register.pairs import Pairs, inverse_of
 
@@ -84,11 +84,11 @@ class SplineModel(Model):
         system = Smoothing(pairs)
         return system.spline(system.choose())
 
-    def refit(self, pairs: Pairs, transform: ThinPlate, _field: Field, /) -> ThinPlate:
+    def refit(self, pairs: Pairs, transform: ThinPlate, _field: DeviationField, /) -> ThinPlate:
         """The spline of the same smoothing."""
         return Smoothing(pairs).spline(transform.smoothing_um2)
 
-    def left_out(self, pairs: Pairs, transform: ThinPlate, _field: Field, /) -> Floats:
+    def left_out(self, pairs: Pairs, transform: ThinPlate, _field: DeviationField, /) -> Floats:
         """Errors at the same smoothing."""
         system = Smoothing(pairs)
         errors, _ = system.missed(transform.smoothing_um2)

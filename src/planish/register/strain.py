@@ -16,7 +16,7 @@ _GRID = 65
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Strain:
+class LocalStrain:
     """Local strain between the marks, after the overall scale is taken off."""
 
     area: tuple[float, float]  # least and largest ratio of local areas to their mean
@@ -30,7 +30,7 @@ class Strain:
         return max(abs(self.stretch[0]), abs(self.stretch[1]))
 
 
-def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
+def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
     """Strain inside the hull of the marks, looked at on a grid of 65 x 65 over their extent and at the marks.
 
     Raises
@@ -41,7 +41,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
     middle = marks.mean(axis=0)
     middle_um = (float(middle[0]), float(middle[1]))
     if isinstance(transform, Similarity):
-        return Strain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=middle_um)
+        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=middle_um)
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     derivatives = transform.jacobian(points)
     sign = -1.0 if mirrored else 1.0
@@ -63,7 +63,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> Strain:
     mean = float(np.mean(areas))
     stretches = np.linalg.svd(derivatives, compute_uv=False) / np.sqrt(mean) - 1.0
     where = points[int(np.argmax(np.abs(stretches).max(axis=1)))] if len(points) > 1 else middle
-    return Strain(
+    return LocalStrain(
         area=(float(areas.min() / mean), float(areas.max() / mean)),
         stretch=(float(stretches.min()), float(stretches.max())),
         at_um=(float(where[0]), float(where[1])),

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from planish.core.errors import FileError, InputError
 from planish.core.series import Member
-from planish.core.tables import Row, Table, parse_table, read_text
+from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
 from planish.pipeline.run import is_run
 
 _MOST_NAMES = 5
@@ -55,7 +55,7 @@ def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -
     )
 
 
-def _rows(path: Path) -> tuple[Table, list[Row]]:
+def _rows(path: Path) -> tuple[CsvTable, list[CsvRow]]:
     found = parse_table(
         read_text(path), path.name, needed=(), error=InputError, advice="It needs a column run or name."
     )
@@ -109,7 +109,7 @@ def _names(places: Sequence[Path]) -> list[str]:
         depth += 1
 
 
-def _factors(rows: tuple[Table, list[Row]], table: Path | None, places: Sequence[Path]) -> list[dict[str, str]]:
+def _factors(rows: tuple[CsvTable, list[CsvRow]], table: Path | None, places: Sequence[Path]) -> list[dict[str, str]]:
     """The factors of each run: of the row whose run, or name, is its folder."""
     found, used = list[dict[str, str]](), Counter[int]()
     sheet, lines = rows
@@ -133,7 +133,7 @@ def _factors(rows: tuple[Table, list[Row]], table: Path | None, places: Sequence
     return found
 
 
-def _is_of(sheet: Table, row: Row, table: Path | None, place: Path) -> bool:
+def _is_of(sheet: CsvTable, row: CsvRow, table: Path | None, place: Path) -> bool:
     cell = sheet.text(row, "run")
     if cell and (_beside(table, cell).resolve() == place or Path(cell).resolve() == place):
         return True

@@ -13,11 +13,10 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
-from planish.core.mistakes import mistakes, toml_mistake
-from planish.core.names import fault_of_name
+from planish.core.files import fault_of_name
+from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
 from planish.core.series import Member
 from planish.core.tables import parse_table, raise_faults, read_text
-from planish.core.toml_lines import KeyLines, key_lines
 from planish.io import find_place
 from planish.pipeline.build import study_of
 from planish.series.declared import Declared

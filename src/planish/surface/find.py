@@ -9,9 +9,8 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.arrays import check_volume
-from planish.core.axis import other_axis
 from planish.core.errors import InputError, VolumeError
-from planish.core.frame import Axis, End, Frame
+from planish.core.frame import Axis, End, Frame, other_axis
 from planish.core.options import params_of
 from planish.core.tiles import Engine
 from planish.surface.assemble import assemble

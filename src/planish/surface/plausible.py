@@ -7,9 +7,8 @@ from dataclasses import replace
 import numpy as np
 import xarray as xr
 
-from planish.core.axis import likely_through
 from planish.core.errors import VolumeError
-from planish.core.frame import Frame
+from planish.core.frame import Frame, likely_through
 from planish.core.tiles import Engine
 from planish.surface.columns import Columns
 from planish.surface.params import SurfaceParams

@@ -11,11 +11,11 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.exploring.packing import Packed, packed
+from planish.core.area import halved
 from planish.core.checks import POSITION, concerned
 from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
-from planish.core.overviews import halved
 from planish.core.typing import Floats
 from planish.exports.source import IMAGE, ExportSource
 from planish.io.map_store import OVERVIEWS

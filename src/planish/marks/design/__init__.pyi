@@ -1,3 +1,4 @@
+from .draw import write_design as write_design
 from .gcode import pattern_dxf as pattern_dxf
 from .gcode import short_route as short_route
 from .gcode import stage_program as stage_program
@@ -16,4 +17,3 @@ from .rules import Rule as Rule
 from .rules import check_pattern as check_pattern
 from .simulate import DryRun as DryRun
 from .simulate import dry_run as dry_run
-from .write import write_design as write_design

@@ -1,9 +1,10 @@
-"""The three pages of a design: the pattern, the error that it allows over its field, and the path of the stage."""
+"""Files of a design, among them its pages: the pattern, the error that it allows, and the path of the stage."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import pairwise
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,12 +14,13 @@ from matplotlib.colors import Normalize
 from matplotlib.patches import Circle, Rectangle
 
 from planish.core.typing import Floats
-from planish.marks.design.params import ImagingParams
-from planish.marks.design.pattern import Pattern
-from planish.marks.design.predict import P95, Predicted
+from planish.marks.design.gcode import pattern_dxf, stage_program
+from planish.marks.design.params import ImagingParams, StageParams
+from planish.marks.design.pattern import Pattern, holes_csv
+from planish.marks.design.predict import P95, Predicted, predict
 from planish.marks.design.rules import Rule
-from planish.marks.design.sheet import ACCENT, ASIDE, BURNT, FAINT, GROUND, INK, SOFT, Page
-from planish.marks.design.simulate import DryRun
+from planish.marks.design.sheet import ACCENT, ASIDE, BURNT, FAINT, GROUND, INK, SOFT, Page, encode, house_style
+from planish.marks.design.simulate import DryRun, dry_run
 
 _ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
 _FINE = 200  # pixels along the longer side of the map
@@ -216,3 +218,65 @@ def _measured_and_limit(rule: Rule) -> str:
 
 def _size(size_um: Sequence[float]) -> str:
     return " × ".join(f"{side / 1000:g}" for side in size_um)
+
+
+def write_design(
+    pattern: Pattern,
+    rules: tuple[Rule, ...],
+    folder: str | Path,
+    *,
+    stage: StageParams | None = None,
+    imaging: ImagingParams | None = None,
+) -> tuple[tuple[str, ...], DryRun, Predicted]:
+    """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    rules : tuple of Rule
+        As checked, for the drawing.
+    folder : str or Path
+    stage, imaging : optional
+        What the program asks of the stage and its range, and where the predicted error comes from.
+
+    Returns
+    -------
+    files : tuple of str
+        Names in the folder.
+    run : DryRun
+        Of the stage program, read back from its text.
+    predicted : Predicted
+
+    Raises
+    ------
+    MarkError
+        If the dry run refuses the program, such as one that leaves the stage's range.
+    OSError
+        If a file cannot be written.
+    """
+    stage, imaging = stage or StageParams(), imaging or ImagingParams()
+    program = stage_program(pattern, stage)
+    # The pulse that is asked for here is meant; a program from elsewhere is held to the usual length.
+    run, predicted = dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)), predict(pattern, imaging)
+    files: dict[str, bytes] = {
+        "pattern.json": pattern.to_json().encode(),
+        "holes.csv": holes_csv(pattern).encode(),
+        "holes_as_imaged.csv": holes_csv(pattern, imaged=True).encode(),
+        "pattern.dxf": pattern_dxf(pattern).encode("ascii"),
+        "program.gcode": program.encode("ascii"),
+    }
+    with house_style():
+        pages = [drawing_page(pattern), error_page(pattern, predicted, imaging, rules), path_page(run)]
+        files["drawing.svg"] = encode(pages, "svg")
+        for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
+            files[f"{name}.png"] = encode([page], "png")
+        files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
+    for name, content in files.items():
+        (Path(folder) / name).write_bytes(content)
+    return tuple(files), run, predicted
+
+
+def path_picture(run: DryRun, kind: str, *, title: str = "Path of the stage") -> bytes:
+    """Draw the path of a dry run as ``png``, ``svg`` or ``pdf``."""
+    with house_style():
+        return encode([path_page(run, title=title)], kind, title)

@@ -32,7 +32,7 @@ BURN = ("diameter_um", "rim_um", "pulse_s", "pause_s")
 _COLUMNS = ("label", "x_um", "y_um", "diameter_um")
 
 
-class Hole(BaseModel):
+class PatternHole(BaseModel):
     """Number and centre of a hole, and its line: bottom, right, top or left; ``own`` where a table gave the holes."""
 
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
@@ -62,7 +62,7 @@ class Pattern(BaseModel):
         Nominal diameter of a hole, and width of the burnt rim around it.
     pulse_s, pause_s : float
         Length of the laser's pulse, and the rest after it.
-    holes : tuple of Hole
+    holes : tuple of PatternHole
         Centres in stage coordinates.
     """
 
@@ -83,12 +83,14 @@ class Pattern(BaseModel):
     pulse_s: PositiveFloat
     pause_s: NonNegativeFloat
     seed: int
-    holes: Annotated[tuple[Hole, ...], Field(min_length=3)] = ()
+    holes: Annotated[tuple[PatternHole, ...], Field(min_length=3)] = ()
 
     def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Pattern:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
         places = zip(points_um.tolist(), lines, strict=True)
-        holes = tuple(Hole(label=str(k), x_um=x, y_um=y, line=line) for k, ((x, y), line) in enumerate(places, 1))
+        holes = tuple(
+            PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, ((x, y), line) in enumerate(places, 1)
+        )
         return self.model_copy(update={"holes": holes})
 
     @property
