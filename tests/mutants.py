@@ -47,7 +47,7 @@ MUTANTS = [
     Mutant("io/sizes.py", "um = length / per_unit", "um = length * per_unit", "io/test_sizes.py"),
     Mutant("core/arrays.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
     Mutant("io/sizes.py", "abs(25400.0 / um - dpi) <= 1.0", "abs(25400.0 / um - dpi) <= 0.0001", "io/test_sizes.py"),
-    Mutant("io/slices.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
+    Mutant("io/slice_volume.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
     Mutant("io/sections.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
     # surface
     Mutant("surface/assemble.py", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_top), (top, inner_bottom)", "surface/test_any_sheet.py surface/test_find.py"),
@@ -85,7 +85,7 @@ MUTANTS = [
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
     Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
     Mutant("marks/regions/model.py", "(ring - 0.5) * size", "ring * size", "test_regions.py"),
-    Mutant("marks/regions/imagej.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
+    Mutant("marks/regions/files.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
     Mutant("pipeline/onto.py", "away & ~self.regions.inside(part)", "away", "test_regions.py"),
     # register
     Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),

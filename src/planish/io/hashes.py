@@ -14,8 +14,7 @@ from planish.core.files import delete, move
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
-from planish.io.slice_volume import slice_files
-from planish.io.slices import is_slice_name, read_scan
+from planish.io.slice_volume import is_slice_name, read_scan, slice_files
 
 CHECKSUMS = "checksums.sha256"
 """List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""

@@ -23,7 +23,7 @@ from planish.io.lazy import FileArray, unmapped
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
-from planish.io.slices import list_slices, slice_numbers, slice_step
+from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
 from planish.io.volume import declared_volume, load_volume
 

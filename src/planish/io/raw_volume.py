@@ -13,7 +13,6 @@
 from __future__ import annotations
 
 import tomllib
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -47,19 +46,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     with reading(header), header.open("rb") as file:
         keys = tomllib.load(file)
     data = referenced_file(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
-    shape, stored, offset, voxel = _parse_header(keys, header)
-    values = raw_values(header, data, shape, stored, offset=offset)
-    stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
-    return LoadedVolume(values=values, stated=[stated], files=[header, data])
-
-
-def _parse_header(
-    keys: dict[str, Any], path: Path
-) -> tuple[tuple[int, ...], np.dtype[Any], int, tuple[float | None, float | None, float | None]]:
-    """Shape, stored type, offset and voxel size of a header; every fault is named at once."""
     faults = [f"unknown key {key!r}" for key in keys if key not in KEYS]
     shape, dtype, order = keys.get("shape"), keys.get("dtype"), keys.get("byte_order")
-    offset, voxel = keys.get("offset", 0), keys.get("voxel_um")
+    offset, voxel_um = keys.get("offset", 0), keys.get("voxel_um")
     if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
         faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
     if dtype not in TYPES:
@@ -68,13 +57,15 @@ def _parse_header(
         faults.append(f'byte_order is {order!r}, needed is "little" or "big"')
     if type(offset) is not int or offset < 0:
         faults.append(f"offset is {offset!r}, needed is a number of bytes")
-    sizes: list[Any] = voxel if isinstance(voxel, list) else [voxel] * 3
-    if voxel is not None and not (len(sizes) == 3 and all(type(v) in (int, float) and v > 0 for v in sizes)):
-        faults.append(f"voxel_um is {voxel!r}, needed is a number or [z, y, x], in um")
+    sizes: list[Any] = voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
+    if voxel_um is not None and not (len(sizes) == 3 and all(type(v) in (int, float) and v > 0 for v in sizes)):
+        faults.append(f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um")
     if not isinstance(keys.get("file", ""), str):
         faults.append("file is no name")
     if faults:
-        raise FileError(f"{path.name}: {'; '.join(faults)}. Correct the header; it has lines such as: {EXAMPLE}.")
+        raise FileError(f"{header.name}: {'; '.join(faults)}. Correct the header; it has lines such as: {EXAMPLE}.")
     stored = np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<")
-    z, y, x = (None if v is None else float(v) for v in sizes)
-    return tuple(int(n) for n in shape or ()), stored, int(offset), (z, y, x)
+    values = raw_values(header, data, tuple(int(n) for n in shape or ()), stored, offset=int(offset))
+    voxel = tuple(None if v is None else float(v) for v in sizes)
+    stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
+    return LoadedVolume(values=values, stated=[stated], files=[header, data])

@@ -23,8 +23,7 @@ from planish.io.guard import size_of_file
 from planish.io.lazy import FileArray
 from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
-from planish.io.slice_volume import load_pictures
-from planish.io.slices import first_few, is_slice_name
+from planish.io.slice_volume import first_few, is_slice_name, load_pictures
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")

@@ -6,7 +6,7 @@ A missing size is never taken as 1, and of two sizes that disagree none is prefe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -17,6 +17,7 @@ import numpy as np
 
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError
+from planish.core.text import and_join
 from planish.io.guard import reading
 
 if TYPE_CHECKING:
@@ -137,7 +138,7 @@ def agreed_size(
         missing = [axis for axis, value in zip(asked.axes, merged, strict=True) if value is None]
         if missing:
             notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            along = f" along {_and_join(missing)}: {_in_words(stating, asked)} only" if stating else ""
+            along = f" along {and_join(missing)}: {_in_words(stating, asked)} only" if stating else ""
             raise SizeError(
                 f"{file_name} states no {asked.name} size{along}{f' ({notes})' if notes else ''}. Give it with "
                 f"{asked.option} SIZE (or {','.join(a.upper() for a in asked.axes)}), in um."
@@ -156,10 +157,8 @@ def agreed_size(
         )
     _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
     if contradicting:
-        return (
-            size,
-            f"given, in place of {_and_join(f'{s.source} ({_axes_words(s.um, asked)})' for s in contradicting)}",
-        )
+        replaced = and_join(f"{s.source} ({_axes_words(s.um, asked)})" for s in contradicting)
+        return size, f"given, in place of {replaced}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
     return size, sources if _merge_stated(stating, file_name=file_name, asked=asked) == size else "given"
 
@@ -219,18 +218,13 @@ def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual
 
 
 def _in_words(stated: Sequence[Stated], asked: Asked) -> str:
-    return _and_join(f"{s.source} states {_axes_words(s.um, asked)}" for s in stated)
+    return and_join(f"{s.source} states {_axes_words(s.um, asked)}" for s in stated)
 
 
 def _axes_words(size: Sequence[float | None], asked: Asked) -> str:
     """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
     parts = [f"{axis} {value:.6g}" for axis, value in zip(asked.axes, size, strict=True) if value is not None]
     return ", ".join(parts) + " um"
-
-
-def _and_join(parts: Iterable[str]) -> str:
-    words = list(parts)
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
 
 
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:

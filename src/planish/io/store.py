@@ -107,7 +107,12 @@ def write_store(
                     progress=progress,
                 )  # fmt: skip
                 for fine, coarse in pairwise(levels[1:]):
-                    _write_coarser_level(fine, coarse, done)
+                    folder = done.folder / coarse.basename
+                    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
+                        if not done.has(coarse, where):
+                            twice = (slice(2 * w.start, 2 * w.stop) for w in where)
+                            values = halve(np.asarray(fine[tuple(twice)]))
+                            done.add(coarse, _write_shards(coarse, where, values, folder, done.names(coarse, where)))
             done.settle()
         except Exception:  # only an import that was killed or interrupted is gone on with
             lock.release()
@@ -191,16 +196,6 @@ def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[l
             values = halve(values)
         written.append(_write_shards(_level(folder, k), _halved(where, k), values, folder / str(k), of_level))
     return written
-
-
-def _write_coarser_level(fine: Array, coarse: Array, done: ShardLists) -> None:
-    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
-        if not done.has(coarse, where):
-            source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
-            values = halve(np.asarray(fine[source]))
-            done.add(
-                coarse, _write_shards(coarse, where, values, done.folder / coarse.basename, done.names(coarse, where))
-            )
 
 
 def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:

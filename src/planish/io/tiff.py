@@ -59,8 +59,13 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         full = [s for s in every if not s.keyframe.is_reduced] or every
         if not full:
             raise damaged(path, "it holds no image")
+        series = first = full[0]
         with reading(path):
-            series = _join_series(full)
+            if len(full) > 1:  # slices may be written one by one, each as an image of its own
+                alike = all(len(s.pages) == 1 and s.ndim == 2 and s.keyframe.hash == first.keyframe.hash for s in full)
+                pages_of = [s.pages[0] for s in full]
+                shape = (len(full), *first.shape)
+                series = TiffPageSeries(pages_of, shape, first.dtype, "IYX", kind="uniform") if alike else None
         if series is None:
             odd_series = next((s for s in full[1:] if s.shape != full[0].shape), full[1])
             with reading(path):
@@ -73,17 +78,6 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         yield tif, series
     finally:
         tif.close()
-
-
-def _join_series(full: Sequence[TiffPageSeries]) -> TiffPageSeries | None:
-    """Give the one series, or join slices that were written one by one, each as an image of its own."""
-    first = full[0]
-    if len(full) == 1:
-        return first
-    if any(len(s.pages) != 1 or s.ndim != 2 or s.keyframe.hash != first.keyframe.hash for s in full):
-        return None
-    pages = [s.pages[0] for s in full]
-    return TiffPageSeries(pages, (len(pages), *first.shape), first.dtype, "IYX", kind="uniform")
 
 
 def is_tiff(head: bytes) -> bool:
@@ -191,8 +185,11 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
         raise damaged(path, f"{series.size} pixels are declared, its pages hold {len(pages) * math.prod(key.shape)}")
     with reading(path):
         segments = math.prod(key.chunked)
-    needed = _uncompressed_bytes(key)
-    total = 0
+    needed = total = 0
+    if key.compression == 1 and not key.is_subsampled:  # bytes that the strips of a page must have
+        samples, planes = (key.samplesperpixel, 1) if key.planarconfig == 1 else (1, key.samplesperpixel)
+        row_bytes = math.ceil(key.imagewidth * key.bitspersample * samples / 8)
+        needed = key.imagelength * key.imagedepth * planes * row_bytes
     for number, page in enumerate(pages, start=1):
         if page is None:
             raise FileError(
@@ -205,7 +202,7 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
 
 
 def _check_page_data(
-    page: TiffPage | TiffFrame, path: Path, *, number: int, segments: int, needed: int | None, size: int
+    page: TiffPage | TiffFrame, path: Path, *, number: int, segments: int, needed: int, size: int
 ) -> int:
     """Check the strips or tiles of one page; return their bytes."""
     offsets, counts = page.dataoffsets, page.databytecounts
@@ -219,18 +216,9 @@ def _check_page_data(
         if offset < 8 or offset + count > size:
             raise damaged(path, f"data of page {number} end at byte {offset + count}, the file has {size}")
     total = sum(counts)
-    if needed is not None and total < needed:
+    if total < needed:
         raise damaged(path, f"data missing: page {number} has {total} bytes of {needed}")
     return total
-
-
-def _uncompressed_bytes(page: TiffPage) -> int | None:
-    """Bytes that the strips of an uncompressed page must have; None if it is compressed."""
-    if page.compression != 1 or page.is_subsampled:
-        return None
-    row_bits = page.imagewidth * page.bitspersample * (page.samplesperpixel if page.planarconfig == 1 else 1)
-    rows = page.imagelength * page.imagedepth * (1 if page.planarconfig == 1 else page.samplesperpixel)
-    return rows * math.ceil(row_bits / 8)
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:

@@ -72,7 +72,10 @@ def _series_values(
     with reading(path):
         offset = series.dataoffset
         stored = series.dtype.newbyteorder(key.parent.byteorder)
-        paged = offset is None and _can_page(series, shape[0])
+        # One page for each slice, and one plane in each page.
+        paged = offset is None and key.imagedepth == 1 and not key.is_subsampled and len(series) == shape[0]
+        paged = paged and (key.planarconfig == 1 or key.samplesperpixel == 1)
+        paged = paged and all(type(p) in (TiffPage, TiffFrame) for p in series)
     if offset is not None and colour is None and not white:
         return mapped(path, shape, stored, offset=offset)
     if offset is not None and colour is not None:
@@ -97,13 +100,16 @@ def _series_values(
 def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
     axes = long_axes(series)
+    sizes = dict(zip(series.axes, series.shape, strict=True))
     grey = axes.replace("S", "")
-    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or _is_rgb(series, axes)):
+    # The samples of a pixel may be red, green and blue, with or without further ones.
+    is_rgb = axes.find("S") in (1, 3) and sizes["S"] in (3, 4) and has_rgb(series.keyframe)
+    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or is_rgb):
         return axes
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
-    if len(axes) == 3 and axes[0] == "C" and axes[1:] == "YX" and series.shape[series.axes.index("C")] >= MANY_CHANNELS:
+    if axes == "CYX" and sizes["C"] >= MANY_CHANNELS:
         return axes
-    further = {a: n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 and a in MEANINGS}
+    further = {a: n for a, n in sizes.items() if n > 1 and a in MEANINGS}
     if further:
         content = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further.items())
         hint = (
@@ -117,11 +123,6 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
             f"{path.name} has one page, not a stack: {shape_words(series)}. Give all slices, in one file or one folder."
         )
     raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape_words(series)}. {ADVICE}")
-
-
-def _is_rgb(series: TiffPageSeries, axes: str) -> bool:
-    """True if the samples of a pixel are red, green and blue, with or without further ones."""
-    return has_rgb(series.keyframe) and series.shape[series.axes.index("S")] in (3, 4) and axes.index("S") in (1, 3)
 
 
 def _is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
@@ -205,10 +206,3 @@ class TiffPages(PagedArray):
 def _open_pages(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]] | None) -> TiffPages:
     with open_series(path, error=FileError, advice="Copy it again.") as (_, series), reading(path):
         return TiffPages(path, series, change)
-
-
-def _can_page(series: TiffPageSeries, pages: int) -> bool:
-    """True if a series has one page for each slice, and one plane in each page."""
-    key = series.keyframe
-    simple = key.imagedepth == 1 and not key.is_subsampled and (key.planarconfig == 1 or key.samplesperpixel == 1)
-    return simple and len(series) == pages and all(type(p) in (TiffPage, TiffFrame) for p in series)

@@ -72,13 +72,17 @@ def read_topography(
                 f"{path.name} holds a profile of {size_words(grid)} points, not a map. Give a map of heights."
             )
         check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_bytes)
-        length = _height_unit_um(str(channel.unit or ""), path)
+        unit = str(channel.unit or "")
+        length = unit_um(unit)
+        if length is None:
+            raise SizeError(
+                f"{path.name} has heights {f'in {unit!r}, which is no unit of length' if unit else 'without a unit'}. "
+                "Export it in a format that states the unit, such as X3P or SUR."
+            )
         sizes: Any = channel.physical_sizes or (None, None)
         has_size = all(v is not None for v in sizes)
-        across = (
-            tuple(float(v) / n * length for v, n in zip(sizes, grid, strict=True))[::-1] if has_size else (None, None)
-        )
-        stated = Stated(source="the topography file", um=across)
+        lengths = [float(v) / n * length for v, n in zip(sizes, grid, strict=True)] if has_size else [None, None]
+        stated = Stated(source="the topography file", um=tuple(lengths[::-1]))
         size, source = agreed_size(
             [stated], pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
         )
@@ -110,14 +114,3 @@ def read_topography(
         "file_bytes": file_bytes,
     }
     return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)
-
-
-def _height_unit_um(unit: str, path: Path) -> float:
-    """Length of the unit of the heights in um; SizeError where it is none."""
-    length = unit_um(unit)
-    if length is None:
-        raise SizeError(
-            f"{path.name} has heights {f'in {unit!r}, which is no unit of length' if unit else 'without a unit'}. "
-            "Export it in a format that states the unit, such as X3P or SUR."
-        )
-    return length

@@ -155,8 +155,8 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     """Return how a pattern may repeat itself, as part of a sentence, or None if it can be ruled out.
 
     ``points`` (u,) in um are all marks found on either side, in one frame, each once; those found on both come first,
-    then those ``alone`` on either side: lost on the other, or no marks. A symmetric pattern of which each side lost some
-    marks looks, on each side, like one without symmetry; together they give it away.
+    then those ``alone`` on either side: lost on the other, or no marks. On each side, a symmetric pattern that lost
+    some marks looks like one without symmetry; together they give it away.
     """
     count, singles = len(points), sum(alone)
     sure = count - singles

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
+from planish.core.text import and_join
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.core.typing import Floats
 from planish.register.field import DeviationField
@@ -296,9 +297,7 @@ class Chain:
 
 def _and(words: list[str]) -> str:
     """Words in a list: a, b and c; the first eight of many."""
-    if len(words) > 9:
-        words = [*words[:8], f"{len(words) - 8} more"]
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
+    return and_join([*words[:8], f"{len(words) - 8} more"] if len(words) > 9 else words)
 
 
 FORMAT = "planish registration 1"

@@ -15,8 +15,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.tables import finite, table_text
 from planish.core.typing import Floats
-from planish.marks.files.content import Content, refuse
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList, refuse
 from planish.marks.files.model import labels_of, used_of
 
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"

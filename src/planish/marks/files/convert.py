@@ -12,11 +12,9 @@ from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.files import write_whole
 from planish.core.typing import Floats
 from planish.marks.files import model
-from planish.marks.files.content import Content, read_content
 from planish.marks.files.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
-from planish.marks.files.lists import LayerPixels, PointList, join_lists
-from planish.marks.files.model import about_layer, layer_names
-from planish.marks.files.plausible import check_marks, check_plausible
+from planish.marks.files.lists import Content, LayerPixels, PointList, join_lists, read_content
+from planish.marks.files.model import about_layer, check_marks, check_plausible, layer_names
 
 _NOTHING = LayerPixels()
 

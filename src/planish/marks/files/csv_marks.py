@@ -17,8 +17,7 @@ from planish.core.errors import MarkError
 from planish.core.files import write_whole
 from planish.core.tables import CsvTable, parse_table, table_text
 from planish.core.typing import Floats
-from planish.marks.files.content import Content
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList
 from planish.marks.files.model import Places, holes_of, labels_of, layer_names, make_marks, used_pairs
 
 _SIDES = {

@@ -17,9 +17,8 @@ from planish.core.errors import MarkError
 from planish.core.tables import MOST_FAULTS, model_faults
 from planish.core.typing import Floats
 from planish.marks.files import model
-from planish.marks.files.content import MOST_MARKS, Content, Part, check_count, json_text, refuse
-from planish.marks.files.model import RESIDUAL, RESULTS, Places
-from planish.marks.files.plausible import check_marks
+from planish.marks.files.lists import MOST_MARKS, Content, Part, check_count, json_text, refuse
+from planish.marks.files.model import RESIDUAL, RESULTS, Places, check_marks
 
 FORMAT = "planish-marks"
 VERSION = 1

@@ -15,8 +15,7 @@ import xarray as xr
 from planish.core import matlab
 from planish.core.errors import FileError, MarkError
 from planish.core.typing import Floats
-from planish.marks.files.content import Content
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))

@@ -17,8 +17,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.tables import finite
 from planish.core.typing import Floats
-from planish.marks.files.content import Content, refuse
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList, refuse
 from planish.marks.files.model import labels_of, used_of
 
 SCHEMA = (
