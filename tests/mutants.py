@@ -58,13 +58,13 @@ MUTANTS = [
     Mutant("surface/_fit_kernels.py", "return _TABLE[i] + share * rise", "return _TABLE[i] - share * rise", "surface/test_fit.py"),
     Mutant("surface/_fit_kernels.py", "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]", "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]", "surface/test_fit.py"),
     # measure
-    Mutant("measure/ray_frame.py", "    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)", "    length = np.sqrt(1 + slope[..., 0] ** 2)", "measure/test_along_normals.py"),
+    Mutant("measure/rays.py", "    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)", "    length = np.sqrt(1 + slope[..., 0] ** 2)", "measure/test_along_normals.py"),
     Mutant("measure/properties.py", '"coating_bottom": place["interface_bottom"] - place["bottom"]', '"coating_bottom": place["bottom"] - place["interface_bottom"]', "measure/test_along_normals.py"),
     Mutant("measure/properties.py", '"topography_bottom": -place["bottom"]', '"topography_bottom": place["bottom"]', "measure/test_along_normals.py"),
     Mutant("measure/properties.py", "            whole &= np.isfinite(lengths", "            whole |= np.isfinite(lengths", "measure/test_along_normals.py"),
     Mutant("measure/masses.py", "contrast = rays.greys.base - rays.greys.air", "contrast = rays.greys.base", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
-    Mutant("measure/topography.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
-    Mutant("measure/topography.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/lengths.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/lengths.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
     Mutant("measure/orientation.py", "a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q", "a, b, d = 1 - loss * q * q, -loss * p * q, 1 - loss * p * p", "measure/test_orientation.py"),
     Mutant("measure/_ray_kernels.py", "value = near * (1 - fr) + far * fr", "value = near * fr + far * (1 - fr)", "measure/test_rays.py"),
     # flatten

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.robust import MAD_TO_SD, mad_sd
 from planish.core.typing import Bools, Floats
 
 SMOOTHING_PX = 1.5  # gaussian in a slice after which a single voxel shows its material in spite of the noise
@@ -104,7 +105,7 @@ def _estimate_levels(slices: list[NDArray[Any]], padding: float) -> Levels | Non
     if not bright.size or not base.size:
         return None
     low_level, high_level = float(np.median(base)), float(np.median(bright))
-    scatter = 1.4826 * float(np.median(np.abs(greys[greys <= split] - air)))
+    scatter = mad_sd(greys[greys <= split], air)
     if high_level - low_level < _TWO * (low_level - air):
         middle, sheet = np.inf, float(np.median(greys[greys > split]))
     else:
@@ -119,7 +120,7 @@ def _estimate_levels(slices: list[NDArray[Any]], padding: float) -> Levels | Non
 def _centre(greys: NDArray[np.float32]) -> float:
     """Mean of what lies near the median."""
     median = float(np.median(greys))
-    near = np.abs(greys - median) <= max(3 * 1.4826 * float(np.median(np.abs(greys - median))), 1e-6)
+    near = np.abs(greys - median) <= max(3 * MAD_TO_SD * float(np.median(np.abs(greys - median))), 1e-6)
     return float(np.mean(greys[near], dtype=np.float64))
 
 

@@ -14,9 +14,8 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.typing import Floats
-from planish.correct.record import Ring
-from planish.correct.sums import UNIT, Sums
-from planish.correct.turning import Turning
+from planish.correct.params import Ring
+from planish.correct.sums import UNIT, Sums, Turning
 
 _ROUNDS = (0.5, 0.2, 0.1, 0.0)  # of the highest ring: what is lower waits for the next round
 _WINDOW, _AFTERWARDS = 49, 13  # bins of half a voxel: the running median, and the mean over it
@@ -99,11 +98,9 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
 
 
 def _find_intervals(sums: Sums) -> tuple[Floats, Floats, Floats, Floats, list[tuple[int, int]]]:
-    """Residual and weight of the parts, their mean profile and its error, and the bins of the rings in it.
-
-    A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are taken
-    off first.
-    """
+    """Residual and weight of the parts, their mean profile and its error, and the bins of the rings in it."""
+    # A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are
+    # taken off first.
     bins = sums.count.shape[-1]
     heights = np.zeros(bins)
     residual = weight = np.zeros((0, 0, 0, bins))
@@ -132,10 +129,8 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[Ring, ...]:
 
 
 def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
-    """Mean grey (block, sector, material, bin) over its running median, and its weight: one over the variance.
-
-    The running median is that of the grey without ``rings`` (bin,), which are known already.
-    """
+    """Mean grey (block, sector, material, bin) over its running median, and its weight: one over the variance."""
+    # The running median is that of the grey without the rings (bin,), which are known already.
     count = sums.count.astype(np.float64)
     is_measured = count >= _LEAST
     mean = np.where(is_measured, sums.total / np.maximum(count, 1.0), np.nan) / UNIT

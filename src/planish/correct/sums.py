@@ -1,12 +1,14 @@
-"""One pass over the slices across the axis: means on parts of circles, and the greys of the sheet at each radius.
+"""One pass over the slices across the axis of rotation: means on parts of circles, greys of the sheet at each radius.
 
 All sums are whole numbers. They do not depend on the order in which slices are read, nor on threads or memory.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -15,10 +17,106 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.threads import thread_pool
 from planish.core.typing import Floats
 from planish.correct.levels import Levels, missing, smoothed
-from planish.correct.turning import SECTORS, Turning
+from planish.correct.params import Axis
+
+SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
+
+_LEAST_PLANE, _LEAST_LENGTH = 24, 8
+_FAR = 0.5  # of the field's width; an axis further outside is taken for a mistake
+_AXES: dict[Axis, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": ("z", "y")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turning:
+    """The axis of rotation.
+
+    ``centre_um`` and ``pitch_um`` are its place and the voxel size along the two other axes, in array order; ``shape``
+    are the voxels along the axis of rotation and along the two others.
+    """
+
+    axis: Axis
+    centre_um: tuple[float, float]
+    pitch_um: tuple[float, float]
+    shape: tuple[int, int, int]
+
+    @property
+    def plane(self) -> tuple[Axis, Axis]:
+        """The two axes across the axis of rotation, in array order."""
+        return _AXES[self.axis]
+
+    @property
+    def order(self) -> tuple[int, int, int]:
+        """Axes of the array (z, y, x) in the order axis of rotation, plane."""
+        a, b, c = ("zyx".index(name) for name in (self.axis, *self.plane))
+        return a, b, c
+
+    @property
+    def step_um(self) -> float:
+        """Width of a bin of the radius: half a voxel, so that a ring of one voxel keeps its height."""
+        return 0.5 * min(self.pitch_um)
+
+    @property
+    def bins(self) -> int:
+        """Number of bins of the radius."""
+        return int(np.ceil(self.farthest_um / self.step_um)) + 1
+
+    @property
+    def farthest_um(self) -> float:
+        """Largest radius in the field."""
+        ends = [
+            max(abs(c), abs((n - 1) * p - c))
+            for c, n, p in zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
+        ]
+        return math.hypot(*ends)
+
+    def radius_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Floats:
+        """Distance (rows, cols) from the axis in um."""
+        r, c = self._offsets(rows, cols)
+        return np.hypot(r[:, None], c[None, :])
+
+    def sectors(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Number (rows, cols) of the part of the turn; parts begin at the axes of the array."""
+        r, c = self._offsets(rows, cols)
+        angle = np.arctan2(r[:, None], c[None, :]) / (2 * np.pi) % 1.0
+        return np.minimum((angle * SECTORS).astype(np.int64), SECTORS - 1)
+
+    def _offsets(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        (a, b), (p, q) = self.centre_um, self.pitch_um
+        return rows.astype(np.float64) * p - a, cols.astype(np.float64) * q - b
+
+
+def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None) -> Turning:
+    """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
+    if "voxel_um" not in volume.attrs:
+        raise SizeError("The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for one.")
+    size = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    plane = _AXES[axis]
+    shape = (volume.sizes[axis], volume.sizes[plane[0]], volume.sizes[plane[1]])
+    if shape[0] < _LEAST_LENGTH:
+        raise VolumeError(
+            f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least {_LEAST_LENGTH} are "
+            "needed to separate a ring from the sheet. Give the whole stack, or another axis with --rotation-axis."
+        )
+    if min(shape[1:]) < _LEAST_PLANE:
+        raise VolumeError(
+            f"The volume has {shape[1]} x {shape[2]} voxels along {plane[0]} and {plane[1]}, across the axis of "
+            f"rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another --rotation-axis."
+        )
+    pitch = (size[plane[0]], size[plane[1]])
+    ends = [(n - 1) * p for n, p in zip(shape[1:], pitch, strict=True)]
+    centre = (0.5 * ends[0], 0.5 * ends[1]) if centre_um is None else centre_um
+    for name, position, end in zip(plane, centre, ends, strict=True):
+        if not -_FAR * end <= position <= (1 + _FAR) * end:
+            raise InputError(
+                f"The axis of rotation would stand at {name} = {position:g} um; the field runs from 0 to {end:g} um. "
+                f"Give --rotation-centre-um as {plane[0]},{plane[1]} in um from the first voxel."
+            )
+    return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)
+
 
 Counts = NDArray[np.int64]
 Slice = NDArray[Any]
@@ -88,12 +186,9 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     level = np.zeros((len(MATERIALS), 2), np.int64)
     done = 0
 
-    def classify(numbered: tuple[int, Slice]) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
-        return numbered[0], *_classify(numbered[1], levels)
-
     with thread_pool(threads) as pool:
         while group := list(islice(slices, _GROUP)):
-            for number, grey, kind, depth in pool.map(classify, group):
+            for number, grey, kind, depth in pool.map(partial(_classify, levels=levels), group):
                 k = min(int(number * middles.size / length), middles.size - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
                 _add_to_histogram(grey, kind, depth, quarters, coarse, histogram[k])
@@ -105,11 +200,9 @@ def _add_to_rings(
     grey: Counts, kind: NDArray[np.uint8], depth: Counts, bins: Counts, sectors: Counts,
     count: Counts, total: Counts, level: Counts,
 ) -> None:  # fmt: skip
-    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice.
-
-    Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth, and
-    so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
-    """
+    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice."""
+    # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
+    # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
     is_classified = kind > 0
     greys, material = grey[is_classified], kind[is_classified].astype(np.int64) - 1
     deepest = _DEEPEST + 1
@@ -136,11 +229,10 @@ def _add_to_histogram(
     histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
 
 
-def _classify(plane: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], Counts]:
-    """Grey above air in whole numbers, material of each voxel well inside one, and its depth below the face.
-
-    The material comes from the smoothed slice and with wide limits: a ring of some per cent does not choose its voxels.
-    """
+def _classify(numbered: tuple[int, Slice], levels: Levels) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
+    """Number, grey above air in whole numbers, material of each voxel well inside one, and its depth below the face."""
+    # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not choose its voxels.
+    number, plane = numbered
     smooth, empty = smoothed(plane), missing(plane, levels.padding)
     solid = (smooth > levels.split) & ~empty
     air = (np.abs(smooth - levels.air) < _NEAR_AIR * levels.contrast) & ~empty
@@ -155,4 +247,4 @@ def _classify(plane: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], 
         kind[inside] = 1 + AIR if mask is air else np.where(smooth[inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
     share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
     grey = np.rint(np.clip(share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
-    return grey, kind, depth
+    return number, grey, kind, depth

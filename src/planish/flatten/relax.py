@@ -14,11 +14,20 @@ from planish.core.threads import count_threads
 from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
-from planish.flatten.geodesics import folded_cells
-from planish.flatten.levels import Level, Team, hierarchy
+from planish.flatten.distortion import folded_cells
+from planish.flatten.levels import (
+    TRUSTED,
+    Level,
+    Team,
+    hierarchy,
+    impute_nodes,
+    loose_nodes,
+    make_springs,
+    mean_pitch,
+    stiffen,
+)
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
-from planish.flatten.springs import TRUSTED, impute_nodes, loose_nodes, make_springs, mean_pitch, stiffen
 
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
@@ -203,15 +212,6 @@ def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
 def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
     """Add nodes around those that hang loosely on the sheet; give points, weights and the added nodes, if any."""
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
-    loose = _check_whole(is_node)
-    if not loose.any():
-        return points, weights, None
-    braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
-    return (*impute_nodes(points, weights, is_node, braces), braces)
-
-
-def _check_whole(is_node: Bools) -> Bools:
-    """Raise unless the nodes are one piece that is stiff as a whole; give those that hang on it loosely."""
     if (nodes := np.count_nonzero(is_node)) < 4:
         raise CannotFlatten(
             f"The mesh has {nodes} nodes in {is_node.shape[0]} rows and {is_node.shape[1]} columns; at "
@@ -238,7 +238,10 @@ def _check_whole(is_node: Bools) -> Bools:
             "most. How they are turned against each other is not known: cut them apart there, and flatten each by "
             "itself."
         )
-    return loose
+    if not loose.any():
+        return points, weights, None
+    braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    return (*impute_nodes(points, weights, is_node, braces), braces)
 
 
 def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:

@@ -11,7 +11,7 @@ from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
 from planish.core.typing import Bools, Floats
 from planish.flatten._relaxation_kernels import mix, set_force
-from planish.flatten.geodesics import folded_cells, triangle_areas
+from planish.flatten.distortion import folded_cells, triangle_areas
 from planish.flatten.levels import of_springs
 
 # How the time step follows in the feedback reading of Eq. (4). The paper has no numbers for it; any come to a halt.

@@ -241,14 +241,21 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     y, x = surfaces["y"].values, surfaces["x"].values
     centre = surfaces["centre"].values
     is_sheet = _largest_piece(np.isfinite(centre))
-    step = _strides(surfaces, int(np.count_nonzero(is_sheet)), mesh_um)
-    rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
+    steps = pitch(surfaces)
+    wanted = mesh_um or max(
+        4 * max(steps), np.sqrt(int(np.count_nonzero(is_sheet)) * steps[0] * steps[1] / _MOST_NODES)
+    )
+    # Columns per mesh cell, along rows and columns, so that cells are about square.
+    down, across = (
+        int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2))) for step, n in zip(steps, centre.shape, strict=True)
+    )
+    rows, cols = _every(y.size, down), _every(x.size, across)
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
     height = np.where(is_sheet, centre, np.nan)[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
     return SheetMesh(
-        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=step, is_sheet=is_sheet, points=points,
+        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=(down, across), is_sheet=is_sheet, points=points,
         weights=node_weights(surfaces, rows, cols),
     )  # fmt: skip
 
@@ -283,17 +290,6 @@ def _largest_piece(mask: Bools) -> Bools:
     if count == 0:
         raise CannotFlatten("The centre surface is empty; there is nothing to flatten.")
     return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else mask
-
-
-def _strides(surfaces: xr.Dataset, nodes: int, mesh_um: float | None) -> tuple[int, int]:
-    """Columns per mesh cell, along rows and columns, so that cells are about square."""
-    steps = pitch(surfaces)
-    wanted = mesh_um or max(4 * max(steps), np.sqrt(nodes * steps[0] * steps[1] / _MOST_NODES))
-    rows, cols = (
-        int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2)))
-        for step, n in zip(steps, surfaces["centre"].shape, strict=True)
-    )
-    return rows, cols
 
 
 def _every(count: int, step: int) -> NDArray[np.intp]:

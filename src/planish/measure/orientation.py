@@ -17,7 +17,7 @@ from planish.core.options import Params, option
 from planish.core.transform import axial_angle
 from planish.core.typing import Floats
 from planish.measure.phases import void_level
-from planish.measure.registry import Property, ray_property
+from planish.measure.registry import FWHM, Property, ray_property
 
 if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 Grey3 = NDArray[np.float32]
 
 _CUT = 3.0  # standard deviations of a Gaussian
-_FWHM = float(np.sqrt(8 * np.log(2.0)))
 
 _PARTS = ("fibre_cos2", "fibre_sin2")  # an angle has no mean; its two parts do
 
@@ -49,7 +48,7 @@ def _halo(params: MeasureParams) -> float:
 
 
 def _width(params: MeasureParams) -> float:
-    return _FWHM * params.orientation_rho_um
+    return FWHM * params.orientation_rho_um
 
 
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
@@ -82,11 +81,9 @@ def _taps(sigma_um: float, pitch_um: float) -> tuple[Floats, Floats]:
 
 
 def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
-    """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base.
-
-    With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
-    voids and the base's edges, then averaged over ``orientation_rho_um``.
-    """
+    """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base."""
+    # With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
+    # voids and the base's edges, then averaged over orientation_rho_um.
     from scipy import ndimage
 
     def work() -> tuple[Floats, Floats, Floats]:
@@ -113,11 +110,9 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
 
 
 def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2).
-
-    G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
-    G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
-    """
+    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2)."""
+    # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
+    # G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
     q, p = slope[..., 0], slope[..., 1]
     steep = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):

@@ -15,10 +15,10 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
+from planish.core.robust import mad_sd
 from planish.core.typing import Floats
-from planish.measure.greys import Greys
-from planish.measure.ray_frame import RayFrame
-from planish.measure.registry import Side
+from planish.measure.rays import RayFrame
+from planish.measure.registry import Greys, Side
 
 _ROWS = 6  # of the sheet, from which the noise is read
 _LEVELS = (0.05, 0.10)  # spread of the coating's and the base's level from place to place, as a share of their contrast
@@ -57,7 +57,7 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
         return white
     # Each side and row about its own median: shading of the air is no noise.
     steps = np.concatenate([np.abs(f - np.median(f)) for f in samples if f.size])
-    return max(white, float((1.4826 * np.median(steps)) ** 2) * length)
+    return max(white, mad_sd(steps, 0.0) ** 2 * length)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

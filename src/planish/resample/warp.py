@@ -120,9 +120,21 @@ def warp_image(
 
     out = np.full(shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
-    if must_meet and not np.isfinite(out).any():
-        raise _no_overlap(mapping, shape, size, pixel_um)
-    return out
+    if np.isfinite(out).any() or not must_meet:
+        return out
+    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
+    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
+    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
+    where = "nowhere"
+    if len(points_um):
+        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
+        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
+    height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
+    raise CannotRegister(
+        f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
+        "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
+        "(use its inverse if not)."
+    )
 
 
 def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: Tile) -> None:
@@ -238,20 +250,3 @@ def _quarters(bounds: Integers) -> Integers:
         [np.stack(e, axis=1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))]
     )
     return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]
-
-
-def _no_overlap(mapping: Mapping, shape: tuple[int, int], size: tuple[int, ...], pixel_um: Pair) -> CannotRegister:
-    """The error for a target that does not meet the source."""
-    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
-    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
-    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
-    where = "nowhere"
-    if len(points_um):
-        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
-        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
-    height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
-    return CannotRegister(
-        f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
-        "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
-        "(use its inverse if not)."
-    )

@@ -14,6 +14,7 @@ from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 
 Index = NDArray[np.intp]
@@ -59,7 +60,7 @@ def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: 
         np.add.at(right_side, first, -w * offset)
         place = np.asarray(solveh_banded(band, right_side), np.float64)
         residual = np.abs(offset - (place[second] - place[first])) / sigma
-        scale = max(1.4826 * float(np.median(residual)), 1.0)
+        scale = max(mad_sd(residual, 0.0), 1.0)
         shares = 1.0 / (1.0 + (residual / (_CAUCHY * scale)) ** 2)
     return place, shares
 

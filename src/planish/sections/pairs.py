@@ -145,19 +145,18 @@ class Bands:
 
     def sums(self, pose: Floats, first: Index, second: Index) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
+        cols = self.stack.shape[2] // self.step[1]
+        x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
+        parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
 
         # A block of sections at a time: each band is made once or twice, and few are held.
         def block(k: int) -> Floats:
             in_block = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
-            return self._block_sums(pose, first[in_block], second[in_block])
+            return self._block_sums(pose, first[in_block], second[in_block], x.astype(np.float32), parts)
 
         return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
 
-    def _block_sums(self, pose: Floats, first: Index, second: Index) -> Floats:
-        cols = self.stack.shape[2] // self.step[1]
-        x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
-        x32 = x.astype(np.float32)
-        parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
+    def _block_sums(self, pose: Floats, first: Index, second: Index, x32: Samples, parts: int) -> Floats:
         sums = np.zeros((first.size, parts, 13))
         shared = 1.0 if self.fine else 0.0
         bands: dict[int, tuple[Samples, Samples]] = {}
@@ -168,7 +167,14 @@ class Bands:
                 if s not in bands:
                     bands[s] = self.samples(s, pose[s])
             (a, y_a), (b, y_b) = bands[i], bands[j]
-            limit, trust = _limits_and_trust(a, b)
+            # Beyond a limit a sample of a row is an outlier, and its residual has a weight. Faces are rough and differ
+            # more than the fibres between them: rows in which they lie count less. No row counts more than the median
+            # row, or the empty resin would count.
+            difference = np.abs(a[:, ::4] - b[:, ::4])
+            is_valid = np.isfinite(difference)
+            mean = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
+            mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
+            limit, trust = _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
@@ -230,19 +236,6 @@ def _part_weights(matrix: Floats, pull: Floats) -> Floats:
     away = np.abs(pull / strength)
     sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
     return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
-
-
-def _limits_and_trust(a: Samples, b: Samples) -> tuple[Floats, Floats]:
-    """Difference beyond which a sample is an outlier, and the weight of its residual, for each row of two bands.
-
-    Faces are rough and differ more than the fibres between them: rows in which they lie count less. No row counts more
-    than the median row, or the empty resin would count.
-    """
-    difference = np.abs(a[:, ::4] - b[:, ::4])
-    is_valid = np.isfinite(difference)
-    mean = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
-    mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
-    return _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
 
 
 def _gaussian(sigma: float) -> Samples:

@@ -16,8 +16,7 @@ from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
-from planish.sections.band import SectionSeries, Stack
-from planish.sections.normalise import Gains
+from planish.sections.band import Gains, SectionSeries, Stack
 
 _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
 _MOST_GAPS = 5  # written out in a message
@@ -70,9 +69,18 @@ def regular_volume(
             f"{used.size} of {n} sections could be aligned, two are needed. Check that they show one sheet, in order."
         )
     missing = np.rint(np.diff(series.away_um[used]) / series.pitch_um).astype(int) - 1
-    if not real:
-        _check_gaps(series.positions_um[used], missing, most_missing)
-    planes = _place_planes(series, used, np.flatnonzero(missing > most_missing), alignment, gains)
+    gaps = np.flatnonzero(missing > most_missing)
+    if gaps.size and not real:
+        positions = series.positions_um[used]
+        named = ", ".join(
+            f"{missing[k]} between {positions[k]:g} and {positions[k + 1]:g} um" for k in gaps[:_MOST_GAPS]
+        )
+        more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
+        raise VolumeError(
+            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
+            "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
+        )
+    planes = _place_planes(series, used, gaps, alignment, gains)
     values: NDArray[Any] | Planes = planes
     if isinstance(stack, np.ndarray):
         values = np.empty(planes.shape, stack.dtype)
@@ -95,21 +103,6 @@ def regular_volume(
     return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs, encoding=encoding)
 
 
-def _check_gaps(positions_um: Floats, missing: NDArray[np.intp], most_missing: int) -> None:
-    """Refuse runs of missing sections that are too long to be interpolated."""
-    gaps = np.flatnonzero(missing > most_missing)
-    if not gaps.size:
-        return
-    named = ", ".join(
-        f"{missing[k]} between {positions_um[k]:g} and {positions_um[k + 1]:g} um" for k in gaps[:_MOST_GAPS]
-    )
-    more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
-    raise VolumeError(
-        f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
-        "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
-    )
-
-
 def _place_planes(
     series: SectionSeries, used: NDArray[np.intp], gaps: NDArray[np.intp], alignment: Alignment | None,
     gains: Gains | None,
@@ -124,13 +117,18 @@ def _place_planes(
     share[np.abs(planes - places[before]) <= _ON_SECTION * pitch] = 0.0
     share[np.abs(planes - places[after]) <= _ON_SECTION * pitch] = 1.0
     share[after == before] = 0.0
+    poses = np.zeros((n, 4))  # as the kernels take them: pixels, and pixels per pixel
+    if alignment is not None:
+        poses[:, :2] = alignment.shift_um / np.asarray(series.pixel_um)
+        poses[:, 2] = alignment.rotation_rad * series.pixel_um[1] / series.pixel_um[0]
+        poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
     return Planes(
         stack=series.stack,
         before=used[before],
         after=used[after],
         share=share,
         empty=(share > 0) & (share < 1) & np.isin(before, gaps),
-        poses=_poses(n, alignment, series.pixel_um),
+        poses=poses,
         grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
     )
 
@@ -176,13 +174,3 @@ class Planes(LazyArray):
             self.fill(k, whole)
             parts.append(whole[where[1:]].copy())
         return np.stack(parts)
-
-
-def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Floats:
-    """Poses of the sections as the kernels take them: pixels, and pixels per pixel."""
-    poses = np.zeros((n, 4))
-    if alignment is not None:
-        poses[:, :2] = alignment.shift_um / np.asarray(pixel_um)
-        poses[:, 2] = alignment.rotation_rad * pixel_um[1] / pixel_um[0]
-        poses[:, 3] = alignment.rotation_rad * pixel_um[0] / pixel_um[1]
-    return poses
