@@ -133,13 +133,10 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     strain = np.abs(curvature) * patch_um**2 / 16
     is_judged = np.isfinite(strain)
     return CurvatureCheck(
-        curvature=curvature,
-        strain=strain,
-        patch_um=patch_um,
-        limit=_LIMIT,
+        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT,
         share=float(area[strain > _LIMIT].sum() / area[is_judged].sum()) if is_judged.any() else np.nan,
         largest=float(strain[is_judged].max()) if is_judged.any() else np.nan,
-    )
+    )  # fmt: skip
 
 
 def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:

@@ -252,22 +252,13 @@ def measure_distortion(
     median, p95, largest = percentiles(moved, 50, 95, 100)
     in_space, in_plane = boundary_lengths(points, uv)
     return Distortion(
-        area=_spread(strain["area_ratio"].values - 1),
-        axial_u=_spread(strain["axial_u"].values),
-        axial_v=_spread(strain["axial_v"].values),
-        shear=_spread(strain["shear"].values),
-        cells=int(np.count_nonzero(np.isfinite(area))),
-        inverted_cells=int(np.count_nonzero(area <= 0)),
-        boundary_space_um=in_space,
-        boundary_flat_um=in_plane,
-        growth_percent=100 * (grown - 1),
-        growth_anisotropy_percent=100 * (uneven - 1),
-        growth_direction_deg=direction,
-        displacement_median_um=median,
-        displacement_p95_um=p95,
-        displacement_max_um=largest,
-        geodesics=geodesic_error(points, uv, rng=rng),
-    )
+        area=_spread(strain["area_ratio"].values - 1), axial_u=_spread(strain["axial_u"].values),
+        axial_v=_spread(strain["axial_v"].values), shear=_spread(strain["shear"].values),
+        cells=int(np.count_nonzero(np.isfinite(area))), inverted_cells=int(np.count_nonzero(area <= 0)),
+        boundary_space_um=in_space, boundary_flat_um=in_plane, growth_percent=100 * (grown - 1),
+        growth_anisotropy_percent=100 * (uneven - 1), growth_direction_deg=direction, displacement_median_um=median,
+        displacement_p95_um=p95, displacement_max_um=largest, geodesics=geodesic_error(points, uv, rng=rng),
+    )  # fmt: skip
 
 
 def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
@@ -355,15 +346,12 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         high, low = conformal + anticonformal, np.abs(conformal - anticonformal)
         area = au * dv - av * du
         return {
-            "stretch_max": high,
-            "stretch_min": low,
-            "area_ratio": high * low,
-            "axial_u": np.hypot(au, av) / side - 1,
+            "stretch_max": high, "stretch_min": low, "area_ratio": high * low, "axial_u": np.hypot(au, av) / side - 1,
             "axial_v": np.hypot(du, dv) / np.sqrt(g22) - 1,
             "shear": np.arctan2(side * height, g12) - np.arctan2(np.abs(area), au * du + av * dv),
             "signed_area": np.where(np.isfinite(g11), 0.5 * np.minimum(*triangle_areas(uv)), np.nan),
             "anisotropy": high / low,
-        }
+        }  # fmt: skip
 
 
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:

@@ -76,15 +76,9 @@ class Relaxed:
 
 
 def relax_grid(
-    points: Floats,
-    *,
-    method: Method | RelaxationParams = "multigrid",
-    rest: Rest = "arc",
-    start: Floats | None = None,
-    weights: Floats | None = None,
-    tolerance: float = 1e-6,
-    least_share: float = 0.02,
-) -> Relaxed:
+    points: Floats, *, method: Method | RelaxationParams = "multigrid", rest: Rest = "arc", start: Floats | None = None,
+    weights: Floats | None = None, tolerance: float = 1e-6, least_share: float = 0.02,
+) -> Relaxed:  # fmt: skip
     """Flatten a grid of points in space.
 
     Parameters
@@ -226,7 +220,7 @@ def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | Non
         places = ", ".join(
             f"{size} nodes in rows {box[0].start}-{box[0].stop - 1} and columns {box[1].start}-{box[1].stop - 1}"
             for box, size in largest
-        ) + (" ..." if count > 6 else "")  # fmt: skip
+        ) + (" ..." if count > 6 else "")
         raise CannotFlatten(
             f"The sheet falls into {count} unconnected pieces: {places}. Their distance in the plane is not known: "
             "flatten each of them by itself, or drop the smaller ones with least_share."

@@ -167,7 +167,7 @@ def relax_dynamically(
 
 def _motion(
     x: Floats, springs: tuple[Floats, Floats], mask: Floats, p: RelaxationParams
-) -> tuple[Outcome, float, Floats]:  # fmt: skip
+) -> tuple[Outcome, float, Floats]:
     """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
     side, nodes, period = _sides(mask), np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
     v, next_v, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
@@ -229,7 +229,7 @@ def _accelerate(
 
 def _runge_kutta(
     x: Floats, v: Floats, f: Floats, springs: tuple[Floats, Floats], dt: float, c: float
-) -> tuple[Floats, Floats]:  # fmt: skip
+) -> tuple[Floats, Floats]:
     """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
     place, speed, new_x, new_v = x, v, x, v
     for stage, (weight, reach) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):

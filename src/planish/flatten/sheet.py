@@ -148,18 +148,15 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     neutral = neutral_of(surfaces, params)
     y, x = surfaces["y"].values, surfaces["x"].values
     mesh = sheet_mesh(surfaces, params.mesh_um)
-    rows, cols, is_sheet = mesh.rows, mesh.cols, mesh.is_sheet
     points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
     fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
-    moved = [_carried(relaxed.uv[..., i] - mesh.points[..., i], rows, cols, (y.size, x.size)) for i in range(2)]
-    is_folded = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
-    inside = is_sheet & ~is_folded
+    across, down, inside = _carried(mesh, relaxed)
     layout = {
-        "u": (offset + flip * (fine_x + moved[0]), "Flat coordinate u"),
-        "v": (fine_y + moved[1], "Flat coordinate v"),
+        "u": (offset + flip * (fine_x + across), "Flat coordinate u"),
+        "v": (fine_y + down, "Flat coordinate v"),
         "projected_u": (offset + flip * fine_x, "Projected coordinate u"),
         "projected_v": (fine_y, "Projected coordinate v"),
     }
@@ -169,8 +166,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored), "neutral": neutral, "rest": params.rest},
     )
     strain = cell_strain(points, relaxed.uv).assign_coords(
-        y=("row", 0.5 * (y[rows][1:] + y[rows][:-1]), {"units": "um"}),
-        x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]), {"units": "um"}),
+        y=("row", 0.5 * (mesh.y_um[1:] + mesh.y_um[:-1]), {"units": "um"}),
+        x=("col", 0.5 * (mesh.x_um[1:] + mesh.x_um[:-1]), {"units": "um"}),
     )
     # The same lines in the same sheet every time.
     distortion = measure_distortion(points, relaxed.uv, rng=np.random.default_rng(0), strain=strain)
@@ -180,22 +177,12 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     strain = strain.assign(_progress(relaxed))
     edges = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
     return Flattened(
-        flat=flat,
-        strain=strain,
-        distortion=distortion,
-        curvature=curvature,
-        method=params.method,
-        neutral=neutral,
-        outcome=relaxed.outcome,
-        steps=relaxed.steps,
-        energy=relaxed.energy,
-        springs=relaxed.springs,
-        straight_share=relaxed.straight_share,
-        mesh_um=mesh.step[0] * pitch(surfaces)[0],
-        folded_cells=int(np.count_nonzero(relaxed.folded)),
-        edge_strain_p95=float(np.percentile(edges, 95)),
+        flat=flat, strain=strain, distortion=distortion, curvature=curvature, method=params.method, neutral=neutral,
+        outcome=relaxed.outcome, steps=relaxed.steps, energy=relaxed.energy, springs=relaxed.springs,
+        straight_share=relaxed.straight_share, mesh_um=mesh.step[0] * pitch(surfaces)[0],
+        folded_cells=int(np.count_nonzero(relaxed.folded)), edge_strain_p95=float(np.percentile(edges, 95)),
         edge_strain_max=float(edges.max()),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -303,15 +290,14 @@ def _every(count: int, step: int) -> NDArray[np.intp]:
     return indices
 
 
-def _carried(move: Floats, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Floats:
-    """Displacement of every column, bilinear between the nodes of the mesh (filled by the nearest node outside)."""
-    r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))
-    c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))
-    return bilinear(filled(move), r[:, None], c[None, :])
-
-
-def _fold_mask(folded: Bools, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Bools:
-    mask = np.zeros(shape, dtype=bool)
-    for i, j in zip(*np.nonzero(folded), strict=True):
-        mask[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = True
-    return mask
+def _carried(mesh: SheetMesh, relaxed: Relaxed) -> tuple[Floats, Floats, Bools]:
+    """Displacement of every column along x and y, and the columns of the sheet that lie in no folded cell."""
+    shape, rows, cols = mesh.is_sheet.shape, mesh.rows, mesh.cols
+    # Bilinear between the nodes of the mesh, filled by the nearest node outside.
+    r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))[:, None]
+    c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))[None, :]
+    across, down = (bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2))
+    inside = mesh.is_sheet.copy()
+    for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
+        inside[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
+    return across, down, inside

@@ -184,9 +184,7 @@ def absorption_base(rays: Rays) -> Measured:
     greys = rays.greys
     whole = _absorption(rays)
     lengths, variance = whole.values, whole.se**2
-    for side, thick in zip(
-        SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True
-    ):  # fmt: skip
+    for side, thick in zip(SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True):
         if greys.coated(side):
             layer = coating_absorption(rays, side)
             share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1

@@ -161,12 +161,9 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
 
 
 def sheet_numbers(
-    measured: xr.Dataset,
-    *,
-    volume: xr.DataArray | None = None,
-    params: MeasureParams | None = None,
+    measured: xr.Dataset, *, volume: xr.DataArray | None = None, params: MeasureParams | None = None,
     engine: Engine | None = None,
-) -> SheetNumbers:
+) -> SheetNumbers:  # fmt: skip
     """Describe a sheet in numbers: thin and bare shares, roughness, two-sidedness, and profiles in depth.
 
     Parameters

@@ -27,7 +27,7 @@ class Options(Params):
         None,
         help="Grey of fibre wall without voids: porosity is then what the mean grey lacks to it, which sees pores too "
         "small to be resolved.",
-    )  # fmt: skip
+    )
     void_grey: float | None = option(
         None, cli=None, help="Level between void and solid; half way between air and base where not given."
     )

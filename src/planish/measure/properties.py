@@ -45,12 +45,9 @@ _OF_BOTH = ("base_thickness", "thickness")
 
 
 def measure_properties(
-    surfaces: xr.Dataset,
-    *,
-    volume: xr.DataArray | None = None,
-    params: MeasureParams | None = None,
+    surfaces: xr.Dataset, *, volume: xr.DataArray | None = None, params: MeasureParams | None = None,
     engine: Engine | None = None,
-) -> xr.Dataset:
+) -> xr.Dataset:  # fmt: skip
     """Measure the properties of a sheet along the normals of its centre surface.
 
     Parameters

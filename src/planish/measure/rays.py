@@ -205,9 +205,7 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
         elif rays == "vertical":
             faces[name] = heights[name] - heights["centre"]
         else:
-            faces[name] = _ray_kernels.along_normals(
-                heights[name], heights["centre"], along_r, along_c, along_h, *step
-            )  # fmt: skip
+            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], along_r, along_c, along_h, *step)
     coated: dict[Side, bool] = {side: faces[f"interface_{side}"] is not faces[side] for side in SIDES}
     return Met(heights=heights, faces=faces, coated=coated, stretch=(float(stretch[0]), float(stretch[1])))
 
@@ -267,7 +265,7 @@ class RayFrame:
 
         return Shared.of(
             self.greys, voxel_um=self.voxel_um, pitch_um=self.pitch_um, wide=self.wide, noise_um=self.noise_um
-        )  # fmt: skip
+        )
 
     @property
     def samples(self) -> int:

@@ -114,7 +114,7 @@ class Shared:
 
 def thickness_errors(
     coatings: Mapping[Side, Floats], greys: Greys, shared: Shared, *, cosine: Floats | float = 1.0
-) -> dict[str, Floats]:  # fmt: skip
+) -> dict[str, Floats]:
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 
     ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the sheet's tilt against

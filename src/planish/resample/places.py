@@ -275,7 +275,7 @@ def support(known: Bools, places: Places) -> Floats:
 
 def resample_dataset(
     data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]]
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Resample every floating variable of ``data`` (rows, cols); units and names are set anew from the source's.
 
     Parameters

@@ -140,15 +140,10 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     pose[:, 2] *= max(0.0, 1.0 - variance[2] / mean_square_turn) if mean_square_turn > 0 else 0.0
     fixed_axes = _add_fixed_drift(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
     return Alignment(
-        shift_um=pose[:, :2].copy(),
-        rotation_rad=pose[:, 2].copy(),
-        aligned=aligned,
-        jitter_left_um=np.sqrt(variance[:2]),
-        pairs_used=int(np.count_nonzero(is_used)),
-        pairs_refused=int(is_used.size - np.count_nonzero(is_used)),
-        cutoff_um=cutoff,
-        fixed=fixed_axes,
-    )
+        shift_um=pose[:, :2].copy(), rotation_rad=pose[:, 2].copy(), aligned=aligned,
+        jitter_left_um=np.sqrt(variance[:2]), pairs_used=int(np.count_nonzero(is_used)),
+        pairs_refused=int(is_used.size - np.count_nonzero(is_used)), cutoff_um=cutoff, fixed=fixed_axes,
+    )  # fmt: skip
 
 
 def _measure_pairs(

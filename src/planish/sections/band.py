@@ -152,13 +152,11 @@ class SectionSeries:
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
         is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
         return Band(
-            row=smooth,
-            at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1),
-            jump=jump,
+            row=smooth, at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1), jump=jump,
             half_um=0.5 * usual * tall * self.pixel_um[0],
             background=np.where(np.isfinite(background), background, np.nanmedian(background)),
             contrast=np.where(is_fair, contrast, typical),
-        )
+        )  # fmt: skip
 
 
 def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:

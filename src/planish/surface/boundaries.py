@@ -67,7 +67,7 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
             outer, other = (a[i] for a in guide.faces(grey.shape[2], high=end))
             out[2 * k : 2 * k + 2, i] = _outer_boundaries(
                 column.astype(np.float64), outer, other, outer - reach[i], paper, coating if side.coated else np.inf
-            )  # fmt: skip
+            )
     return out
 
 

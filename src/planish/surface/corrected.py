@@ -17,7 +17,7 @@ from planish.core.tiles import Engine
 from planish.core.typing import Floats
 from planish.surface.assemble import centre_surface
 from planish.surface.columns import Columns
-from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawn, draw_faces
+from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawing, draw_faces
 from planish.surface.params import FACES, Corrections, Face, Stretch, SurfaceParams
 
 _REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
@@ -178,7 +178,7 @@ def correction_check(surfaces: xr.Dataset) -> Check | None:
     )  # fmt: skip
 
 
-def _with_drawn(surfaces: xr.Dataset, drawn: Drawn, params: SurfaceParams) -> xr.Dataset:
+def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
     before = {name: surfaces[name].values for name in (*_HEIGHTS, "status")}
     changed = np.any([drawn.how[face] > 0 for face in FACES], axis=0)

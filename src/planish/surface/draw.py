@@ -10,7 +10,6 @@ expected place. Its standard error follows.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -46,24 +45,14 @@ _EDGE = 1.0  # voxels by which an edge may be off where something misled the sea
 _NEVER = (Status.NO_SHEET, Status.LEAVES_VOLUME)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face."""
-
-    heights: dict[str, Floats]
-    how: dict[Face, NDArray[np.uint8]]
-    error_um: dict[Face, Floats]
-    tiles: list[Tile] = field(default_factory=list[Tile])  # those that were searched again
-
-
-def draw_faces(surfaces: xr.Dataset, columns: Columns, corrections: Corrections, engine: Engine) -> Drawn:
+def draw_faces(surfaces: xr.Dataset, columns: Columns, corrections: Corrections, engine: Engine) -> Drawing:
     """Draw the faces of surfaces, as they were found, to the points of all stretches, one after the other."""
-    drawing = _Drawing(surfaces, columns, engine)
+    drawing = Drawing(surfaces, columns, engine)
     for stretch in corrections.stretches:
         for face in FACES:
             if stretch.of(face):
                 drawing.draw(stretch, face)
-    return Drawn(heights=drawing.heights, how=drawing.how, error_um=drawing.error, tiles=drawing.tiles)
+    return drawing
 
 
 class _Edges(NamedTuple):
@@ -84,7 +73,9 @@ class _Edges(NamedTuple):
     ratio: float
 
 
-class _Drawing:
+class Drawing:
+    """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face; ``tiles`` searched again."""
+
     def __init__(self, surfaces: xr.Dataset, columns: Columns, engine: Engine) -> None:
         self.columns, self.engine, self.frame = columns, engine, Frame.of(surfaces)
         self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
@@ -96,10 +87,11 @@ class _Drawing:
         self.status: NDArray[np.uint8] = surfaces["status"].values
         self.centre = surfaces["centre"].values.astype(np.float64)
         self.how: dict[Face, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in FACES}
-        self.error: dict[Face, Floats] = {face: np.full(self.status.shape, np.nan) for face in FACES}
+        self.error_um: dict[Face, Floats] = {face: np.full(self.status.shape, np.nan) for face in FACES}
         self.tiles: list[Tile] = []
 
     def draw(self, stretch: Stretch, face: Face) -> None:
+        """Draw a face to the points of a stretch."""
         points = self._points(stretch, face)
         ring_um = max(RING_UM, 0.5 * stretch.reach_um)
         window = self._window(points[:, :2], stretch.reach_um + ring_um)
@@ -154,8 +146,8 @@ class _Drawing:
             )  # fmt: skip
             has_edge = np.isfinite(edges) & (inward * (edges - outer) > 0)
             self._set(interface, window, where, np.where(has_edge, edges, expected))
-            before = self.error[face][window.rows, window.cols][where]
-            self._set(self.error[face], window, where, np.where(has_edge, before, np.hypot(before, error)))
+            before = self.error_um[face][window.rows, window.cols][where]
+            self._set(self.error_um[face], window, where, np.where(has_edge, before, np.hypot(before, error)))
 
     def _points(self, stretch: Stretch, face: Face) -> Floats:
         """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
@@ -205,7 +197,7 @@ class _Drawing:
         share = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
         self._set(self.heights[face], window, where, np.where(has_edge, height + share * (edges - height), height))
         self._set(self.how[face], window, where, np.where(has_edge, IMAGE, INTERPOLATED))
-        self._set(self.error[face], window, where, np.where(has_edge, np.sqrt(1 - share) * error, error))
+        self._set(self.error_um[face], window, where, np.where(has_edge, np.sqrt(1 - share) * error, error))
 
     def _set(self, field: NDArray[np.generic], window: Tile, where: Bools, new: NDArray[np.generic]) -> None:
         field[window.rows, window.cols][where] = new

@@ -24,16 +24,9 @@ from planish.surface.survey import Survey, take_survey
 
 
 def find_surfaces(
-    volume: xr.DataArray,
-    *,
-    through: Axis | None = None,
-    top: End | None = None,
-    frame: Frame | None = None,
-    params: SurfaceParams | None = None,
-    step: int = 1,
-    engine: Engine | None = None,
-    unusual_size: bool = False,
-) -> xr.Dataset:
+    volume: xr.DataArray, *, through: Axis | None = None, top: End | None = None, frame: Frame | None = None,
+    params: SurfaceParams | None = None, step: int = 1, engine: Engine | None = None, unusual_size: bool = False,
+) -> xr.Dataset:  # fmt: skip
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
 
     Parameters

@@ -49,28 +49,32 @@ class SurfaceParams(Params):
         None, metavar="LOW,HIGH", help="Grey range of the sheet, where the volume shows other material beside it."
     )
     seed_um: tuple[float, float, float] | None = option(
-        None, metavar="Z,Y,X",
+        None,
+        metavar="Z,Y,X",
         help="A point inside the sheet, where there are several sheets or layers; with --sheet-grey, the part of that "
         "grey range that holds the point.",
-    )  # fmt: skip
+    )
     coating_grey: float | None = option(
         None, metavar="GREY", help="Grey of the coating; needed where it is nowhere thicker than half the blur."
     )
     fringe: Fringe = option(
-        "auto", metavar="auto|off|SIZE",
+        "auto",
+        metavar="auto|off|SIZE",
         help="Phase-contrast fringe beside every edge: learnt, none, or its size as a share of the edge's step.",
-    )  # fmt: skip
+    )
     envelope_um: float | None = option(
         None, gt=0, help="Radius of a ball that rolls over both faces (50 to 250): loose fibres do not lift envelopes."
     )
     method: Literal["profile", "paper"] = option(
-        "profile", cli="--surface-method",
+        "profile",
+        cli="--surface-method",
         help="profile: fit the grey profile of every column; paper: slice by slice as Hirn et al. (2009).",
-    )  # fmt: skip
+    )
     labels: LabelParams | None = option(
-        None, cli="--labels",
+        None,
+        cli="--labels",
         help="The volume holds labels of another program: 0 air, 1 base, 2 coating where not given otherwise.",
-    )  # fmt: skip
+    )
     corrections: str | None = option(
         None, metavar="FILE", help="Corrections of the faces: JSON with points that they are drawn to."
     )
