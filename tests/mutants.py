@@ -65,7 +65,7 @@ MUTANTS = [
     Mutant("measure/masses.py", "contrast = rays.greys.base - rays.greys.air", "contrast = rays.greys.base", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
     Mutant("measure/lengths.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
     Mutant("measure/lengths.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
-    Mutant("measure/orientation.py", "a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q", "a, b, d = 1 - loss * q * q, -loss * p * q, 1 - loss * p * p", "measure/test_orientation.py"),
+    Mutant("measure/structure.py", "a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q", "a, b, d = 1 - loss * q * q, -loss * p * q, 1 - loss * p * p", "measure/test_orientation.py"),
     Mutant("measure/_ray_kernels.py", "value = near * (1 - fr) + far * fr", "value = near * fr + far * (1 - fr)", "measure/test_rays.py"),
     # flatten
     Mutant("flatten/_kernels.py", "strain = 1.0 - rest * inverse", "strain = rest * inverse - 1.0", "flatten/test_kernels.py flatten/test_relax.py"),

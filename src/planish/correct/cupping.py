@@ -13,9 +13,8 @@ import numpy as np
 
 from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
-from planish.correct.levels import Levels
 from planish.correct.params import Cupping, Trend
-from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Sums, Turning
+from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Levels, Sums, Turning
 
 _ROUNDS = 40  # of sorting and fitting
 _LEAST_VOXELS = 3000  # of a material

@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from planish.core.options import Params, option
-from planish.measure import lengths, masses, orientation, phases, pores
+from planish.measure import lengths, masses, phases, structure
 
 
 class Common(Params):
@@ -31,8 +31,7 @@ class Common(Params):
 class MeasureParams(
     lengths.RoughnessOptions,
     lengths.ThicknessOptions,
-    pores.Options,
-    orientation.Options,
+    structure.Options,
     lengths.InkOptions,
     phases.Options,
     masses.Options,
