@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
+from planish.core.robust import mad_sd
 from planish.core.typing import Bools, Floats
 from planish.marks import _measure_kernels as k
 
@@ -207,20 +208,15 @@ def typical_hole(rows: Floats) -> TypicalHole:
     sheet = float(np.median(outside[deep]))
     # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
     deep_enough = step >= 0.7 * np.median(step)
-    slope, scatter = 0.0, _robust_sd(inside[deep])
+    slope, scatter = 0.0, mad_sd(inside[deep])
     steeper = _slope(outside[deep_enough], inside[deep_enough])
-    steeper_scatter = _robust_sd(inside[deep] - steeper * outside[deep])
+    steeper_scatter = mad_sd(inside[deep] - steeper * outside[deep])
     if steeper_scatter < 0.5 * scatter:
         slope, scatter = steeper, steeper_scatter
     floor = float(np.median(inside[deep] - slope * (outside[deep] - sheet)))
     burnt, rim = (float(np.nanmedian(rows[deep, column] / step[deep])) for column in (k.BURNT, k.STEP))
     radius = float(np.median(rows[deep, k.RADIUS]))
     return TypicalHole(floor, sheet, slope, scatter / (sheet - floor), radius, burnt, rim)
-
-
-def _robust_sd(values: Floats) -> float:
-    """Return the robust standard deviation."""
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _slope(x: Floats, y: Floats) -> float:
@@ -259,11 +255,8 @@ def drop_unlike(rows: Floats, sign: float) -> Floats:
     quality = _quality(rows)
     is_odd = (
         ((1 - depth) / np.clip(4 * typical.scatter, *LIKE_FLOORS)) ** 2
-        + (size_difference / np.clip(3 * _robust_sd(log_radius[is_like]), *LIKE_SIZES)) ** 2
-        + (
-            np.minimum(quality - np.median(quality[is_like]), 0)
-            / np.clip(3 * _robust_sd(quality[is_like]), *LIKE_OUTLINES)
-        )
+        + (size_difference / np.clip(3 * mad_sd(log_radius[is_like]), *LIKE_SIZES)) ** 2
+        + (np.minimum(quality - np.median(quality[is_like]), 0) / np.clip(3 * mad_sd(quality[is_like]), *LIKE_OUTLINES))
         ** 2
     ) > 1
     is_bare = (rows[:, k.STEP] > (typical.rim + MORE_OF_THE_STEP) * step) | _is_unburnt(rows, typical)

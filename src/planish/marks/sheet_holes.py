@@ -15,6 +15,7 @@ from planish.core.errors import MarkError
 from planish.core.facts import Side
 from planish.core.grid import Grid
 from planish.core.results import HoleTiltFacts
+from planish.core.robust import MAD_TO_SD
 from planish.core.typing import Floats
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams
@@ -35,8 +36,8 @@ OPENING = 0.6
 REACH = 0.5
 # The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
 MIDDLE, MATERIAL = 0.25, 0.5
-# Standard deviation of a normal distribution over its median absolute deviation; error of a median over that of a mean.
-MAD_TO_SD, MEDIAN_TO_MEAN = 1.4826, 1.2533
+# Error of a median over that of a mean.
+MEDIAN_TO_MEAN = 1.2533
 # Holes found on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
 ENOUGH_THROUGH, STANDS_OUT = 4, 3.0
 
