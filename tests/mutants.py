@@ -59,8 +59,8 @@ MUTANTS = [
     Mutant("surface/_fit_kernels.py", "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]", "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]", "surface/test_fit.py"),
     # measure
     Mutant("measure/rays.py", "    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)", "    length = np.sqrt(1 + slope[..., 0] ** 2)", "measure/test_along_normals.py"),
-    Mutant("measure/properties.py", '"coating_bottom": place["interface_bottom"] - place["bottom"]', '"coating_bottom": place["bottom"] - place["interface_bottom"]', "measure/test_along_normals.py"),
-    Mutant("measure/properties.py", '"topography_bottom": -place["bottom"]', '"topography_bottom": place["bottom"]', "measure/test_along_normals.py"),
+    Mutant("measure/registry.py", '"coating_bottom": ("interface_bottom", "bottom")', '"coating_bottom": ("bottom", "interface_bottom")', "measure/test_along_normals.py"),
+    Mutant("measure/registry.py", 'else -faces["bottom"]', 'else faces["bottom"]', "measure/test_along_normals.py"),
     Mutant("measure/properties.py", "            whole &= np.isfinite(lengths", "            whole |= np.isfinite(lengths", "measure/test_along_normals.py"),
     Mutant("measure/masses.py", "contrast = rays.greys.base - rays.greys.air", "contrast = rays.greys.base", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
     Mutant("measure/lengths.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),

@@ -16,14 +16,9 @@ from planish.core.typing import Bools, Floats
 from planish.correct.params import Cupping, Trend
 from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Levels, Sums, Turning
 
-_ROUNDS = 40  # of sorting and fitting
-_LEAST_VOXELS = 3000  # of a material
 _LEAST_RADII = 8
 _CLEAR = 3.0  # standard errors
-_UNSURE = 3.0  # times the error of the other material: then a material does not count
 _LOWEST = 0.5  # per cent: what is less does not matter
-_PURE = 0.05  # of the voxels of a depth may be of the other material
-_AGREE = 3.0  # standard errors by which base and coating may differ
 
 
 class _Fit(NamedTuple):
@@ -139,7 +134,7 @@ def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) 
     mixed = _mixed_depths(count, limits, depth)
     power = 0.0
     used, grey, n = np.zeros(len(rows), bool), np.zeros(len(rows)), np.zeros(len(rows))
-    for _ in range(_ROUNDS):
+    for _ in range(40):  # of sorting and fitting
         curve = 1.0 + power * t
         ends = low * curve + offset, high * curve + offset
         n = _sum_between(count, *ends)
@@ -147,7 +142,7 @@ def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) 
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         used = (n > 0.02 * n.max()) & ~mixed[depth]
         used &= (np.bincount(depth, used, depths) >= _LEAST_RADII)[depth]
-        if n.sum() < _LEAST_VOXELS or not used.any():
+        if n.sum() < 3000 or not used.any():  # of a material
             return None
         level = np.bincount(depth, np.where(used, n * grey / curve, 0.0), depths)
         level /= np.maximum(np.bincount(depth, np.where(used, n, 0.0), depths), 1.0)
@@ -165,7 +160,7 @@ def _mixed_depths(count: Floats, limits: Pair, depth: Counts) -> Bools:
     border = (limits[0] if np.isfinite(limits[0]) else limits[1]) * np.ones(len(count))
     whole = np.bincount(depth, count[:, -1])
     lower = np.bincount(depth, _sum_between(count, -np.inf * border, border)) if np.isfinite(border[0]) else whole
-    return np.minimum(lower, whole - lower) > _PURE * whole
+    return np.minimum(lower, whole - lower) > 0.05 * whole  # of the voxels of a depth may be of the other material
 
 
 def _power_step(level: Floats, depth: Counts, curve: Floats, t: Floats, grey: Floats, n: Floats) -> float:
@@ -206,10 +201,10 @@ def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
         return fits[0], True
     a, b = fits
     for surer, other in ((a, b), (b, a)):
-        if other.se > _UNSURE * max(surer.se, 0.3):
+        if other.se > 3.0 * max(surer.se, 0.3):  # times the error of the other material: then a material does not count
             return surer, True
     difference = abs(a.percent - b.percent)
-    if difference <= _AGREE * float(np.hypot(a.se, b.se)):
+    if difference <= 3.0 * float(np.hypot(a.se, b.se)):  # standard errors by which base and coating may differ
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
         power = float((w[0] * a.power + w[1] * b.power) / w.sum())
         return _Fit(power, _loss_percent(power), float(1.0 / np.sqrt(w.sum()))), True

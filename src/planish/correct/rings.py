@@ -17,7 +17,6 @@ from planish.core.typing import Floats
 from planish.correct.params import Ring
 from planish.correct.sums import UNIT, Sums, Turning
 
-_ROUNDS = (0.5, 0.2, 0.1, 0.0)  # of the highest ring: what is lower waits for the next round
 _WINDOW, _AFTERWARDS = 49, 13  # bins of half a voxel: the running median, and the mean over it
 _LEAST = 6  # voxels of a part of a circle
 _INNERMOST = 6  # bins; a smaller circle has too few voxels
@@ -25,7 +24,6 @@ _CLEAR = 5.0  # standard errors: among thousands of radii chance reaches four
 _LOWEST = 0.003  # of the contrast: what is lower does not matter, and a byte does not hold it
 _AROUND = 81  # bins whose usual scatter is the least error of the one in their middle
 _NARROWEST = 3  # bins: no ring is narrower than the blur
-_FOOT = 1.5  # standard errors at which a ring ends
 _PARTS = 4.0  # parts of circles that have to agree, counted by their weight
 _CHI2 = 0.4549  # median of the square of a standard normal number
 _SHOWN = 0.5  # of its height that a ring shows in every material
@@ -106,7 +104,7 @@ def _find_intervals(sums: Sums) -> tuple[Floats, Floats, Floats, Floats, list[tu
     residual = weight = np.zeros((0, 0, 0, bins))
     profile = error = heights
     intervals: list[tuple[int, int]] = []
-    for share in _ROUNDS:
+    for share in (0.5, 0.2, 0.1, 0.0):  # of the highest ring: what is lower waits for the next round
         residual, weight = _residuals(sums, heights)
         profile, error = _robust_mean(residual.reshape(-1, bins), weight.reshape(-1, bins))
         profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
@@ -195,7 +193,7 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[tuple[int, 
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max()) if clear.any() else 0.0
     seeds = np.flatnonzero(clear & (np.abs(height) >= share * highest))
-    in_ring = clarity > _FOOT
+    in_ring = clarity > 1.5  # standard errors at which a ring ends
     intervals: list[tuple[int, int]] = []
     for seed in seeds:
         if intervals and seed <= intervals[-1][1]:

@@ -26,9 +26,7 @@ from planish.correct.params import Axis
 SMOOTHING_PX = 1.5  # gaussian in a slice after which a single voxel shows its material in spite of the noise
 _BINS = 160
 _WINDOW = 9
-_SPIKE = 0.01  # of all voxels: so much padding at least
 _TWO = 0.25  # a second material stands out from the base by so much of its own contrast
-_CLEAR = 6.0  # the sheet stands out from air by so many scatters of the smoothed air
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -87,7 +85,7 @@ def _padding(slices: list[NDArray[Any]], radius: Floats) -> float:
     lowest = _lowest_grey(slices)
     spike = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
     share = float(spike.mean())
-    if share < _SPIKE:
+    if share < 0.01:  # of all voxels: so much padding at least
         return float("nan")
     outside = radius > np.quantile(radius, 1.0 - share)
     return lowest if spike[outside].mean() > 0.9 and spike[~outside].mean() < 0.1 * share else float("nan")
@@ -121,7 +119,7 @@ def _estimate_levels(slices: list[NDArray[Any]], padding: float) -> Levels | Non
         middle, sheet = np.inf, float(np.median(greys[greys > split]))
     else:
         sheet = high_level
-    if sheet - air < max(_CLEAR * scatter, 1e-9):
+    if sheet - air < max(6.0 * scatter, 1e-9):  # the sheet stands out from air by so many scatters of the smoothed air
         return None
     # The lower border lies half way: a border between classes is drawn towards the wider one.
     split = 0.5 * (air + (low_level if np.isfinite(middle) else sheet))
@@ -261,12 +259,9 @@ DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
 """Depths below a face in voxels, from which on each class of the histogram begins."""
 
 _BLOCKS, _LEAST_BLOCK = 8, 24  # parts of the axis, and the fewest slices of one
-_INSIDE_PX = 3  # from a face: so far reaches its blur
 _NEAR_AIR = 0.15  # contrasts by which the smoothed air may be off
 _MOST = 2**29  # voxels that are looked at
 _DEEPEST = 24  # voxels; deeper, a material does not change with the depth
-_LEAST_LAYER = 32  # voxels of a material at one depth, for its mean grey
-_GROUP = 16  # slices that are worked on together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,7 +310,7 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     done = 0
 
     with thread_pool(threads) as pool:
-        while group := list(islice(slices, _GROUP)):
+        while group := list(islice(slices, 16)):  # slices that are worked on together
             for number, grey, kind, depth in pool.map(partial(_classify, levels=levels), group):
                 k = min(int(number * middles.size / length), middles.size - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
@@ -339,7 +334,7 @@ def _add_to_rings(
     sums = np.bincount(layer, greys, len(MATERIALS) * deepest)
     level[:, 0] += n.reshape(-1, deepest).sum(axis=1)
     level[:, 1] += sums.reshape(-1, deepest).sum(axis=1).astype(np.int64)
-    enough = n[layer] >= _LEAST_LAYER
+    enough = n[layer] >= 32  # voxels of a material at one depth, for its mean grey
     mean = np.rint(sums / np.maximum(n, 1)).astype(np.int64)
     cells = np.ravel_multi_index((sectors[is_classified], material, bins[is_classified]), count.shape)[enough]
     count += np.bincount(cells, minlength=count.size).reshape(count.shape)
@@ -370,7 +365,7 @@ def _classify(numbered: tuple[int, Slice], levels: Levels) -> tuple[int, Counts,
         deep = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
         if mask.all():
             deep[:] = _DEEPEST
-        inside = deep > _INSIDE_PX
+        inside = deep > 3  # from a face: so far reaches its blur
         depth[inside] = np.minimum(deep[inside], _DEEPEST)
         kind[inside] = 1 + AIR if mask is air else np.where(smooth[inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
     share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast

@@ -39,7 +39,6 @@ _TWICE = _weights(2, _LOW)
 _FOUR = _weights(4, 0.15)
 
 _STILL = 3e-6  # mean error of places, in pitches, below which a mesh is at rest whatever its energy
-_RATE = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
 _ROUGHLY = 0.1  # tolerance on the coarser levels: one step, as a rule
 # Levels handed to ``descend``, the last one repeated: another number would be compiled anew. No mesh has more that are
 # the work of one thread.
@@ -76,7 +75,7 @@ class Multigrid:
         self.side = side
         self.guarded = guarded
         self.history: list[Step] = []
-        self.rate = _RATE
+        self.rate = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
         self._twice = True
         self._rough = False
         self._chains: dict[int, tuple[Any, ...]] = {}

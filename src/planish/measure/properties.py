@@ -200,8 +200,6 @@ def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
 
 T = TypeVar("T")
 
-_PER_SAMPLE = 24  # bytes that a sample costs at most while a tile is worked on
-
 
 def measure_along_rays(
     volume: xr.DataArray, surfaces: xr.Dataset, *, names: Sequence[str | Property],
@@ -297,7 +295,7 @@ def each_tile(
     engine = engine or Engine()
     count = frame.status.shape[0]
     threads = count_threads(engine.threads)
-    per_row = frame.status.shape[1] * frame.samples * _PER_SAMPLE
+    per_row = frame.status.shape[1] * frame.samples * 24  # bytes that a sample costs at most while a tile is worked on
     if rows is None:
         rows = int(engine.memory_bytes / 2 / threads / per_row) - 2 * halo
         if rows < 1:

@@ -21,7 +21,6 @@ from planish.measure.params import MeasureParams
 from planish.measure.rays import RayFrame, directions, slopes_of
 from planish.measure.registry import Greys
 
-_AT_ONCE = 1_000_000  # samples that a thread works on
 _WIDE = 256  # pixels along the width of a part: its box of voxels has to be small where the sheet is steep
 _MOST_DEPTH = 20.0  # sheet thicknesses: beyond that the normals have long left the sheet, and cross each other
 
@@ -100,7 +99,7 @@ class _Straightened(LazyArray):
         down, across = (range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True))
         depths = self._depths[depth]
         out = np.empty((depths.size, len(down), len(across)), np.float32)
-        high = max(1, _AT_ONCE // (_WIDE * max(depths.size, 1)))
+        high = max(1, 1_000_000 // (_WIDE * max(depths.size, 1)))  # samples that a thread works on
         tiles = tiles_of((len(down), len(across)), (high, _WIDE))
         map_threads(partial(self._fill, out, depths, (rows, cols)), tiles)
         return out

@@ -62,25 +62,14 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shared:
-    """Noise and error that a sheet's columns have in common.
+    """Noise and error that a sheet's columns have in common."""
 
-    Attributes
-    ----------
-    noise_um : float
-        Variance of the grey's integral over one um of a column as the fit saw it; grey^2 um.
-    common_um : dict
-        Error of each thickness and topography that averaging does not lessen.
-    place_um : dict
-        The same with what differs from place to place: a column of voxels that are longer across than along it takes in
-        more of the boundary's detail.
-    patch_um2 : float
-        Area that one independent value stands for.
-    """
-
-    noise_um: float
-    common_um: Mapping[str, float]
+    noise_um: float  # variance of the grey's integral over one um of a column as the fit saw it; grey^2 um
+    common_um: Mapping[str, float]  # error of each thickness and topography that averaging does not lessen
+    # The same with what differs from place to place: a column of voxels that are longer across than along it takes in
+    # more of the boundary's detail.
     place_um: Mapping[str, float]
-    patch_um2: float
+    patch_um2: float  # area that one independent value stands for
 
     @classmethod
     def of(
@@ -152,15 +141,8 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: str) ->
     levels, which vary by 5 % (coating) and 10 % (base) of their contrast from place to place. Where a side has no
     coating there are h and b only. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below
     the thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
-    burnt rims, fillers at the interface.
-
-    Parameters
-    ----------
-    thickness : (rows, cols)
-        Of the layer, um; ignored without a coating.
-    noise_um : float
-        As from :func:`ray_noise`.
-    side : {"top", "bottom"}
+    burnt rims, fillers at the interface. ``thickness`` (rows, cols), um, is ignored without a coating; ``noise_um`` is
+    as from :func:`ray_noise`.
     """
     blur = max(greys.blur_um, 1e-3)
     coat, base = greys.coating(side), greys.base

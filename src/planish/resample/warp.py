@@ -40,7 +40,6 @@ _ERROR = 0.5 * TOLERANCE  # what the polynomial may err by where it is tested; t
 _NODES = np.array([0.0, 1.0, 2.0, 3.0]) / 3
 _TEST = np.array([1.0, 3.0, 5.0]) / 6
 _MOST_PIXELS = 2**18  # of the source under a patch: what is summed for area means then stays in the cache
-_MOST_UNDER = 2**26  # source pixels under one pixel
 _NEAR = 2.0  # source pixels: a patch that is further away from the source than this shows nothing of it
 _EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
 _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
@@ -157,7 +156,7 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
     """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
     low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
     high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
-    if np.prod((high - low).astype(np.float64)) > _MOST_UNDER:
+    if np.prod((high - low).astype(np.float64)) > 2**26:  # source pixels under one pixel
         raise ResourceError(
             f"{np.prod((high - low).astype(np.float64)):.1e} pixels of the source lie under one pixel. Warp to smaller "
             "pixels first, then take means."

@@ -24,7 +24,6 @@ from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, sl
 from planish.sections.pairs import FINEST_UM, GROUPS, Bands, SectionPairs, compare
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
-_CUTOFF_SECTIONS = 50.0  # corrections with longer wavelengths are not applied
 _REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
 _ROUNDS = 3  # of measuring the offsets, each with the corrections of the last
 _FINE_ROUNDS = 2
@@ -97,7 +96,7 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
     away, n = series.away_um, series.away_um.size
-    cutoff = _CUTOFF_SECTIONS * series.pitch_um
+    cutoff = 50.0 * series.pitch_um  # corrections with longer wavelengths are not applied
     first, second = neighbours(away, series.pitch_um, _REACH)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
     course = _sheet_course(series)
@@ -228,9 +227,7 @@ def _join_columns(coarse: SectionPairs, fine: SectionPairs, n: int) -> Floats:
 Strip = tuple[int, int]
 
 _PARTS = 12  # pieces along the line: their spread says how sure a place is, their course gives the rotation
-_BLURS_UM = (12.0, 4.0, 2.0)  # Gaussian sigma, from coarse to fine: the first reaches as far as sections are off
 _STEPS = 4
-_ALIKE = 0.7  # correlation with the mean profile below which a piece does not show the line
 _LEAST = 4  # pixels across a strip
 
 
@@ -294,7 +291,7 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, f
     profiles = np.stack(map_threads(cut, range(n)))  # (sections, pieces, across)
     off = np.zeros(profiles.shape[:2])
     alike = np.zeros(profiles.shape[:2])
-    for blur in _BLURS_UM:
+    for blur in (12.0, 4.0, 2.0):  # Gaussian sigma, from coarse to fine: the first reaches as far as sections are off
         smooth = gaussian_filter1d(profiles, max(blur / pixel, 0.5), axis=2, mode="nearest")
         for _ in range(_STEPS):
             moved = _shifted(smooth, off)
@@ -302,7 +299,7 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, f
             step, alike = _match_template(moved, template)
             off += np.clip(step, -2 * blur / pixel, 2 * blur / pixel)
             off -= np.median(off)
-    shows_line = alike > _ALIKE
+    shows_line = alike > 0.7  # correlation with the mean profile below which a piece does not show the line
     if np.count_nonzero(shows_line.sum(axis=1) >= _PARTS // 2) < 0.5 * n:
         direction = "rows" if axis == 0 else "columns"
         raise VolumeError(

@@ -22,9 +22,6 @@ from planish.core.typing import Bools, Floats
 from planish.sections.network import slow_part
 
 _BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
-_BORDER = 0.15  # share of the rows at each end that is taken to be background
-_SMOOTH_SECTIONS = 30.0  # shortest wave of the surface
-_FILLED = 1e-3  # weight of a place where the sheet was not found, against 1
 
 
 Stack = NDArray[Any] | LazyArray
@@ -130,7 +127,7 @@ class SectionSeries:
             return block_means(self.stack[i], tall, wide)
 
         blocks = np.stack(map_threads(means, range(n)))
-        border = max(1, int(_BORDER * blocks.shape[1]))
+        border = max(1, int(0.15 * blocks.shape[1]))  # share of the rows at each end that is taken to be background
         background = _row_medians(np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1))
         sheet, weight = _find_sheet(blocks, background)
         count = sheet.sum(axis=1)
@@ -199,8 +196,8 @@ def _smooth_surface(middle: Floats, away_um: Floats) -> Floats:
     is_valid = np.isfinite(middle)
     nearest: NDArray[Any] = distance_transform_edt(~is_valid, return_distances=False, return_indices=True)
     filled = median_filter(middle[tuple(nearest)], size=(1, 3), mode="nearest")
-    weights = np.where(is_valid, 1.0, _FILLED)
-    cutoff = _SMOOTH_SECTIONS * float(np.median(np.diff(away_um)))
+    weights = np.where(is_valid, 1.0, 1e-3)  # weight of a place where the sheet was not found, against 1
+    cutoff = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
     columns = [
         slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])
     ]

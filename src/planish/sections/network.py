@@ -28,7 +28,6 @@ _ORDER = 4
 """Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
 series, with 4 by 0.1 um."""
 
-_LEAST_STEP = 0.25  # pitches
 
 _HALF = 1.0 / np.sqrt(0.5) - 1.0
 """(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
@@ -98,7 +97,7 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
         return values.copy()
     pitch = float(np.median(np.diff(at_um)))
     # Two sections at almost one place would make the fourth derivative between them infinite.
-    x = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(at_um) / pitch, _LEAST_STEP))])
+    x = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(at_um) / pitch, 0.25))])  # pitches
     stiffness = (cutoff_um / pitch / (2.0 * np.pi)) ** (2 * _ORDER) / _HALF
     rows = n - _ORDER
     coefficients = np.full((_ORDER + 1, rows), float(math.factorial(_ORDER)))

@@ -22,9 +22,7 @@ Samples = NDArray[np.float32]
 
 _PITCH_UM = (2.5, 5.0)  # of the samples, rows and cols: about; a whole number of pixels
 _BLUR_UM = 6.0  # standard deviation; wide against the shifts to be measured, narrow against the texture
-_FINE_BLUR_UM = 1.0  # or one pixel
 _FINE_PITCH_UM = (1.6, 0.8)
-_FINE_PASS = 4.0  # blurs of the Gaussian whose mean along the columns is taken off
 FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
 _MEND_UM = (75.0, 5.0)  # window of the median against which a knife mark stands out, and its surroundings
 _MARGIN_UM = 30.0  # beyond the faces
@@ -36,7 +34,6 @@ _OUTLIER_SIGMAS = 4.0
 _TURN_UM = 1000.0  # rotations are carried as the shift at this distance, so that all unknowns are alike in size
 _ALIKE = 0.5  # correlation of two bands below which they do not show the same sheet
 _LARGEST_SIGMA_UM = 5.0
-_LEAST_SIGMA_UM = 0.02  # no pair is better than this, whatever its parts say
 _STIFF = 1e-6
 _BLOCK = 32  # sections that a thread takes at a time
 
@@ -112,12 +109,12 @@ class Bands:
         samples -= np.float32(self.band.background[section])
         samples /= np.float32(self.band.contrast[section])
         self._replace_knife_marks(samples)
-        blur = max(_FINE_BLUR_UM, pixel_c) if self.fine else _BLUR_UM
+        blur = max(1.0, pixel_c) if self.fine else _BLUR_UM  # or one pixel
         weights = [_gaussian(blur / pitch) for pitch in (pitch_r, pitch_c)]
         smoothed = np.empty_like(samples)
         smooth(samples, weights[0], weights[1], np.empty(samples.shape[1] + weights[1].size, np.float32), smoothed)
         if self.fine:
-            wide = _gaussian(_FINE_PASS * blur / pitch_c)
+            wide = _gaussian(4.0 * blur / pitch_c)  # blurs of the Gaussian whose mean along the columns is taken off
             smooth(smoothed, np.ones(1, np.float32), wide, np.empty(samples.shape[1] + wide.size, np.float32), samples)
             smoothed -= samples
         middle = (np.arange(samples.shape[1]) + 0.5) * across - 0.5
@@ -222,7 +219,7 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
     sigma = np.full((first.size, 3), np.inf)
     sigma[:, :size] = np.sqrt(np.einsum("pii->pi", covariance) * parts / max(parts - 1, 1))
     sound = alike & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
-    sigma = np.maximum(sigma, _LEAST_SIGMA_UM)
+    sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
     return SectionPairs(
         first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base,

@@ -26,7 +26,6 @@ from planish.surface.regions import half_closed, regions
 Variable = tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]
 
 _SHORTER = 0.625  # of the cut-off: 250 for 400 um
-_MOST_BRIDGED = 0.02  # of the columns away from holes and rims
 
 
 def assemble(
@@ -149,7 +148,7 @@ def cutoff_check(surfaces: xr.Dataset) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     share, cutoff = float(surfaces.attrs.get("bridged_off_rims_share", 0.0)), float(surfaces.attrs["cutoff_um"])
     return Check.at_most(
-        "cut-off", share, look=_MOST_BRIDGED,
+        "cut-off", share, look=0.02,  # of the columns away from holes and rims
         sentence=f"The centre surface has the stated cut-off of {cutoff:g} um in {100 * (1 - share):.1f} % of the "
         "columns away from holes and rims"
         + (", and twice or four times as much in the alternatives." if share > 0 else "."),

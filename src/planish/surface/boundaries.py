@@ -26,7 +26,6 @@ from planish.surface.regions import doubtful
 from planish.surface.survey import survey_labels
 
 _BINS = 128
-_AIR_UM = 20.0  # of air beside the sheet that counts in the histogram
 _BYTES = 16  # that a voxel of a slab takes
 
 
@@ -49,7 +48,7 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     columns, priors = job.columns, job.priors
     grey = oriented(columns, tile, job.guide, priors.scale)
     guide = job.guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
-    margin = _AIR_UM / columns.pitch[2]
+    margin = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
     out = np.full((4, *tile.shape), np.nan)
     reach = priors.reach / guide.tilt
     depth = np.arange(grey.shape[2])

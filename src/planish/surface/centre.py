@@ -21,7 +21,6 @@ from planish.core.typing import Floats
 # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half (ISO
 # 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
 _GAMMA = 0.887
-_REACH = 1.5  # in units of GAMMA lambda; the weight there is 0.0009
 _POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
 _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 _LEAST_WEIGHT = 0.04  # of a full neighbourhood: below it the surface would be extrapolated
@@ -95,7 +94,7 @@ class _Regression:
         self.weight = weight
         self.axes: list[tuple[Floats, Floats]] = []
         for p in pitch:
-            half = max(2, int(np.ceil(_REACH * scale / p)))
+            half = max(2, int(np.ceil(1.5 * scale / p)))  # in units of GAMMA lambda; the weight there is 0.0009
             x: Floats = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, _POWERS)

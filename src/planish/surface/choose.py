@@ -21,11 +21,9 @@ Surroundings = Literal["air", "others", "material"]
 
 _SHARES = np.linspace(0.5, 0.95, 19)  # of the grey at the seed, tried as threshold
 _BRIGHTER = 1.6  # times that grey: not the same object
-_MERGED_SHARE = 0.15  # of the sheet that may touch others; with a higher threshold it may be less
 _CLEAR = 0.1  # of the brightest: below it there is nothing at the seed
 _SAME_DEPTH = 2.0  # voxels by which the thickness of one sheet may differ, found with the seed and without
 _LEAST_GAP, _NEAR_SHARE = 12, 0.001  # voxels of air beside a sheet that stands apart; columns that may have less
-_MOST_MERGED = 0.6  # above it the sheet cannot be followed
 _ENOUGH = 2**21  # block means from which levels are told; of more, every so many
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
 _FEWER_SIGMAS = 4.5  # where that is not enough to see the base of a sheet
@@ -162,7 +160,7 @@ def _chosen(oriented: Blocks, sharp: Blocks, threshold: float, choice: Choice) -
     # In air the usual threshold will do. Amid other material it is raised until the sheet stands alone.
     try:
         sheet = _refined(oriented, threshold, choice)
-        if _merged(sheet) < _MERGED_SHARE:
+        if _merged(sheet) < 0.15:  # of the sheet that may touch others; with a higher threshold it may be less
             return sheet, False
     except VolumeError as error:
         failure = error
@@ -179,7 +177,7 @@ def _chosen(oriented: Blocks, sharp: Blocks, threshold: float, choice: Choice) -
             failure = error
             continue
         shown = int(np.count_nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high)))
-        if shown > most and _merged(sheet) < _MOST_MERGED:
+        if shown > most and _merged(sheet) < 0.6:  # above it the sheet cannot be followed
             most, best = shown, sheet
     if best is not None:
         return best, True

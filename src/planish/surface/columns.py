@@ -72,16 +72,10 @@ class Columns:
     def grey(
         self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)
     ) -> NDArray[np.float32]:
-        """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
+        """Grey of the columns of a tile, (rows, cols, depth), or of a part of the depth; NaN is missing.
 
-        Parameters
-        ----------
-        tile : Tile
-        slope : two (rows, cols), optional
-            How far the sheet rises along the column from one voxel row to the next, and from one voxel column to the
-            next, in voxels. The voxels that a column is the mean of are moved by it to the nearest voxel.
-        depth : slice, optional
-            Part of the depth; not together with ``slope``.
+        ``slope``, two (rows, cols): how far the sheet rises in voxels from one voxel row, or column, to the next. The
+        voxels that a column is the mean of are moved by it to the nearest voxel; not with a part of the depth.
         """
         raw = self.voxels(tile, depth)
         if self.step > 1:
@@ -220,18 +214,10 @@ class Edge:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Side:
-    """Prior of the layers on one side of a column.
+    """Prior of the layers on one side of a column, (4,): what is expected, and how far a column may differ."""
 
-    Attributes
-    ----------
-    level, spread : (4,)
-        Of face, thickness, grey of the coating (or of what lies outside), grey of the base: the value expected, and
-        how far a column may differ. Only those of the greys are used.
-    coated : bool
-    """
-
-    level: Floats
-    spread: Floats
+    level: Floats  # of face, thickness, grey of the coating (or of what lies outside), grey of the base
+    spread: Floats  # of the same; only those of the greys are used
     coated: bool
 
     def brighter(self, factor: float) -> Side:
@@ -256,9 +242,7 @@ class Priors:
     base: float  # level of the base above the air
     edge: Edge  # blur and fringe
     reach: float  # how far outside the expected face the search starts, in voxels
-    embedded_level: (
-        float  # grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet
-    )
+    embedded_level: float  # grey that separates a sheet from other material; 0 where air lies beside the sheet
     sides: Sides
 
     @property

@@ -24,7 +24,6 @@ _REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
 _SEEN_UM = 0.001  # the centre surface moves where a correction moves it by more
 _SUPPORT = 3.0  # cut-offs: how far the smoothing of the centre surface reaches
 _HOW = "found image interpolated"
-_MOST_DRAWN = 0.1  # of the sheet
 _UNCHANGED = 255  # of ``found_status``
 _TILES = "corrected_tiles"
 _HEIGHTS = ("top", "bottom", "interface_top", "interface_bottom")
@@ -170,7 +169,7 @@ def correction_check(surfaces: xr.Dataset) -> Check | None:
     sheet = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
     drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (IMAGE, INTERPOLATED))
     return Check.at_most(
-        "corrections", drawn / sheet, look=_MOST_DRAWN,
+        "corrections", drawn / sheet, look=0.1,  # of the sheet
         sentence=f"Faces of {drawn} columns ({100 * drawn / sheet:.2g} % of the sheet) were drawn to {points} points "
         f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
         advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",

@@ -27,7 +27,6 @@ _THICK = 3.0  # widths of the blur: a thicker layer shows its own grey
 _PLAIN, _PLAIN_SHARE = 5.5, 0.05  # widths of the blur, and share of columns: such a layer shows it beyond doubt
 _TRACE = 0.15  # widths of the blur: a coating that is thinner in half of the columns is none
 _COATING_RATIO = 1.25  # a layer is a coating when it stands out from the base by more than a quarter
-_FEW = 50  # columns that show it
 
 
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
@@ -158,7 +157,7 @@ class _Learner:
                 wide[2] = 0.02 * level[2]
             elif side.coated:
                 thick = has_face & (fit[1] * sample.tilt > _THICK * edge.width)
-                if np.count_nonzero(thick) < _FEW:
+                if np.count_nonzero(thick) < 50:  # columns that show it
                     thick = has_face & (fit[1] >= np.nanpercentile(fit[1], 75))
                 level[2] = float(np.median(fit[2][thick]))
                 wide[2] = max(1.2 * mad_sd(fit[2][thick]), 0.01 * level[2])

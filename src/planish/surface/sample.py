@@ -17,13 +17,8 @@ from planish.surface.columns import Columns, Edge, Guide, Scale, Side, oriented
 from planish.surface.survey import Survey
 
 _ROWS = 24  # rows that are read for it
-_WIDTH = 1024  # columns of each of them
-_COLUMNS = 3000  # columns that are fitted
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
 _CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from which on it is no longer white
-_BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # voxels
-_BESIDE_UM = 15.0  # from the face into the air
-_QUIET_BLEND = 2.0  # columns
 _ROUNDED = 12.0**-0.5  # standard deviation of what rounding to whole numbers takes off
 _MISFIT = 0.01  # of the base's contrast: no column is a staircase to within less
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
@@ -48,23 +43,7 @@ Samples = dict[bool, Sample]  # by whether they are read from the high end
 
 
 class Sampler:
-    """Reads sample columns from both ends and fits them; the way their grey is made ready changes as it learns.
-
-    Attributes
-    ----------
-    scale : Scale
-    noise : float
-        Standard deviation of what the fit sees in the air.
-    single_noise : float
-        The same of a column that is not averaged with its neighbours.
-    scatter : float
-        Standard deviation by which the fit takes a sample to differ from its model: the noise, but no less than what
-        rounding and the paper's own texture leave. Without noise nothing would weigh beside a sample otherwise.
-    reach : float
-        How far outside the expected face a search starts, in voxels.
-    embedded_level : float
-        Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
-    """
+    """Reads sample columns from both ends and fits them; what it learns on the way is as in :class:`Priors`."""
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
@@ -79,7 +58,7 @@ class Sampler:
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
         rows = np.flatnonzero(has_sheet.any(axis=1))
         rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, _ROWS)).astype(int))]
-        wide = min(columns.shape[1], _WIDTH)
+        wide = min(columns.shape[1], 1024)  # columns of each of them
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
         # golden section.
         starts = ((np.arange(rows.size) * 0.6180339887498949) % 1.0 * (columns.shape[1] - wide + 1)).astype(int)
@@ -99,7 +78,7 @@ class Sampler:
 
     def sample(self, *, high: bool) -> Sample:
         """Columns read from one end; VolumeError if none shows both faces."""
-        per_row = max(1, _COLUMNS // len(self.rows))
+        per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
         parts: list[Sample] = []
         for number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
@@ -120,7 +99,7 @@ class Sampler:
         if whole > _CORRELATED * self.noise:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
             self.noise = self.single_noise = whole
-            for blend in _BLENDS:
+            for blend in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
                 if base / self.noise >= _QUIET:
                     break
                 self.scale = replace(self.scale, blend=blend)
@@ -137,7 +116,7 @@ class Sampler:
         """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
         if self.embedded_level:
             return float("nan")  # what lies beside is no air
-        width = int(np.ceil(_BESIDE_UM / self.pitch[2]))
+        width = int(np.ceil(15.0 / self.pitch[2]))  # from the face into the air
         samples: list[NDArray[np.float32]] = []
         for tile in self.rows:
             part = self._read(tile, high=False)
@@ -154,7 +133,7 @@ class Sampler:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
         guide, scale = self.guide, self.scale
         steep = float(np.nanpercentile(np.hypot(guide.slope_r, guide.slope_c), 90)) * self.columns.step
-        blend = min(_QUIET_BLEND, 0.3 * width / max(steep, 1e-3))
+        blend = min(2.0, 0.3 * width / max(steep, 1e-3))  # columns
         if blend <= max(scale.blend, 0.3):
             return samples
         self.scale = replace(scale, blend=blend)

@@ -21,8 +21,6 @@ from planish.surface.columns import Columns
 from planish.surface.params import SurfaceParams
 
 _SAMPLE = 40_000  # columns of the sample, and blocks wanted
-_WIDEST = 4  # columns along the edge of a block
-_LARGE = 1_500_000  # columns from which on fewer rows are sampled
 _SAMPLE_ROWS = 24
 _ABOVE_AIR = 6.0  # standard deviations of block means in air: what is nowhere above that is air from end to end
 _MOST = 2**25  # block means that are kept; above it the blocks get wider
@@ -91,11 +89,11 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
             "needed along every axis. Check that this is the whole stack."
         )
     wanted = np.sqrt(rows * cols / _SAMPLE)
-    block = int(np.clip(round(wanted), 1, _WIDEST))
+    block = int(np.clip(round(wanted), 1, 4))  # columns along the edge of a block
     while (rows // block) * (cols // block) * depth > _MOST:
         block += 1
     stride = max(1, int(wanted))
-    if rows * cols < _LARGE:
+    if rows * cols < 1_500_000:  # columns from which on fewer rows are sampled
         return block, (stride, stride)
     # Each row costs as much as the chunks that it runs through: few rows, and more columns of each.
     return block, (max(rows // _SAMPLE_ROWS, 1), max(cols * _SAMPLE_ROWS // _SAMPLE, 1))
