@@ -247,10 +247,11 @@ def measure_along_rays(
     maps = {
         prop.name: Measured(
             values=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
-            se=np.full(status.shape, np.nan, np.float32), reason=np.zeros(status.shape, np.uint8),
+            se=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
+            reason=np.zeros(status.shape, np.uint8),
         )
         for prop in of_rays
-    }  # fmt: skip
+    }
 
     def work(tile: Rays, inner: slice, rows: slice) -> None:
         status[rows] = tile.status[inner]
