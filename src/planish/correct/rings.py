@@ -68,9 +68,7 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     materials: list[tuple[Floats, Floats]] = []
     if intervals:
         parts = [_robust_mean(r.reshape(-1, bins), w.reshape(-1, bins)) for r, w in zip(residual, weight, strict=True)]
-        materials = [
-            _robust_mean(residual[:, :, m].reshape(-1, bins), weight[:, :, m].reshape(-1, bins)) for m in range(3)
-        ]
+        materials = [_robust_mean(*(a[:, :, m].reshape(-1, bins) for a in (residual, weight))) for m in range(3)]
     for first, last in intervals:
         where = slice(first, last + 1)
         heights = [_height_factor(profile[where], p[where], e[where]) for p, e in materials]
@@ -155,9 +153,8 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
 def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Robust mean (bin,) over parts (part, bin) and its standard error; NaN where too few parts have values."""
     total = weight.sum(axis=0)
-    sure = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0) >= min(
-        _PARTS, 0.6 * len(weight)
-    )
+    parts = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0)
+    sure = parts >= min(_PARTS, 0.6 * len(weight))
     mean = _weighted_median(residual, weight)
     robust = weight
     for _ in range(5):

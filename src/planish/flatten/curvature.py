@@ -80,9 +80,7 @@ class CurvatureCheck:
     @property
     def saved(self) -> CurvatureVerdict:
         """What stands in the results of a run."""
-        return CurvatureVerdict(
-            patch_um=self.patch_um, limit=self.limit, share=self.share, largest=self.largest, verdict=self.verdict
-        )
+        return CurvatureVerdict(**{name: getattr(self, name) for name in CurvatureVerdict.model_fields})
 
 
 def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureCheck:

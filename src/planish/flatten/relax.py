@@ -31,6 +31,7 @@ from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
+Run = tuple[int, Outcome, tuple[Step, ...]]  # steps on the finest mesh, how it ended, all steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -264,9 +265,7 @@ def _handedness(target: Floats) -> float:
     return -1.0 if area < 0 else 1.0
 
 
-def _multigrid(
-    level: Level, side: float, team: Team, tolerance: float, *, gaps: bool
-) -> tuple[int, Outcome, tuple[Step, ...]]:
+def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps: bool) -> Run:
     """Relax by multigrid, and once more with steps that may close no cell where cells folded."""
     finest = level.rows * level.cols
     history: tuple[Step, ...] = ()
@@ -280,9 +279,7 @@ def _multigrid(
     return sum(step.nodes == finest for step in history), outcome, history
 
 
-def _relaxation(
-    level: Level, points: Floats, start: Floats, method: Method | RelaxationParams
-) -> tuple[int, Outcome, tuple[Step, ...]]:
+def _relaxation(level: Level, points: Floats, start: Floats, method: Method | RelaxationParams) -> Run:
     """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
     start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()

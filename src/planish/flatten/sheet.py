@@ -229,9 +229,7 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     centre = surfaces["centre"].values
     is_sheet = _largest_piece(np.isfinite(centre))
     steps = pitch(surfaces)
-    wanted = mesh_um or max(
-        4 * max(steps), np.sqrt(int(np.count_nonzero(is_sheet)) * steps[0] * steps[1] / _MOST_NODES)
-    )
+    wanted = mesh_um or max(4 * max(steps), np.sqrt(np.count_nonzero(is_sheet) * steps[0] * steps[1] / _MOST_NODES))
     # Columns per mesh cell, along rows and columns, so that cells are about square.
     down, across = (
         int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2))) for step, n in zip(steps, centre.shape, strict=True)
@@ -284,9 +282,8 @@ def _every(count: int, step: int) -> NDArray[np.intp]:
     indices = np.arange(0, count, step)
     if indices[-1] != count - 1:
         # The last cell would be a sliver: it is widened instead.
-        indices = np.append(
-            indices[:-1] if count - 1 - indices[-1] < step / 2 and indices.size > 2 else indices, count - 1
-        )
+        is_sliver = count - 1 - indices[-1] < step / 2 and indices.size > 2
+        indices = np.append(indices[:-1] if is_sliver else indices, count - 1)
     return indices
 
 

@@ -131,9 +131,7 @@ def _weighable(params: MeasureParams, greys: Greys) -> None:
     _filler_level(params, greys)
 
 
-@sheet_property(
-    "filler_weight", units="g/m2", long_name="Filler", check=_weighable, after=("filler", "base_thickness"),
-)  # fmt: skip
+@sheet_property("filler_weight", units="g/m2", long_name="Filler", check=_weighable, after=("filler", "base_thickness"))
 def filler_weight(sheet: Sheet) -> Measured:
     """P-11 as a mass: share of filler times base thickness times the filler's density; SE: the share's, likewise."""
     mass = sheet.maps["base_thickness"].values * sheet.params.need("Filler", "filler_g_cm3")

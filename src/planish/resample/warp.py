@@ -178,9 +178,8 @@ def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
     along = 0.5 * (y[:, :-1] + y[:, 1:]) * np.diff(x, axis=1)
     side = 0.5 * (y[:-1] + y[1:]) * np.diff(x, axis=0)
     area = (along[:-1] - side[:, :-1]) + side[:, 1:] - along[1:]
-    longest = np.maximum(
-        np.sum((nodes[1:, 1:] - nodes[:-1, :-1]) ** 2, axis=-1), np.sum((nodes[:-1, 1:] - nodes[1:, :-1]) ** 2, axis=-1)
-    )
+    diagonals = nodes[1:, 1:] - nodes[:-1, :-1], nodes[:-1, 1:] - nodes[1:, :-1]
+    longest = np.maximum(*(np.sum(line**2, axis=-1) for line in diagonals))
     area[2 * np.abs(area) <= _FLAT * longest] = np.nan
     total = integrals(_sums(np.where(is_valid, part, 0.0)), x, y)
     weight = area if is_valid.all() else integrals(_sums(is_valid), x, y)
@@ -245,7 +244,5 @@ def _quarters(bounds: Integers) -> Integers:
     """Cut rectangles in the middle of both sides."""
     y, x = (bounds[:, 0] + bounds[:, 1] + 1) // 2, (bounds[:, 2] + bounds[:, 3] + 1) // 2
     y0, y1, x0, x1 = bounds.T
-    parts = np.concatenate(
-        [np.stack(e, axis=1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))]
-    )
+    parts = np.concatenate([np.stack(e, 1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))])
     return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]

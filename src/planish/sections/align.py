@@ -18,6 +18,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from planish.core.errors import VolumeError
 from planish.core.threads import map_threads
+from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
 from planish.sections.band import SectionSeries, Stack
 from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, slow_part, solve_places
@@ -231,9 +232,7 @@ _STEPS = 4
 _LEAST = 4  # pixels across a strip
 
 
-def fixed_places(
-    stack: Stack, pixel_um: tuple[float, float], *, rows: Strip | None = None, cols: Strip | None = None
-) -> Floats:
+def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, cols: Strip | None = None) -> Floats:
     """Find the place of every section against lines that lie still.
 
     Parameters

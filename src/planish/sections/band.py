@@ -198,10 +198,8 @@ def _smooth_surface(middle: Floats, away_um: Floats) -> Floats:
     filled = median_filter(middle[tuple(nearest)], size=(1, 3), mode="nearest")
     weights = np.where(is_valid, 1.0, 1e-3)  # weight of a place where the sheet was not found, against 1
     cutoff = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
-    columns = [
-        slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])
-    ]
-    return gaussian_filter1d(np.stack(columns, axis=1), 1.0, axis=1, mode="nearest")
+    lines = [slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])]
+    return gaussian_filter1d(np.stack(lines, axis=1), 1.0, axis=1, mode="nearest")
 
 
 _CORE = 0.7  # of half the thickness: away from the faces and their coatings

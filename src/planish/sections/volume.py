@@ -67,10 +67,8 @@ def regular_volume(
     missing = np.rint(np.diff(series.away_um[used]) / series.pitch_um).astype(int) - 1
     gaps = np.flatnonzero(missing > most_missing)
     if gaps.size and not real:
-        positions = series.positions_um[used]
-        named = ", ".join(
-            f"{missing[k]} between {positions[k]:g} and {positions[k + 1]:g} um" for k in gaps[:_MOST_GAPS]
-        )
+        um = series.positions_um[used]
+        named = ", ".join(f"{missing[k]} between {um[k]:g} and {um[k + 1]:g} um" for k in gaps[:_MOST_GAPS])
         more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
         raise VolumeError(
             f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "

@@ -15,6 +15,7 @@ from planish.core.frame import Frame
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
+from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression, slice_smoothed
@@ -190,9 +191,7 @@ def alternative_surfaces(
     return {name: (np.where(has_centre, filled(height), np.nan), title) for name, (height, title) in surfaces.items()}
 
 
-def centre_surface(
-    middle: Floats, outline: Bools, pitch: tuple[float, float], params: SurfaceParams
-) -> tuple[Floats, Floats]:
+def centre_surface(middle: Floats, outline: Bools, pitch: Pair, params: SurfaceParams) -> tuple[Floats, Floats]:
     """Smooth the mean of the faces and carry it across holes; the centre surface and the cut-off used, in um."""
     cutoff_um = params.cutoff_um
     if params.method == "paper":
@@ -222,9 +221,7 @@ TITLES = {
 }
 
 
-_TileJob = tuple[
-    Columns, list[Floats], float, tuple[float, float]
-]  # depth and normals are those of the tile, in voxels
+_TileJob = tuple[Columns, list[Floats], float, tuple[float, float]]  # depth and normals in voxels
 
 
 def find_presence(

@@ -37,9 +37,7 @@ def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: Su
 
     def describe(block_index: tuple[int, int, int]) -> str:
         index = dict(zip(order, block_index, strict=True))
-        place = {
-            k: volume.coords[k].values[min(int((i + 0.5) * scale[k]), volume.sizes[k] - 1)] for k, i in index.items()
-        }
+        place = {k: volume[k].values[min(int((i + 0.5) * scale[k]), volume.sizes[k] - 1)] for k, i in index.items()}
         return ",".join(f"{float(place[k]):.4g}" for k in ("z", "y", "x"))
 
     choice = Choice(block=block, describe=describe)

@@ -161,9 +161,8 @@ def _opened(height: Floats, size: tuple[int, int]) -> Floats:
     """Opening of a face that goes on beyond its border with the slope it has there."""
     pad = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
     wide = np.pad(height, pad, mode="reflect", reflect_type="odd")
-    return ndimage.grey_opening(wide, size=size)[
-        tuple(slice(a, n - a) for (a, _), n in zip(pad, wide.shape, strict=True))
-    ]
+    inner = tuple(slice(a, n - a) for (a, _), n in zip(pad, wide.shape, strict=True))
+    return ndimage.grey_opening(wide, size=size)[inner]
 
 
 def _share(mask: Bools, labels: NDArray[np.integer], count: int = 0) -> Floats:

@@ -82,11 +82,9 @@ def find_surfaces(
     spread that is learnt from the same volume, which keeps thin layers from taking the width of the blur.
     """
     check_volume(volume, "pl.find_surfaces({})")
-    frame = Frame.asked(volume, frame, through, top)
+    frame, params = Frame.asked(volume, frame, through, top), params_of(SurfaceParams, params, "pl.find_surfaces")
     try:
-        surfaces = _search(
-            volume, frame, params_of(SurfaceParams, params, "pl.find_surfaces"), step, engine or Engine()
-        )
+        surfaces = _search(volume, frame, params, step, engine or Engine())
         check_sheet(surfaces, unusual_size=unusual_size)
     except VolumeError as error:
         if hint := other_axis(volume, frame.through):

@@ -77,10 +77,8 @@ class _Learner:
         thickness = self.sampler.fit(sample, side, edge)[1]
         if float(np.nanmedian(thickness)) > _TRACE * edge.width:
             return side
-        bare = Side(
-            level=np.array([0.0, 0.0, 0.0, base]), spread=np.array([0.0, 0.0, -1.0, side.spread[3]]), coated=False
-        )
-        return self.narrowed(sample, bare, edge, is_given=True)
+        level, spread = np.array([0.0, 0.0, 0.0, base]), np.array([0.0, 0.0, -1.0, side.spread[3]])
+        return self.narrowed(sample, Side(level=level, spread=spread, coated=False), edge, is_given=True)
 
     def first_side(self, sample: Sample, base: float, base_sd: float) -> Side:
         """Look for a coating in the median profile below the face; wide spreads."""

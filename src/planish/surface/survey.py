@@ -225,11 +225,8 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     whole = ~same.all(axis=1)
     if np.count_nonzero(cut) < 0.05 * cut.size:
         # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
-        return (
-            float(corner)
-            if np.count_nonzero(~whole) > 0.01 * whole.size and not inside[whole][:, 0].mean() < 0.5
-            else None
-        )
+        is_across = np.count_nonzero(~whole) > 0.01 * whole.size and not inside[whole][:, 0].mean() < 0.5
+        return float(corner) if is_across else None
     rows = np.flatnonzero(cut & (first > 0))
     if rows.size < 10:
         rows, first = np.flatnonzero(cut), columns.shape[1] - 1 - last
