@@ -10,7 +10,7 @@ import tifffile
 from formats_written import CUBE, NAME, write_hdf5, write_meta, write_nrrd, write_raw, write_zarr
 from planish.cli.series import code_of
 from planish.compute import Compute
-from planish.core.series import Member, MemberState
+from planish.core.series_results import Member, MemberState
 from planish.series import Book, Plan, Specimen
 from planish.series.jobs import Job, Outcome, do
 

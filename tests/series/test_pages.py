@@ -10,8 +10,7 @@ import xarray as xr
 
 import planish as pl
 from planish.core.errors import FileError
-from planish.core.series import Member
-from planish.core.series_results import SeriesResults
+from planish.core.series_results import Member, SeriesResults
 from planish.io.run_folder import write_tree
 from planish.report import series_page, small_map
 from planish.report.series import natural

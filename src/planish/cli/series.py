@@ -15,7 +15,7 @@ from planish.cli.options import Option, build_params, existing, json_option, opt
 from planish.compute import Compute
 
 if TYPE_CHECKING:
-    from planish.core.series import Member
+    from planish.core.series_results import Member
     from planish.series import Book, Plan, Specimen
 
 _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}

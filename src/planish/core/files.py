@@ -27,14 +27,9 @@ INSIDE = 120
 
 
 def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
-    """Say why a file or folder cannot have a name; None where it can.
+    """Say why a file or folder cannot have a name, one part of a path; None where it can.
 
-    Parameters
-    ----------
-    name : str
-        One part of a path.
-    windows : bool
-        Whether it is for Windows alone; names that no copy on Windows could have are refused everywhere.
+    Names that no copy on Windows could have are refused everywhere, others for ``windows`` alone.
     """
     if name.split(".")[0].rstrip(" ").casefold() in _DEVICES:
         return "Windows keeps that name for a device"
@@ -63,14 +58,7 @@ def refuse_name(path: PurePath, names: list[str], *, windows: bool = os.name == 
 
 
 def check_length(folder: PurePath, *, longest: int | None = None) -> None:
-    """Raise FileError if the files in a run folder would have longer paths than the system takes.
-
-    Parameters
-    ----------
-    folder : absolute path
-    longest : int, optional
-        Characters that a path may have; what this system takes where not given.
-    """
+    """Raise FileError if files in a run folder (absolute) had longer paths than the system takes, or ``longest``."""
     longest = longest_path() if longest is None else longest
     # While it is written it stands in a hidden folder of twice its name.
     needed = len(str(folder.parent)) + 2 * len(folder.name) + len("/..work/..01234567.partial/") + INSIDE
@@ -98,12 +86,7 @@ _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where
 def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
     """Write a file that is not there yet, or over an older one of planish's own; where that fails, nothing is left.
 
-    Raises
-    ------
-    FileError
-        If the file is there already or cannot be written.
-    ResourceError
-        If the disk is full.
+    FileError if the file is there already or cannot be written; ResourceError if the disk is full.
     """
     check_name(path)
     if not over and (path.exists() or path.is_symlink()):
@@ -152,14 +135,8 @@ def move(source: Path, target: Path, *, over: bool = False) -> None:
     """Rename a file or folder; over a file that is there only with ``over``.
 
     Windows refuses it while another program has the file, or one in the folder, open: virus scanners, indexers and
-    programs that keep folders in step with a server do so for moments after a file was written.
-
-    Raises
-    ------
-    FileError
-        If it is still refused after some three seconds.
-    OSError
-        Whatever else keeps it from being renamed.
+    programs that keep folders in step with a server do so for moments after a file was written. FileError if it is
+    still refused after some three seconds; OSError for whatever else keeps it from being renamed.
     """
     _insist(lambda: (source.replace if over else source.rename)(target), target)
 
@@ -205,19 +182,8 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
 def new_file(path: Path, *, needed: int | None = None) -> Generator[Path]:
     """Give a hidden path to write a file to, part by part; it becomes ``path`` when the block ends well.
 
-    Parameters
-    ----------
-    path : Path
-        It must not exist; its folder is made where it is not there.
-    needed : int, optional
-        About how many bytes it takes.
-
-    Raises
-    ------
-    FileError
-        If the file is there already or cannot be written.
-    ResourceError
-        If the disk is full.
+    Its folder is made where it is not there; ``needed`` is about how many bytes it takes. FileError if the file is
+    there already or cannot be written; ResourceError if the disk is full.
     """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     with writing(path, needed=needed):

@@ -113,12 +113,8 @@ _CLEAR = 0.3  # of the variance along the first axis: what the second may have
 def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
 
-    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike.
-
-    Parameters
-    ----------
-    values : array (z, y, x)
-        Some slices of it are read.
+    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike. Some
+    slices of the values (z, y, x) are read.
     """
     import numpy as np
 

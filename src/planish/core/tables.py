@@ -83,9 +83,9 @@ def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
 
 def split_rows(text: str) -> Rows:
     """Rows of a text, whether the first of them is a header or not; cells without blanks at their ends."""
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
-    lines = [(number, line) for number, line in lines if not line.startswith("#")]
+    every = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line.lstrip("#").strip() for _, line in every if line.startswith("#")]
+    lines = [(number, line) for number, line in every if not line.startswith("#")]
     delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
     rows: list[CsvRow] = []
     faults: list[str] = []
@@ -154,28 +154,11 @@ class CsvTable:
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
 ) -> CsvTable:  # fmt: skip
-    """Make a table of a text with a header.
+    """Make a table of a text with a header, of :func:`read_text`; ``name`` is that of the file.
 
-    Parameters
-    ----------
-    text, name : str
-        Of :func:`read_text`, and the name of the file.
-    needed : sequence of str
-        Columns that have to be there; others may be.
-    error : type
-        Class of the error for what is no such table.
-    advice : str
-        What the table has to look like, one sentence; made of `needed` where not given.
-
-    Returns
-    -------
-    CsvTable
-        With the faults of header and rows, which :meth:`CsvTable.check` raises together with those found later.
-
-    Raises
-    ------
-    PlanishError
-        Of the class `error`, if the table is empty.
+    ``needed`` columns have to be there; others may be. ``advice`` is one sentence on what the table has to look like,
+    made of them where not given. :meth:`CsvTable.check` raises the faults of header and rows together with those noted
+    later; an empty table is an error at once, of the class ``error``.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
     parsed = split_rows(text)
@@ -184,11 +167,9 @@ def parse_table(
     first, *body = parsed.rows
     header = [cell.lower() for cell in first.cells]
     faults: list[str] = []
-    missing = [column for column in needed if column not in header]
-    twice = sorted({column for column in header if column and header.count(column) > 1})
-    if missing:
+    if missing := [column for column in needed if column not in header]:
         faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice.rstrip('.')}")
-    if twice:
+    if twice := sorted({column for column in header if column and header.count(column) > 1}):
         faults.append(f"columns given twice: {', '.join(twice)}")
     faults += parsed.faults
     wrong = [row for row in body if len(row.cells) != len(header)]

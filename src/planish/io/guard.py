@@ -120,9 +120,8 @@ def default_memory_limit() -> int:
 
 def _available_memory_bytes() -> int:
     """Physical memory that is free or can be freed, or a cautious number where the system does not report it."""
-    table = Path("/proc/meminfo")
-    if table.is_file():
-        for line in table.read_text(encoding="ascii", errors="replace").splitlines():
+    with suppress(OSError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
     if os.name == "nt":

@@ -166,7 +166,13 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
             extent = size_words(dataset.shape or ()) or "one value"
             raise VolumeError(f"{path.name}: {name} is no volume but {extent}. {ADVICE}")
         array, notes = lazy_dataset(dataset, file_path)
-        axes = _axis_names(dataset)
+        axes: list[str] = []  # names of the axes that the group or the data set gives; none where they do not fit
+        for owner in (dataset.parent, dataset):
+            names = [_word(v) for v in np.ravel(owner.attrs.get("axes", ()))]
+            if len(names) == 1:
+                names = names[0].strip("[]").replace(",", ":").split(":")
+            if not axes and len(names) == len(dataset.shape):
+                axes = [axis_name.strip() for axis_name in names]
         # As NeXus names them, otherwise as they stand.
         letters = [axes[axis][:1].casefold() if axes else "" for axis in long]
         order = [long[letters.index(a)] for a in "zyx"] if sorted(letters) == ["x", "y", "z"] else long
@@ -263,18 +269,6 @@ def _child(group: Any, name: str) -> Any:
     """Member of a group that is no link; None where there is none."""
     link = link_of(group, name)
     return group[name] if link is not None and link.hard else None
-
-
-def _axis_names(dataset: Any) -> list[str]:
-    """Names of the axes that the group or the data set gives, one for each; none where they do not fit."""
-    for owner in (dataset.parent, dataset):
-        if "axes" in owner.attrs:
-            names = [_word(v) for v in np.ravel(owner.attrs["axes"])]
-            if len(names) == 1:
-                names = names[0].strip("[]").replace(",", ":").split(":")
-            if len(names) == len(dataset.shape):
-                return [name.strip() for name in names]
-    return []
 
 
 def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -> list[Stated]:

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.files import write_whole
-from planish.io.lazy import EAGER_BYTES, FileArray
+from planish.core.typing import Ints
+from planish.io.lazy import EAGER_BYTES, Values
 from planish.io.slice_volume import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
@@ -27,8 +28,6 @@ SATURATED_SHARE = 0.001  # above this share of values at the end of the range, g
 FEW_LEVELS = 16
 
 TELLING_PIXELS = 1000  # slices with fewer pixels may well be alike, or of one grey
-
-Values = NDArray[Any] | FileArray
 
 
 @dataclass(kw_only=True)
@@ -231,7 +230,7 @@ def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int])
 
 def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
     """The nearest pixels, so many per voxel; rows are squeezed for letters, which are higher than wide."""
-    nearest: list[NDArray[np.intp]] = []
+    nearest: list[Ints] = []
     for n, step, per in zip(section.grey.shape, section.step, (scale / squeeze, scale), strict=True):
         count = max(1, round(n * step * per))
         nearest.append(np.minimum(((np.arange(count) + 0.5) * n / count).astype(np.intp), n - 1))

@@ -19,6 +19,7 @@ from planish.core.files import writing
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
 from planish.core.tiles import Tile, tiles_of
+from planish.core.typing import Floats
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
 COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
@@ -138,12 +139,8 @@ class StoredMaps(HeldMaps):
 def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:
     """Give a group of a store whose maps stay there: each part is read when it is asked for.
 
-    Parts that were read stay in memory as far as ``cache`` has room for them.
-
-    Raises
-    ------
-    FileError
-        If it is not there, or damaged; the latter also when a part is read.
+    Parts that were read stay in memory as far as ``cache`` has room for them. FileError if it is not there, or damaged;
+    the latter also when a part is read.
     """
     cache = cache or PartCache(0)
     with readable(path):
@@ -233,7 +230,7 @@ def readable(path: Path) -> Generator[None]:
         raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
 
 
-def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, NDArray[np.float64], dict[str, Any]]]:
+def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, Floats, dict[str, Any]]]:
     """Coordinates of all of a grid, with the attributes of those of some maps on it."""
     axes = zip(("y", "x"), (grid.y_um, grid.x_um), strict=True)
     return {axis: (axis, values, dict(maps[axis].attrs)) for axis, values in axes}

@@ -18,6 +18,7 @@ import numpy as np
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError
 from planish.core.text import and_join
+from planish.core.typing import Pair
 from planish.io.guard import reading
 
 if TYPE_CHECKING:
@@ -60,7 +61,7 @@ class Asked:
     name: str
     axes: tuple[str, ...]
     option: str
-    usual_um: tuple[float, float]
+    usual_um: Pair
 
 
 VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", usual_um=(0.01, 100.0))
@@ -123,13 +124,9 @@ def agreed_size(
 ) -> tuple[tuple[float, ...], str]:
     """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
 
-    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
-    that paper does not have is taken with `unusual` only.
-
-    Raises
-    ------
-    SizeError
-        If it is missing on an axis, contradictory, or outside the possible range.
+    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size that
+    paper does not have is taken with `unusual` only. SizeError if it is missing on an axis, contradictory, or outside
+    the possible range.
     """
     stating = [s for s in stated if any(v is not None for v in s.um)]
     sources = " and ".join(s.source for s in stating)
@@ -233,7 +230,17 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata
         density = _rational(page, 283), _rational(page, 282)
-        stated = [] if ome is None else [_stated_by_ome(ome, path)]
+        stated: list[Stated] = []
+        if ome is not None:  # the first image; the unit is um where none is written, as OME has it
+            if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
+                raise FileError(
+                    f"{path.name}: its OME metadata define entities, which OME never does. Export it again."
+                )
+            pixels = (e.attrib for e in ElementTree.fromstring(ome).iter() if e.tag.rpartition("}")[2] == "Pixels")
+            keys: Mapping[str, str] = next(pixels, {})
+            sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
+            units = [keys.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
+            stated = [stated_in("OME metadata", sizes, units)]
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density))
         # The resolution tags, with their unit, never state z.
@@ -243,17 +250,6 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         return *stated, Stated(
             source="the TIFF resolution", um=(None, *across), note=UNKNOWN_NOTE if None in across else ""
         )
-
-
-def _stated_by_ome(xml: str, path: Path) -> Stated:
-    """Read PhysicalSizeX, Y and Z of the first image; the unit is um where none is written, as OME has it."""
-    if "<!ENTITY" in xml or "<!DOCTYPE" in xml:
-        raise FileError(f"{path.name}: its OME metadata define entities, which OME never does. Export it again.")
-    pixels = (e for e in ElementTree.fromstring(xml).iter() if e.tag.rpartition("}")[2] == "Pixels")
-    first = next(pixels, None)
-    keys: Mapping[str, str] = {} if first is None else first.attrib
-    sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
-    return stated_in("OME metadata", sizes, [keys.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"])
 
 
 def _stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float | None]) -> Stated:

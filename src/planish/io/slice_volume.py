@@ -24,6 +24,7 @@ from tifffile import PHOTOMETRIC
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
+from planish.core.typing import Pair
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, default_memory_limit, reading
 from planish.io.lazy import EAGER_BYTES, PagedArray, supported_type
@@ -65,8 +66,7 @@ def list_slices(folder: Path) -> list[Path]:
     # A preview, a second scan: names that differ in more than numbers.
     patterns = [re.sub(r"\d+", "#", p.stem) + p.suffix.lower() for p in files]
     (main, count), *_ = Counter(patterns).most_common(1)
-    odd = [p for p, pattern in zip(files, patterns, strict=True) if pattern != main]
-    if odd:
+    if odd := [p for p, pattern in zip(files, patterns, strict=True) if pattern != main]:
         raise VolumeError(
             f"{folder.name} holds {count} images named like {files[patterns.index(main)].name}, and {len(odd)} named "
             f"otherwise, first {odd[0].name}. Leave only the slices of one volume in the folder."
@@ -98,15 +98,12 @@ def slice_numbers(files: list[Path], folder: Path) -> list[int]:
 def check_no_gap(numbers: list[int], folder: Path) -> None:
     """Refuse a series with missing or repeated numbers."""
     ordered = sorted(numbers)
-    repeated = sorted(n for n, times in Counter(ordered).items() if times > 1)
-    if repeated:
+    if repeated := sorted(n for n, times in Counter(ordered).items() if times > 1):
         raise VolumeError(
             f"{folder.name} has more than one slice with the number {first_few(repeated)}. Remove the copies."
         )
-    step = slice_step(ordered)
-    wanted, present = range(ordered[0], ordered[-1] + 1, step), set(ordered)
-    count = len(wanted) - len(ordered)
-    if count:
+    wanted, present = range(ordered[0], ordered[-1] + 1, slice_step(ordered)), set(ordered)
+    if count := len(wanted) - len(ordered):
         missing = list(islice((n for n in wanted if n not in present), MOST_NAMES + 1))
         raise VolumeError(
             f"{folder.name} has {len(ordered)} slices from {ordered[0]} to {ordered[-1]}, {count} missing: "
@@ -138,7 +135,7 @@ class Scan:
     last: int | None
     step: int  # from the number of a slice to the next
     extent: tuple[int | None, int | None]  # rows and columns of a slice
-    window: tuple[float, float] | None  # attenuation at grey 0 and at the largest grey value, in NRecon's units
+    window: Pair | None  # attenuation at grey 0 and at the largest grey value, in NRecon's units
     details: dict[str, str]  # further keys, as written
 
 
@@ -232,14 +229,12 @@ def named_slices(scan: Scan, folder: Path) -> list[Path]:
     numbers = [number for number, _ in numbered]
     if scan.first is not None and scan.last is not None:
         present, wanted = set(numbers), range(scan.first, scan.last + 1, scan.step)
-        missing = list(islice((n for n in wanted if n not in present), 9))
-        if missing:
+        if missing := list(islice((n for n in wanted if n not in present), 9)):
             raise VolumeError(
                 f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. Missing: "
                 f"{first_few(missing)}. Add the missing slices, or move the log elsewhere and give --voxel-um."
             )
-        odd = [n for n in numbers if n not in wanted]
-        if odd:
+        if odd := [n for n in numbers if n not in wanted]:
             raise VolumeError(
                 f"{folder.name} holds slices that {scan.log.name} does not name: {first_few(odd)}. Move them elsewhere."
             )

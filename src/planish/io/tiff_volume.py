@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, reading
-from planish.io.lazy import ChangedArray, FileArray, PagedArray, StoredArray, is_small, mapped, transposed
+from planish.io.lazy import ChangedArray, PagedArray, StoredArray, Values, is_small, mapped, transposed
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
@@ -63,7 +63,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
 
 def _series_values(
     series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
-) -> NDArray[Any] | FileArray:
+) -> Values:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
     key = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
@@ -172,35 +172,28 @@ class TiffPages(PagedArray):
     def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
         """Decode rows of a page, dims (y, x)."""
         values = np.empty((stop - start, self.shape[2], self._samples), self.dtype)
-        fill = self._fill_plain if self._plain else self._fill_coded
+        offsets, counts, tables = self._segments[page]
+        row = 0
         with self.path.open("rb") as file:
-            fill(file, page, start, values)
+            while self._plain and row < len(values):
+                strip, inside = divmod(start + row, self._strip_rows)
+                part = values[row : row + self._strip_rows - inside]
+                offset = offsets[strip] + inside * values[0].size * self._stored.itemsize
+                part[...] = stored_rows(file, self.path, offset, part.shape, self._stored)
+                row += len(part)
+            first, last = start // self._strip_rows, -(-stop // self._strip_rows)
+            for index in () if self._plain else range(first * self._across, last * self._across):
+                file.seek(offsets[index])
+                data = file.read(counts[index])
+                if len(data) < counts[index]:
+                    raise damaged(self.path, f"data of page {page + 1} are missing")
+                part, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
+                if part is None:
+                    raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
+                height, width = min(height, stop - y), min(width, self.shape[2] - x)
+                values[y - start : y - start + height, x : x + width] = part[0, :height, :width]
         values = turn_white(values, path=self.path, bits=self._bits, out=values) if self._white else values
         return self._change(values) if self._change is not None else values[..., 0]
-
-    def _fill_plain(self, file: BinaryIO, page: int, start: int, values: NDArray[Any]) -> None:
-        row_bytes = values[0].size * self._stored.itemsize
-        row = 0
-        while row < len(values):
-            strip, inside = divmod(start + row, self._strip_rows)
-            part = values[row : row + self._strip_rows - inside]
-            offset = self._segments[page][0][strip] + inside * row_bytes
-            part[...] = stored_rows(file, self.path, offset, part.shape, self._stored)
-            row += len(part)
-
-    def _fill_coded(self, file: BinaryIO, page: int, start: int, values: NDArray[Any]) -> None:
-        offsets, counts, tables = self._segments[page]
-        stop = start + len(values)
-        for index in range(start // self._strip_rows * self._across, -(-stop // self._strip_rows) * self._across):
-            file.seek(offsets[index])
-            data = file.read(counts[index])
-            if len(data) < counts[index]:
-                raise damaged(self.path, f"data of page {page + 1} are missing")
-            part, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
-            if part is None:
-                raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
-            height, width = min(height, stop - y), min(width, self.shape[2] - x)
-            values[y - start : y - start + height, x : x + width] = part[0, :height, :width]
 
 
 def _open_pages(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]] | None) -> TiffPages:

@@ -6,8 +6,8 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotMeasure
+from planish.core.facts import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.grid import pitch
-from planish.core.results import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.tiles import Engine
 from planish.core.transform import Pair
 from planish.core.typing import Floats

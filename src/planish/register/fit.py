@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
 from planish.core.transform import Transform
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
+from planish.register.bent import NOTABLE, inside
 from planish.register.field import DeviationField
 from planish.register.models import MODELS, AveragedModel, model_named
 from planish.register.pairs import (
@@ -22,7 +23,6 @@ from planish.register.pairs import (
     weighted_rms,
 )
 from planish.register.result import FittedTransform
-from planish.register.strain import NOTABLE, inside
 
 _FEW = 6
 _AVERAGED = 6
@@ -201,7 +201,7 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     return keep, best
 
 
-def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: NDArray[np.intp]) -> list[str]:
+def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: Ints) -> list[str]:
     """Marks that are left out, given twice, or few."""
     warnings: list[str] = []
     out = np.flatnonzero(fit.robust_weights < 1.0)

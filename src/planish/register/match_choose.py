@@ -7,17 +7,8 @@ from math import comb, log10
 
 import numpy as np
 
-from planish.core.typing import Bools, Floats
-from planish.register.match_search import (
-    REACH,
-    Arrangements,
-    Complexes,
-    Ints,
-    chance_without,
-    extents,
-    search,
-    share_within,
-)
+from planish.core.typing import Bools, Floats, Ints
+from planish.register.match_search import REACH, Arrangements, Complexes, chance_without, extents, search, share_within
 from planish.register.pairs import as_complex
 
 # Of the marks of the smaller side that lie in the field of the other, this share has to agree.
@@ -82,8 +73,13 @@ def choose(
     misfit = np.sum(np.minimum(arrangements.squares, tolerance_um**2), axis=1)
     best = int(np.lexsort((misfit, arrangements.log_chance))[0])
     rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
+    # Pairs are within the tolerance, or less where the others agree much better. The median distance of a normal
+    # scatter in the plane is 1.18 standard deviations.
     squares = arrangements.squares[best]
-    rows = np.flatnonzero(squares <= _gate_um(squares, float(arrangements.freedom[best]), tolerance_um) ** 2)
+    agreeing = squares[squares <= tolerance_um * tolerance_um]
+    spare = max(len(agreeing) - float(arrangements.freedom[best]), 1.0)
+    scatter = np.sqrt(np.median(agreeing) * len(agreeing) / spare) / 1.18
+    rows = np.flatnonzero(squares <= float(min(tolerance_um, _OUTLYING * scatter + 0.1 * tolerance_um)) ** 2)
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
     pairs = pairs[:, ::-1] if swapped else pairs
     return BestMatch(
@@ -115,14 +111,6 @@ def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float
     if np.isfinite(chance[first]):
         return float(chance[first]), int(rivals.inliers[first])
     return np.inf, int(rivals.inliers.max())
-
-
-def _gate_um(squares: Floats, freedom: float, tolerance: float) -> float:
-    """Distance within which marks are pairs: the tolerance, or less where the others agree much better."""
-    agreeing = squares[squares <= tolerance * tolerance]
-    # The median distance of a two-dimensional normal scatter is 1.18 standard deviations.
-    scatter = np.sqrt(np.median(agreeing) * len(agreeing) / max(len(agreeing) - freedom, 1.0)) / 1.18
-    return float(min(tolerance, _OUTLYING * scatter + 0.1 * tolerance))
 
 
 def _inside(points: Complexes, around: Complexes, border: float) -> Bools:
@@ -158,8 +146,7 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     then those ``alone`` on either side: lost on the other, or no marks. On each side, a symmetric pattern that lost
     some marks looks like one without symmetry; together they give it away.
     """
-    count, singles = len(points), sum(alone)
-    sure = count - singles
+    count, sure = len(points), len(points) - sum(alone)
     if count < 4:
         return None
     arrangements = search(
@@ -172,10 +159,10 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     symmetries = arrangements.take(arrangements.mirrored | is_moved)
     if len(symmetries.inliers) == 0:
         return None
-    doubt = _log_evidence(symmetries, points, singles, tolerance_um)
+    doubt = _log_evidence(symmetries, points, count - sure, tolerance_um)
     meets = symmetries.squares <= (REACH * tolerance_um) ** 2
     met, met_of_sure = np.count_nonzero(meets, axis=1), np.count_nonzero(meets[:, :sure], axis=1)
-    gone = min(0.9, 0.1 + _LOST_OF_ALONE * (singles + 1.0) / (count + 2.0))
+    gone = min(0.9, 0.1 + _LOST_OF_ALONE * (count - sure + 1.0) / (count + 2.0))
     lost = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (sure + c + 2.0) for c in alone]))
     plausible = np.array([_at_least(count - k, count, gone) > _RARE for k in range(count + 1)])
     # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
@@ -195,13 +182,9 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     turn_deg = abs(float(np.degrees(np.angle(symmetries.alpha[worst]))))
     motion = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
     if not symmetries.mirrored[worst] and turn_deg < 5.0:
-        motion = f"shifted by {abs(_landing(symmetries, worst, points.mean()) - points.mean()):.0f} um"
+        away = symmetries.alpha[worst] * points.mean() + symmetries.gamma[worst] * np.conj(points.mean())
+        motion = f"shifted by {abs(away + symmetries.beta[worst] - points.mean()):.0f} um"
     return f"of the {count} marks in all, {met[worst]} coincide with a mark again when the pattern is {motion}"
-
-
-def _landing(arrangements: Arrangements, row: int, point: complex) -> complex:
-    """Place to which an arrangement takes a point."""
-    return arrangements.alpha[row] * point + arrangements.gamma[row] * np.conj(point) + arrangements.beta[row]
 
 
 def _log_evidence(symmetries: Arrangements, points: Complexes, singles: int, tolerance: float) -> Floats:

@@ -10,8 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from planish.core.errors import MarkError
-from planish.core.transform import Pair
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField, covariance, covariance_slope
 from planish.register.model import Model
@@ -88,13 +87,7 @@ MODELS: dict[str, Model] = {
 
 
 def model_named(name: str) -> Model:
-    """Return a model by its name.
-
-    Raises
-    ------
-    MarkError
-        If there is none of that name.
-    """
+    """Return a model by its name; MarkError if there is none of that name."""
     if name not in MODELS:
         raise MarkError(f"The model is {name!r}; it has to be one of {', '.join(MODELS)} or auto.")
     return MODELS[name]

@@ -14,10 +14,10 @@ from planish.core.errors import CannotRegister, MarkError
 from planish.core.text import and_join
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.core.typing import Floats
+from planish.register.bent import LocalStrain, strain_of
 from planish.register.field import DeviationField
 from planish.register.models import MODELS, model_named
 from planish.register.pairs import Pairs, points_of, weighted_rms
-from planish.register.strain import LocalStrain, strain_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

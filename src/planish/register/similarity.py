@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -50,7 +50,8 @@ class RigidModel(ParametricModel):
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
-        return similarity_columns(_turned(transform, frame, points), only_turn=True)
+        away = (transform(points) - transform(frame[0])) / frame[1]
+        return similarity_columns(away[..., 0] + 1j * away[..., 1], only_turn=True)
 
 
 class SimilarityModel(ParametricModel):
@@ -69,21 +70,16 @@ class SimilarityModel(ParametricModel):
             alpha = product / square
             _refuse_no_rotation(product, square)
             beta = w_mean - alpha * z_mean
-            shift_um = (beta.real, beta.imag)
-            return Similarity(
-                scale=abs(alpha), rotation_rad=float(np.angle(alpha)), shift_um=shift_um, mirrored=mirrored
-            )
+            angle, shift_um = float(np.angle(alpha)), (beta.real, beta.imag)
+            return Similarity(scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored)
         share = pairs.weights / np.sum(pairs.weights)
         z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
         target = share @ pairs.fixed
         beta_x, beta_y, a, b = least_squares(pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name)
         _refuse_no_rotation(complex(a, b) / size, 1.0)
         turn = Similarity(scale=float(np.hypot(a, b)) / size, rotation_rad=float(np.arctan2(b, a)), mirrored=mirrored)
-        shift = target + np.array([beta_x, beta_y]) - turn(middle)
-        return Similarity(
-            scale=turn.scale, rotation_rad=turn.rotation_rad, shift_um=(float(shift[0]), float(shift[1])),
-            mirrored=mirrored,
-        )  # fmt: skip
+        x, y = (target + np.array([beta_x, beta_y]) - turn(middle)).tolist()
+        return replace(turn, shift_um=(x, y))
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, stretch, turn."""
@@ -136,12 +132,6 @@ def _refuse_no_rotation(product: complex, square: float) -> None:
         )
 
 
-def _turned(transform: Transform, frame: Frame, points: Floats) -> NDArray[np.complex128]:
-    """Images of points (..., 2) around that of the middle, as complex numbers over the size."""
-    away = (transform(points) - transform(frame[0])) / frame[1]
-    return away[..., 0] + 1j * away[..., 1]
-
-
 def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
     """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
     ones, zeros = np.ones(z.shape), np.zeros(z.shape)
@@ -183,6 +173,10 @@ class ProjectiveModel(ParametricModel):
                 source_size=size, target_size=target_size,
             )  # fmt: skip
 
+        def cost(trial: Projective) -> float:
+            error = whitening @ (pairs.fixed - trial(pairs.moving))[..., None]
+            return float(np.sum(error**2))
+
         scaled = (pairs.moving - middle) / size
         transform = build(_direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share)))
         whitening = pairs.whitening()
@@ -195,7 +189,11 @@ class ProjectiveModel(ParametricModel):
                     "sheet. Check the pairs, or fit an affine transformation."
                 )
             step = least_squares(whitening, self.design(transform, (middle, size), pairs.moving), error, self.name)
-            transform = _take_step(transform, step, pairs, whitening, build)
+            # Shortened until the error does not rise.
+            before, h = cost(transform), np.array(transform.homography)
+            trials = (build(h + np.append(step / 2**k, 0.0).reshape(3, 3)) for k in range(12))
+            allowed = before * (1 + 1e-9) + 1e-300
+            transform = next((t for t in trials if np.isfinite(after := cost(t)) and after <= allowed), transform)
             length = float(np.abs(step).max())
             # The last digits do not settle: steps of rounding are as long as the one before.
             if length < 1e-15 or (length < 1e-9 and length >= 0.5 * last):
@@ -232,22 +230,3 @@ def _direct_linear(moving: Floats, fixed: Floats, root: Floats) -> Floats:
             "one flat sheet. Check the pairs, add marks away from that line, or fit an affine transformation."
         )
     return h
-
-
-def _take_step(
-    transform: Projective, step: Floats, pairs: Pairs, whitening: Floats, build: Callable[[Floats], Projective]
-) -> Projective:
-    """Take a Gauss-Newton step, shortened until the error does not rise."""
-
-    def cost(trial: Projective) -> float:
-        error = whitening @ (pairs.fixed - trial(pairs.moving))[..., None]
-        return float(np.sum(error**2))
-
-    before = cost(transform)
-    h = np.array(transform.homography)
-    for halvings in range(12):
-        trial = build(h + np.append(step / 2**halvings, 0.0).reshape(3, 3))
-        after = cost(trial)
-        if np.isfinite(after) and after <= before * (1 + 1e-9) + 1e-300:
-            return trial
-    return transform

@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from planish.core.series import FACTORS
-from planish.core.series_results import Quantity, Specimen
+from planish.core.series_results import FACTORS, Quantity, Specimen
 from planish.series.gather import Gathered
 
 _NEST = ("sheet", "field")

@@ -9,8 +9,7 @@ from pathlib import Path
 from planish.core.checks import State
 from planish.core.errors import FileError
 from planish.core.facts import is_known
-from planish.core.series import Member
-from planish.core.series_results import InstrumentFacts, RunKind
+from planish.core.series_results import InstrumentFacts, Member, RunKind
 from planish.pipeline.run import open_results
 from planish.results import CorrelationRow, LayerFacts, Results
 from planish.series.rows import Row, rows_of

@@ -16,7 +16,7 @@ from planish.compute import Compute, run_key
 from planish.core.errors import PlanishError, ResourceError
 from planish.core.facts import Facts
 from planish.core.files import write_whole
-from planish.core.series import Member, MemberState
+from planish.core.series_results import Member, MemberState
 from planish.io import find_place, fingerprint
 from planish.io.hashes import files_of
 from planish.io.run_folder import sweep

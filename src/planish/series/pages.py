@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from planish.core.files import delete, write_whole
-from planish.core.series import Member
-from planish.core.series_results import Quantity, SeriesResults
+from planish.core.series_results import Member, Quantity, SeriesResults
 from planish.core.tables import table_text
 from planish.report import series_page
 from planish.series.declared import Declared, declared_of

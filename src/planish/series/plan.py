@@ -15,7 +15,7 @@ from pydantic import ValidationError
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
 from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
-from planish.core.series import Member
+from planish.core.series_results import Member
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.pipeline.build import study_of

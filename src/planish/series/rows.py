@@ -7,9 +7,8 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from planish.core.checks import concerned
-from planish.core.facts import Trust, is_known
-from planish.core.results import SheetNumbers
-from planish.core.series import Member
+from planish.core.facts import SheetNumbers, Trust, is_known
+from planish.core.series_results import Member
 from planish.results import CorrelationRow, LayerFacts, Results, Twice
 
 _OF_A_PROPERTY = ("mean", "sd", "p5", "median", "p95")

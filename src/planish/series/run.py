@@ -6,7 +6,7 @@ from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from planish.compute import Compute
-from planish.core.series import Member
+from planish.core.series_results import Member
 from planish.core.threads import count_threads
 from planish.series.jobs import Book, Job
 from planish.series.plan import Plan, Specimen

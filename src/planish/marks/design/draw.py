@@ -212,7 +212,12 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
         ("varies over", f"{imaging.rim_length_um:g} µm"),
     ]
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
-    page.aside("Rules", [(rule.name, _measured_and_limit(rule)) for rule in rules])
+    limits = [
+        f"{rule.value:.{0 if rule.unit in ('um', 'holes') else 2}f} {rule.unit.replace('um', 'µm')}".strip()
+        + f"  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"
+        for rule in rules
+    ]
+    page.aside("Rules", [(rule.name, limit) for rule, limit in zip(rules, limits, strict=True)])
     return page
 
 
@@ -244,9 +249,9 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
 def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
     """Draw the path of a stage program, from its dry run."""
     points, path = run.fired_um, run.path_um
-    low, size = path.min(axis=0), np.maximum(np.ptp(path, axis=0), 1000.0)
+    size = np.maximum(np.ptp(path, axis=0), 1000.0)
     border = 0.03 * float(size.max())
-    low, size = low - border, size + 2 * border
+    low, size = path.min(axis=0) - border, size + 2 * border
     page = Page(title, run.sentence(), low.tolist(), size.tolist(), note="; numbers: order of the shots")
     axes = page.plan
     axes.plot(*path.T, "-", color=SOFT, lw=0.8, clip_on=False)
@@ -316,15 +321,6 @@ def _write(
 
 def _box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
     axes.add_patch(Rectangle((low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}))
-
-
-def _measured_and_limit(rule: Rule) -> str:
-    """Write what was measured, and the limit."""
-    digits = f"{rule.value:.0f}" if rule.unit in ("um", "holes") else f"{rule.value:.2f}"
-    return (
-        f"{digits} {rule.unit.replace('um', 'µm')}".strip()
-        + f"  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"
-    )
 
 
 def _size(size_um: Sequence[float]) -> str:

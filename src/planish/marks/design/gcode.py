@@ -29,14 +29,13 @@ from itertools import pairwise
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints, Pair
 from planish.marks.design.params import StageParams
 from planish.marks.design.pattern import Pattern
 
-Ints = NDArray[np.intp]
 Groups = list[tuple[int, Any]]
 
 # Name, colour number: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
@@ -76,7 +75,7 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     return "\n".join([*lines, "; back to the origin", home, "M2"]) + "\n"
 
 
-def short_route(points_um: ArrayLike, start_um: tuple[float, float]) -> Ints:
+def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
     """Sort the points (n, 2) into a short path that begins and ends at ``start_um``.
 
     The path is built to the nearest open point each time, then stretches of it are turned round as long as that
@@ -153,7 +152,7 @@ def pattern_dxf(pattern: Pattern) -> str:
     return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
 
-def _polyline(layer: str, *corners: tuple[float, float]) -> Groups:
+def _polyline(layer: str, *corners: Pair) -> Groups:
     groups: Groups = []
     for start, end in pairwise(corners):
         groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
@@ -269,20 +268,21 @@ class _Machine:
     clock_s: float = 0.0
     started_s: float = 0.0  # when the laser was switched on, and how long it has been on
     lit_s: float = 0.0
-    path: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
-    fired: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
-    switched_s: list[tuple[float, float]] = field(default_factory=list[tuple[float, float]])
+    path: list[Pair] = field(default_factory=list[Pair])
+    fired: list[Pair] = field(default_factory=list[Pair])
+    switched_s: list[Pair] = field(default_factory=list[Pair])
     pulses: list[float] = field(default_factory=list[float])
 
     def run_line(self, text: str) -> None:
         """Carry out one line."""
         if self.done & {"M2", "M30"}:
             raise MarkError("the program goes on after its end; remove what follows M2")
-        words = [word for word in _words(text) if word[0] != "N"]  # the number of a line
+        if foreign := _WORD.sub("", text):
+            raise MarkError(f"{foreign[:20]!r} is not in the dialect ({_KNOWN})")
+        words = [(letter, float(value)) for letter, value in _WORD.findall(text) if letter != "N"]  # number of a line
         commands = [f"{letter}{value:g}" for letter, value in words if letter in "GM"]
         numbers = {letter: value for letter, value in words if letter not in "GM"}
-        unknown = [command for command in commands if command not in _COMMANDS]
-        if unknown:
+        if unknown := [command for command in commands if command not in _COMMANDS]:
             raise MarkError(f"{unknown[0]} is not known; the dialect has {_KNOWN}")
         if len(numbers) + len(commands) != len(words):
             raise MarkError("a letter is given twice")
@@ -291,9 +291,8 @@ class _Machine:
         allowed = "".join(_COMMANDS[command] for command in commands)
         if not commands:
             allowed = "XYF" if self.moves else "F"
-        foreign = [letter for letter in numbers if letter not in allowed]
-        if foreign:
-            raise MarkError(f"{foreign[0]} has no meaning here")
+        if meaningless := [letter for letter in numbers if letter not in allowed]:
+            raise MarkError(f"{meaningless[0]} has no meaning here")
         if "F" in numbers:
             if numbers["F"] <= 0:
                 raise MarkError("the speed F is not positive")
@@ -310,13 +309,36 @@ class _Machine:
             elif command and "F" not in numbers:
                 raise MarkError("a move without a position")
         elif command == "G4":
-            self._wait(numbers.get("P", -1.0))
+            seconds = numbers.get("P", -1.0)
+            if seconds < 0:
+                raise MarkError("G4 needs a time P in seconds")
+            self.clock_s += seconds
+            self.lit_s += seconds if self.on else 0.0
+            if self.on and self.lit_s > self.longest_s + 1e-12:
+                raise MarkError(
+                    f"a pulse of {self.lit_s:g} s is longer than {self.longest_s:g} s and would burn the sheet; P is "
+                    "in seconds"
+                )
         elif command in ("M64", "M65") and "P" not in numbers:
             raise MarkError(f"{command} needs the number P of the output")
         elif command in _OFF:
-            self._switch_on(command)
-        elif command in _OFF.values():
-            self._switch_off(command)
+            if not self.path:
+                raise MarkError("the laser fires before both X and Y are known")
+            if self.on:
+                raise MarkError("the laser is on already")
+            x, y = self.path[-1]
+            if any(math.hypot(x - a, y - b) < _SAME_UM for a, b in self.fired):
+                raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
+            self.on, self.lit_s, self.started_s = command, 0.0, self.clock_s
+            self.fired.append((x, y))
+        elif command in _OFF.values() and self.on:  # a program may make sure that the laser is off
+            if _OFF[self.on] != command:
+                raise MarkError(f"{command} does not switch off what {self.on} switched on")
+            if self.lit_s <= 0:
+                raise MarkError("a pulse without a length; put G4 P between on and off")
+            self.on = ""
+            self.switched_s.append((self.started_s, self.clock_s))
+            self.pulses.append(self.lit_s)
         elif command in ("M2", "M30") and self.on:
             raise MarkError("the program ends with the laser on; switch it off before")
 
@@ -342,40 +364,6 @@ class _Machine:
             self.clock_s += 60 * math.dist(target, self.path[-1]) / 1000 / self.speed
         self.path.append(target)
 
-    def _wait(self, seconds: float) -> None:
-        if seconds < 0:
-            raise MarkError("G4 needs a time P in seconds")
-        self.clock_s += seconds
-        if self.on:
-            self.lit_s += seconds
-            if self.lit_s > self.longest_s + 1e-12:
-                raise MarkError(
-                    f"a pulse of {self.lit_s:g} s is longer than {self.longest_s:g} s and would burn the sheet; P is "
-                    "in seconds"
-                )
-
-    def _switch_on(self, command: str) -> None:
-        if not self.path:
-            raise MarkError("the laser fires before both X and Y are known")
-        if self.on:
-            raise MarkError("the laser is on already")
-        x, y = self.path[-1]
-        if any(math.hypot(x - a, y - b) < _SAME_UM for a, b in self.fired):
-            raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
-        self.on, self.lit_s, self.started_s = command, 0.0, self.clock_s
-        self.fired.append((x, y))
-
-    def _switch_off(self, command: str) -> None:
-        if not self.on:
-            return  # a program may make sure that the laser is off
-        if _OFF[self.on] != command:
-            raise MarkError(f"{command} does not switch off what {self.on} switched on")
-        if self.lit_s <= 0:
-            raise MarkError("a pulse without a length; put G4 P between on and off")
-        self.on = ""
-        self.switched_s.append((self.started_s, self.clock_s))
-        self.pulses.append(self.lit_s)
-
     def dry_run(self) -> DryRun:
         """Give the dry run, if the program is whole."""
         if self.on:
@@ -392,10 +380,3 @@ class _Machine:
             least_pause_s=min(pauses, default=math.nan),
             time_s=self.clock_s,
         )
-
-
-def _words(text: str) -> list[tuple[str, float]]:
-    """Split a line into letters and numbers."""
-    if foreign := _WORD.sub("", text):
-        raise MarkError(f"{foreign[:20]!r} is not in the dialect ({_KNOWN})")
-    return [(letter, float(value)) for letter, value in _WORD.findall(text)]

@@ -31,10 +31,8 @@ from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFlo
 
 from planish.core.errors import MarkError
 from planish.core.tables import model_faults, parse_table, raise_faults, read_text, table_text
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.marks.design.params import DesignParams, ImagingParams
-
-Pair = tuple[float, float]
 
 FORMAT, VERSION = "planish hole pattern", 1
 SIDES = ("bottom", "right", "top", "left")

@@ -11,7 +11,6 @@ rate of its own.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import combinations
 
@@ -19,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
-from planish.core.typing import Floats
+from planish.core.typing import Pair
 from planish.marks.design.params import DesignParams
 from planish.marks.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern
 from planish.marks.design.rules import (
@@ -32,7 +31,7 @@ from planish.marks.design.rules import (
     simple_rules,
 )
 
-Ints = NDArray[np.int64]
+Steps = NDArray[np.int64]
 
 STEP_UM = 50.0
 _BATCH = 4000
@@ -68,24 +67,14 @@ class Ruler:
         """Largest position of a hole that is no corner."""
         return self.length - (self.spacing if self.end else self.marker)
 
-    def with_corners(self, inner: Ints) -> Ints:
+    def with_corners(self, inner: Steps) -> Steps:
         """Add the holes in the corners to positions (..., n)."""
         start = np.zeros((*inner.shape[:-1], int(self.start)), dtype=np.int64)
         end = np.full((*inner.shape[:-1], int(self.end)), self.length, dtype=np.int64)
         return np.concatenate([start, inner, end], axis=-1)
 
 
-def share_holes(count: int, lengths: Sequence[float], least: int) -> list[int]:
-    """Share holes out to the four sides, each at least so many, by the sides' lengths."""
-    shares = [least] * 4
-    for _ in range(max(0, count - 4 * least)):
-        # The side on which the holes are farthest apart gets the next one.
-        side = max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))
-        shares[side] += 1
-    return shares
-
-
-def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generator) -> Ints | None:
+def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generator) -> Steps | None:
     """Draw positions (count,) of the holes between the corners; None if nothing fits.
 
     ``used`` are the distances on the sides before.
@@ -105,12 +94,7 @@ def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generato
     return None
 
 
-def coded_distances(ruler: Ruler, inner: Ints) -> set[int]:
-    """Return the distances between all holes of a side, in steps."""
-    return set(_distances(ruler.with_corners(inner)[None])[0].tolist())
-
-
-def growing_side(ruler: Ruler, count: int, rate: float) -> Ints | None:
+def growing_side(ruler: Ruler, count: int, rate: float) -> Steps | None:
     """Give positions (count,) with a pitch that grows evenly, by ``rate`` in all; None if the pitch gets too small."""
     pitch = 1 + rate * np.arange(count + 1) / count
     marks = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[:-1]
@@ -119,17 +103,7 @@ def growing_side(ruler: Ruler, count: int, rate: float) -> Ints | None:
     return marks if fits else None
 
 
-def around_frame(sides: Sequence[Ints], width: int, height: int) -> tuple[Floats, Ints]:
-    """Lay the sides around the frame: positions (n, 2) in um from its lower left corner, and the side of each."""
-    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
-    direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-    # The first corner stays empty.
-    along = [np.array([0, *inner] if side else inner, dtype=np.int64) for side, inner in enumerate(sides)]
-    points = np.concatenate([corners[k] + steps[:, None] * direction[k] for k, steps in enumerate(along)])
-    return STEP_UM * points, np.repeat(np.arange(4), [len(steps) for steps in along])
-
-
-def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
+def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Steps:
     """Draw sorted positions (batch, count) of which at least four survive every crop that keeps the side.
 
     A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole
@@ -147,7 +121,7 @@ def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Ints:
     return np.sort(np.round(np.concatenate([first, second, third], axis=1)).astype(np.int64), axis=1)
 
 
-def _distances(marks: Ints) -> Ints:
+def _distances(marks: Steps) -> Steps:
     """Return all distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
     n = marks.shape[1]
     pairs = [pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]
@@ -191,7 +165,11 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     A small field has no room around it for so many holes: unless the margin is given, it widens until there is.
     """
     reasons: dict[int, str] = {}
-    for blank in _blank_patterns(params):
+    blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
+    if params.margin_um is None:
+        margins = (min(blanks[0].margin_um) + float(more) for more in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM))
+        blanks += [_blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins]
+    for blank in blanks:
         reasons.clear()
         for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
             design, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
@@ -203,15 +181,6 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     more = " The layout 'coded' takes less room." if params.layout == "line" else ""
     raise MarkError(f"No {params.layout} pattern around {size} mm keeps the rules. {reasons[min(reasons)]}{more}")
-
-
-def _blank_patterns(params: DesignParams) -> Iterator[Pattern]:
-    """Yield patterns without holes, the margin as it is given, or wider and wider."""
-    blank = _blank_pattern(params)
-    yield blank
-    if params.margin_um is None:
-        for more_um in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM):
-            yield _blank_pattern(params.model_copy(update={"margin_um": min(blank.margin_um) + float(more_um)}))
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:
@@ -244,7 +213,7 @@ def _search(
     area = area_rule(blank, count)
     if not area.passed:
         return None, f"With {count} holes, {area.sentence()}: {area.remedy}."
-    candidates: list[tuple[tuple[float, float], Pattern, tuple[Rule, ...]]] = []
+    candidates: list[tuple[Pair, Pattern, tuple[Rule, ...]]] = []
     nearest: list[Rule] | None = None
     searched = 0
     for _ in range(_ATTEMPTS[blank.layout]):
@@ -288,10 +257,13 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
-    shares = share_holes(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
+    shares = [min(_LEAST_A_SIDE, max(1, (count - 3) // 4))] * 4
+    for _ in range(max(0, count - 3 - sum(shares))):
+        # The side on which the holes are farthest apart gets the next one.
+        shares[max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))] += 1
     rates = rng.permutation(np.array(RATES)) + rng.uniform(-0.4, 0.4, 4)
     used: set[int] = set()
-    sides: list[Ints] = []
+    sides: list[Steps] = []
     for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
         ruler = Ruler(
             length=length, start=side != 0, end=side != 3, spacing=spacing, marker=marker,
@@ -304,7 +276,12 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
             inner = growing_side(ruler, share, float(rates[side]))
         if inner is None:
             return None
-        used |= coded_distances(ruler, inner)
+        used |= set(_distances(ruler.with_corners(inner)[None])[0].tolist())
         sides.append(inner)
-    points, owner = around_frame(sides, width, height)
-    return blank.with_holes(points + np.array(blank.frame_low_um), [SIDES[side] for side in owner])
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
+    direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+    # The first corner stays empty.
+    along = [np.array([0, *inner] if side else inner, dtype=np.int64) for side, inner in enumerate(sides)]
+    points = np.concatenate([corners[k] + steps[:, None] * direction[k] for k, steps in enumerate(along)])
+    lines = [line for line, steps in zip(SIDES, along, strict=True) for _ in steps]
+    return blank.with_holes(STEP_UM * points + np.array(blank.frame_low_um), lines)

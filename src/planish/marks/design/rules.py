@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from planish.core.errors import MarkError
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 from planish.marks.design.pattern import Pattern
 
 TOLERANCE_UM = 25.0  # within which two marks are taken for one
@@ -40,11 +40,6 @@ class Motions:
     def best_count(self, kind: str) -> int:
         """Count the holes that the best motion of a kind explains."""
         return int(np.sum(self.hit[self.kind == kind], axis=1).max(initial=0))
-
-    def best_counts(self, masks: Bools) -> NDArray[np.intp]:
-        """Count, for each choice of holes (choices, n), those that the best motion without a mirror explains."""
-        hit = self.hit[self.kind != "mirror"].astype(np.float32)
-        return np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
 
 
 def self_motions(points_um: Floats) -> Motions:
@@ -93,7 +88,7 @@ class _HoleIndex:
             first, last = (((point + d - self.low) / self.cell).astype(np.intp) for d in (-self.reach, self.reach))
             self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
 
-    def holes_at(self, landed: NDArray[np.complex128]) -> NDArray[np.intp]:
+    def holes_at(self, landed: NDArray[np.complex128]) -> Ints:
         """Return the number of the hole at each point, or n where there is none."""
         if self.table is None:
             flat = np.stack([landed.real.ravel(), landed.imag.ravel()], axis=1)
@@ -110,7 +105,7 @@ class _HoleIndex:
 
 
 def _motion_hits(
-    z: NDArray[np.complex128], base: NDArray[np.intp], goal: NDArray[np.intp], index: _HoleIndex, mirrored: bool
+    z: NDArray[np.complex128], base: Ints, goal: Ints, index: _HoleIndex, mirrored: bool
 ) -> tuple[Bools, NDArray[np.str_]]:
     """Return which holes meet one under each motion, and the kind of each."""
     if not mirrored:
@@ -132,7 +127,7 @@ def _motion_hits(
     return hit, np.select([half, quarter], ["half turn", "quarter turn"], "shift")
 
 
-def perimeter_order(points_um: Floats) -> NDArray[np.intp]:
+def perimeter_order(points_um: Floats) -> Ints:
     """Sort the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
     low, size = points_um.min(axis=0), np.ptp(points_um, axis=0)
     x, y = (points_um - low).T
@@ -281,13 +276,16 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     radius = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) + np.diag(np.full(n, np.inf))
     least = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
+    # How much farther the emptiest corner of the frame is from its nearest hole than the next one.
+    corners = pattern.frame_low_um + np.array(pattern.frame_um) * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    nearest = np.sort(np.hypot(*(corners[:, None] - points[None]).transpose(2, 0, 1)).min(axis=1))
     return (
         _rule("count", n, LEAST_HOLES),
         _rule("around", inside, 0),
         _rule("radius", radius / float(np.hypot(*field)), RADIUS_SHARE),
         _rule("spacing", float(gaps.min()), least),
         area_rule(pattern, n),
-        _rule("marker", _marker_um(pattern), MARKER_DIAMETERS * diameter),
+        _rule("marker", float(nearest[3] - nearest[2]), MARKER_DIAMETERS * diameter),
         _rule("crop", int(crops(pattern).sum(axis=1).min()), SURVIVORS),
     )
 
@@ -308,7 +306,10 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     points, masks = pattern.points_um, crops(pattern)
     motions = self_motions(points)
     kinds = ("half turn", "quarter turn", "mirror", "shift")
-    worst = float(np.max(motions.best_counts(masks) / np.maximum(masks.sum(axis=1), _FEW)))
+    # Of each crop, the holes that the best motion without a mirror explains.
+    hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
+    counts = np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
+    worst = float(np.max(counts / np.maximum(masks.sum(axis=1), _FEW)))
     rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
     return (*rivals, _rule("crop told apart", worst, RIVAL_SHARE))
 
@@ -327,23 +328,13 @@ def crops(pattern: Pattern) -> Bools:
     for across in (0, 1):  # the direction across the side that the crop keeps
         along = 1 - across
         length, depth = (1 - CROP) * view[along], (1 - CROP) * view[across]
-        steps = np.concatenate(
-            [points[:, along] - radius + 1e-3, points[:, along] + radius - length - 1e-3, [0.0, CROP * view[along]]]
-        )
-        steps = np.unique(np.clip(steps, 0.0, CROP * view[along]))
         low, high = points[:, along] - radius, points[:, along] + radius
+        steps = np.concatenate([low + 1e-3, high - length - 1e-3, [0.0, CROP * view[along]]])
+        steps = np.unique(np.clip(steps, 0.0, CROP * view[along]))
         inside = (low >= steps[:, None]) & (high <= steps[:, None] + length)
         survivors.append(inside & (points[:, across] + radius <= depth))
         survivors.append(inside & (points[:, across] - radius >= view[across] - depth))
     return np.unique(np.concatenate(survivors), axis=0)
-
-
-def _marker_um(pattern: Pattern) -> float:
-    """Measure how much farther the emptiest corner of the frame is from its nearest hole than the next one."""
-    low, size = np.array(pattern.frame_low_um), np.array(pattern.frame_um)
-    corners = low + size * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    nearest = np.sort(np.hypot(*(corners[:, None] - pattern.points_um[None]).transpose(2, 0, 1)).min(axis=1))
-    return float(nearest[3] - nearest[2])
 
 
 def _rule(name: str, value: float, limit: float) -> Rule:

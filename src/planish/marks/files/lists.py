@@ -225,7 +225,18 @@ def join_lists(
         titles = [point_list.title.strip().lower() for point_list in lists]
         if swap != (titles[0] in _SECOND_NAMES and titles[1] in _FIRST_NAMES):
             first, last = last, first
-        _check_together(first, last, name)
+        a, b = first.names, last.names
+        if len(a) != len(b):
+            raise MarkError(
+                f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points ({last.title}). Points "
+                "belong together in their order, so both need the same number: add or remove points."
+            )
+        if a != b and sorted(a) == sorted(b):
+            k = next(k for k in range(len(a)) if a[k] != b[k])
+            raise MarkError(
+                f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are both number {k + 1}. "
+                "Points belong together in their order: sort one list, or rename its points."
+            )
         layers = {"moving": (first, moving), "fixed": (last, fixed)}
     places = {layer: _places(point_list, layer, facts, unit, name) for layer, (point_list, facts) in layers.items()}
     about = {layer: dict(point_list.about) | facts.about() for layer, (point_list, facts) in layers.items()}
@@ -256,19 +267,3 @@ def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | N
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
         um = (0.0 if point_list.placed else origin) + coordinates * factor
         return Places(um=um, source=point_list.source, extras=extras)
-
-
-def _check_together(first: PointList, second: PointList, name: str) -> None:
-    """Refuse lists whose points cannot belong together in their order."""
-    a, b = first.names, second.names
-    if len(a) != len(b):
-        raise MarkError(
-            f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points ({second.title}). Points belong "
-            "together in their order, so both need the same number: add or remove points."
-        )
-    if a != b and sorted(a) == sorted(b):
-        k = next(k for k in range(len(a)) if a[k] != b[k])
-        raise MarkError(
-            f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are both number {k + 1}. "
-            "Points belong together in their order: sort one list, or rename its points."
-        )

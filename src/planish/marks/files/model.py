@@ -14,11 +14,10 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
 from planish.core.tables import raise_faults
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 
 SOURCES = ("detected", "clicked", "predicted", "imported")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
@@ -57,7 +56,7 @@ class Places:
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
     @classmethod
-    def of_holes(cls, holes: xr.Dataset, rows: NDArray[np.intp], source: str = "detected") -> Places:
+    def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> Places:
         """Give places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
         values = {name: np.append(holes[name].values, np.nan)[rows] for name in ("x", "y", *EXTRAS) if name in holes}
         return cls(um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values)
@@ -301,8 +300,7 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
         points = points[np.isfinite(points).all(axis=1)]
         if len(points) < LEAST_MARKS or not {"pixel_um", "size_px"} <= about.keys():
             continue
-        misfit = _misfit(points, about, stated=stated)
-        if misfit:
+        if misfit := _misfit(points, about, stated=stated):
             raise MarkError(f"{name}: the marks in {layer} span {misfit}")
 
 

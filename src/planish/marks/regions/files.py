@@ -40,13 +40,8 @@ _WIDEST = 1e6  # pixels
 _DRAW = "Draw each region as a polygon, rectangle, oval or freehand selection, and save it again."
 
 
-def read_roi(data: bytes, name: str) -> Regions:
-    """Read a selection; FileError if it is damaged or covers no area."""
-    return _read([(name, data)], name)
-
-
-def read_roi_zip(data: bytes, name: str, *, most: int) -> Regions:
-    """Read an archive of selections, unpacked at most ``most`` bytes; FileError if one of them is of no use."""
+def _unpacked(data: bytes, name: str, *, most: int) -> list[tuple[str, bytes]]:
+    """Names and bytes of an archive of selections, unpacked at most ``most`` bytes."""
     if data.count(_ENTRY) > 2 * MOST_REGIONS:  # before its table of contents is read
         raise FileError(f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of ImageJ.")
     parts: list[tuple[str, bytes]] = []
@@ -67,10 +62,10 @@ def read_roi_zip(data: bytes, name: str, *, most: int) -> Regions:
         raise FileError(f"{name} is a damaged archive ({error}). Save the selections again.") from error
     if not parts:
         raise FileError(f"{name} is an empty archive. {_DRAW}")
-    return _read(parts, name)
+    return parts
 
 
-def _read(parts: list[tuple[str, bytes]], name: str) -> Regions:
+def _read_selections(parts: list[tuple[str, bytes]], name: str) -> Regions:
     faults: list[str] = []
     regions: list[Region] = []
     for part, data in parts:
@@ -105,9 +100,13 @@ def _selection(data: bytes, default_name: str) -> Region:
         polygons = ((ring_of(_polygon(data, is_subpixel=subpixel_version >= _SUBPIXEL_FROM)),),)
     else:
         raise ValueError(f"it is of the unknown type {kind}")
-    label, properties = _name_and_properties(data, second_header)
-    texts = {key: text_of(value, key) for key, value in (("name", label or default_name), *properties.items())}
-    return Region(polygons=polygons, **texts)
+    label, properties = "", dict[str, str]()
+    if _HEAD <= second_header <= len(data) - _SECOND:
+        label = _text(data, *struct.unpack_from(">ii", data, second_header + 16))
+        lines = _text(data, *struct.unpack_from(">ii", data, second_header + 40)).splitlines()
+        properties = {key.strip().lower(): value for key, sign, value in (k.partition(":") for k in lines) if sign}
+    texts = {"name": label or default_name} | {k: properties[k] for k in ("reason", "author") if k in properties}
+    return Region(polygons=polygons, **{key: text_of(value, key) for key, value in texts.items()})
 
 
 def _box(data: bytes, kind: int, *, is_subpixel: bool) -> Ring:
@@ -173,16 +172,6 @@ def _short(value: int) -> int:
     return value + 65536 if value < -5000 else value
 
 
-def _name_and_properties(data: bytes, begin: int) -> tuple[str, dict[str, str]]:
-    """Read the name of a selection, and its properties ``reason`` and ``author``."""
-    if not _HEAD <= begin <= len(data) - _SECOND:
-        return "", {}
-    name = _text(data, *struct.unpack_from(">ii", data, begin + 16))
-    lines = [line.partition(":") for line in _text(data, *struct.unpack_from(">ii", data, begin + 40)).splitlines()]
-    properties = {key.strip().lower(): value for key, sign, value in lines if sign}
-    return name, {key: properties[key] for key in ("reason", "author") if key in properties}
-
-
 def _text(data: bytes, begin: int, length: int) -> str:
     if begin <= 0 or length <= 0:
         return ""
@@ -215,10 +204,11 @@ def read_regions(path: str | Path) -> Regions:
     """
     name = Path(path).name
     content = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
-    if content.startswith(ZIP):
-        regions = read_roi_zip(content, name, most=_LARGEST_FILE)
+    if content.startswith((ZIP, ROI)):
+        parts = _unpacked(content, name, most=_LARGEST_FILE) if content.startswith(ZIP) else [(name, content)]
+        regions = _read_selections(parts, name)
     else:
-        regions = (read_roi if content.startswith(ROI) else _read_geojson)(content, name)
+        regions = _read_geojson(content, name)
     points = sum(len(ring) for region in regions.declared for rings in region.polygons for ring in rings)
     if not regions.declared:
         raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
@@ -233,10 +223,7 @@ def read_regions(path: str | Path) -> Regions:
 def _read_geojson(data: bytes, name: str) -> Regions:
     """Read a FeatureCollection, a Feature, or a bare Polygon or MultiPolygon.
 
-    Raises
-    ------
-    FileError
-        If it is no GeoJSON, damaged, or holds something else than polygons; all faults are named.
+    FileError if it is no GeoJSON, damaged, or holds something else than polygons; all faults are named.
     """
     text = decode_text(data, name, what="file of regions")
     # Every point has a bracket: what has far more of them would fill the memory when it is decoded.
@@ -319,14 +306,12 @@ def _object(value: object) -> dict[str, Any] | None:
 def geojson_text(regions: Regions) -> str:
     """Write regions in um as a FeatureCollection, one feature a line; reading it gives the same numbers back."""
     assert not regions.in_pixels
-    rows = ",\n".join(f"  {json.dumps(_feature(region), ensure_ascii=False)}" for region in regions.declared)
-    return f'{{\n "type": "FeatureCollection",\n "units": "um",\n "features": [\n{rows}\n ]\n}}\n'
-
-
-def _feature(region: Region) -> dict[str, Any]:
-    polygons = [[[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons]
-    geometry: dict[str, Any] = {"type": "MultiPolygon", "coordinates": polygons}
-    if len(polygons) == 1:
-        geometry = {"type": "Polygon", "coordinates": polygons[0]}
-    texts = {key: text for key in _TEXTS if (text := getattr(region, key))}
-    return {"type": "Feature", "properties": texts, "geometry": geometry}
+    rows: list[str] = []
+    for region in regions.declared:
+        polygons = [[[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons]
+        kind, places = ("Polygon", polygons[0]) if len(polygons) == 1 else ("MultiPolygon", polygons)
+        texts = {key: text for key in _TEXTS if (text := getattr(region, key))}
+        feature = {"type": "Feature", "properties": texts, "geometry": {"type": kind, "coordinates": places}}
+        rows.append(f"  {json.dumps(feature, ensure_ascii=False)}")
+    features = ",\n".join(rows)
+    return f'{{\n "type": "FeatureCollection",\n "units": "um",\n "features": [\n{features}\n ]\n}}\n'
