@@ -26,8 +26,8 @@ class Groups:
     def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
         """Return what was measured of a sheet: ``surfaces``, ``flat``, ``strain``, ``maps``, ``slices``."""
         only = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
-        found = self.data.get(f"layers/{layer.name}/{name}")
-        return self.data.get(name) if found is None and only else found
+        part = self.data.get(f"layers/{layer.name}/{name}")
+        return self.data.get(name) if part is None and only else part
 
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:
@@ -43,21 +43,21 @@ class Groups:
         out: dict[str, xr.Dataset] = {}
         for layer in self.results.layers if self.results.is_link else ():
             data = group(f"layers/{layer.name}")
-            if data is None and (both := group("linked")) is not None:
-                data = both[["image", "valid"]] if layer.kind == "image" else both.drop_vars("image")
+            if data is None and (maps := group("linked")) is not None:
+                data = maps[["image", "valid"]] if layer.kind == "image" else maps.drop_vars("image")
             if data is not None:
                 out[layer.name] = data
         return out
 
     def _smaller(self, name: str) -> xr.Dataset | None:
         """A group, or the finest of its smaller copies that is small enough to be drawn."""
-        found = self.data.get(name)
+        maps = self.data.get(name)
         for k in count(1):
             smaller = self.data.get(f"overviews/{name}/{k}")
-            if found is None or smaller is None or found.sizes["y"] * found.sizes["x"] <= _MOST_DRAWN:
+            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= _MOST_DRAWN:
                 break
-            found = smaller
-        return found
+            maps = smaller
+        return maps
 
     @cached_property
     def titles(self) -> dict[tuple[str, str], str]:

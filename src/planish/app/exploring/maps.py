@@ -22,8 +22,7 @@ from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
 from planish.pipeline.checks import trust_of
 from planish.pipeline.run import MAPS
-from planish.report.colours import Scale
-from planish.report.maps import colours_of
+from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
 
