@@ -15,7 +15,7 @@ from planish.io.run_folder import write_tree
 from planish.report import series_page, small_map
 from planish.report.series import natural
 from planish.series import Declared, gather, write_series
-from planish.series.pages import parquet_bytes
+from planish.series.pages import figures_table, parquet_bytes
 from report.pages import Page
 from series.runs import results_of, series, two_volumes
 
@@ -205,7 +205,7 @@ def test_parquet_holds_what_the_table_holds(written):
 
     _, members, home, _ = written
     rows = gather(members, home).rows
-    table = pq.read_table(io.BytesIO(parquet_bytes(rows, ["paper", "sheet"])))
+    table = pq.read_table(io.BytesIO(parquet_bytes(*figures_table(rows, ["paper", "sheet"]))))
     assert table.num_rows == len(rows)
     assert table.column("value").to_pylist() == [row.value for row in rows]
     assert table.column("paper").to_pylist() == [row.factors["paper"] for row in rows]
