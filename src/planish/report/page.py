@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import re
+import unicodedata
+from collections.abc import Mapping, Sequence
 from functools import cache, partial
+from html import escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -14,6 +17,7 @@ from numpy.typing import NDArray
 from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole
+from planish.core.tables import table_text
 from planish.report import (
     distance,
     first,
@@ -29,21 +33,18 @@ from planish.report import (
     text,
 )
 from planish.report.draw import FULL, HALF, Picture
-from planish.report.files import write_figures
-from planish.report.groups import Groups
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
 
 if TYPE_CHECKING:
     from jinja2 import Template
 
+FIGURES = "figures"
+"""Folder of the figures in a run, or beside a page."""
+
+_LONGEST = 50  # letters of a title in the name of a file
 _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
-_FILTERS: dict[str, Any] = {"is_known": is_known, "length_um": text.length, "limit": text.with_unit} | {
-    name: getattr(text, name)
-    for name in ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit", "with_article")
-}
-"""How templates write numbers and words."""
 
 
 class _Sheet(NamedTuple):
@@ -138,7 +139,7 @@ def write_report(
     page, pictures = _render(groups, marks or {}, results)
     write_whole(place, page.encode())
     if figures is not None:
-        write_figures(Path(figures), pictures)
+        _write_figures(Path(figures), pictures)
 
 
 def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:
@@ -150,7 +151,7 @@ def _render(
     groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
 ) -> tuple[str, list[Picture]]:
     """Return the page as text, and its figures in their order."""
-    data = Groups(results, groups)
+    data = maps.Groups(results, groups)
     sheets = [s for layer in results.layers if (s := _sheet(data, layer))]
     pairs, lead = _map_pairs(data.linked, results), summary.lead_pair(results)
     lead_points = pairs[key].points if lead and (key := summary.key_of(lead[0])) in pairs else None
@@ -184,25 +185,13 @@ class _Shown:
 @cache
 def report_template() -> Template:
     """The template of the page, which takes a second to compile together with its parts."""
-    page = template("planish.report", "report.html.j2")
+    page = text.template("planish.report", "report.html.j2")
     for part in ("parts.html.j2", "style.css"):
         page.environment.get_template(part)
     return page
 
 
-def template(package: str, name: str) -> Template:
-    """Return a template of a package, which may use those of the report and its filters."""
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-
-    loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters.update(_FILTERS)
-    return environment.get_template(name)
-
-
-def _sheet(groups: Groups, layer: LayerFacts) -> _Sheet | None:
+def _sheet(groups: maps.Groups, layer: LayerFacts) -> _Sheet | None:
     """Draw all that is shown of a sheet; None for an image, and for a sheet whose groups are elsewhere."""
     facts = layer.sheet
     parts = {name: data for name in _SHEET_PARTS if (data := groups.part(layer, name)) is not None}
@@ -372,3 +361,30 @@ def _named(data: xr.DataArray, layer: LayerFacts) -> str:
         return with_article
     title = text.in_words(text.title_of(data))
     return title if with_article != layer.name else f"{title} of {layer.name}"
+
+
+# --- figures as files ------------------------------------------------------------------------------------------------
+
+
+def _write_figures(folder: Path, pictures: Sequence[Picture]) -> None:
+    """Write figures into a new folder, named by number and title; the same figures give the same bytes."""
+    folder.mkdir()
+    for number, picture in enumerate(pictures, 1):
+        # A title as it can be part of the name of a file anywhere.
+        title = unicodedata.normalize("NFKD", picture.title.replace("µ", "u")).encode("ascii", "ignore").decode()
+        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+        short = name if len(name) <= _LONGEST else name[: _LONGEST + 1].rpartition("-")[0] or name[:_LONGEST]
+        stem = f"{number:02d}-{short or 'figure'}"
+        write_whole(folder / f"{stem}.svg", standalone(picture).encode())
+        for kind, table in picture.data.items():
+            csv = table_text(list(table), zip(*table.values(), strict=True))
+            write_whole(folder / f"{stem}-{kind}.csv", csv.encode())
+
+
+def standalone(picture: Picture) -> str:
+    """Return the SVG of a figure as a file of its own, with its caption, on white."""
+    head, _, rest = picture.svg.partition(">")
+    inside = f"<title>{escape(picture.title)}</title><desc>{escape(picture.caption)}</desc>"
+    ground = '<rect width="100%" height="100%" fill="#ffffff"/>'
+    start = head.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
+    return f'<?xml version="1.0" encoding="UTF-8"?>\n{start}>{inside}{ground}{rest}\n'

@@ -20,7 +20,6 @@ from planish.report import series_words as words
 from planish.report import text
 from planish.report.colours import Array, image_uri, limits
 from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, reduced, round_step
-from planish.report.page import template
 
 _MOST_COLUMNS = 8  # quantities of the table of specimens, and of figures
 _MOST_ORDERS = 9
@@ -80,7 +79,7 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     columns = list(range(min(len(results.quantities), _MOST_COLUMNS)))
     drawn = ((k, draw_groups(results, k)) for k in columns)
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
-    page = template("planish.report", "series.html.j2").render(
+    page = text.template("planish.report", "series.html.j2").render(
         results=results, words=words, text=text, sources=_SOURCES, factors=factors,
         columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
         orders=_orders(results, factors), pictures=[(k, picture) for k, picture in drawn if picture is not None],

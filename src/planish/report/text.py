@@ -10,6 +10,7 @@ from planish.core.facts import is_known
 
 if TYPE_CHECKING:
     import xarray as xr
+    from jinja2 import Template
 
     from planish.results import ComparisonRow, CorrelationRow
 
@@ -161,6 +162,23 @@ def label_of(data: xr.DataArray) -> str:
     """Return the title of a map with its unit."""
     units = unit_of(data)
     return f"{title_of(data)} / {units}" if units else title_of(data)
+
+
+def template(package: str, name: str) -> Template:
+    """Return a template of a package, which may use those of the report and its filters."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters |= {"is_known": is_known, "length_um": length, "limit": with_unit}
+    environment.filters |= {f.__name__: f for f in _FILTERS}
+    return environment.get_template(name)
+
+
+_FILTERS = (capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
+"""How templates write numbers and words, beside the three that have other names there."""
 
 
 # --- correlations ----------------------------------------------------------------------------------------------------
