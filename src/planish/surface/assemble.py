@@ -88,8 +88,9 @@ def assemble(
         ],
         **({} if params.method == "profile" else {"method": params.method}),
     }  # fmt: skip
-    coords = {axis: ((axis,), um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}
-    return xr.Dataset(variables, coords=coords, attrs=attrs)
+    return xr.Dataset(
+        variables, {axis: ((axis,), um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
+    )
 
 
 class _Oriented(NamedTuple):
