@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -48,6 +48,11 @@ class Bent(NearSimilarity):
     affine: Floats
     everywhere: ClassVar[bool]
     """True where the local changes end beside the marks, so that the inverse has a meaning far from them."""
+
+    def __post_init__(self) -> None:
+        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
+        for name in (f.name for f in fields(cast("Any", self)) if isinstance(getattr(self, f.name), np.ndarray)):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
 
     @abstractmethod
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:

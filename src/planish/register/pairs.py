@@ -69,6 +69,11 @@ class Pairs:
         return middle, float(np.sqrt(share @ np.sum((self.moving - middle) ** 2, axis=1)))
 
 
+def whitened(whitening: Floats, rows: Floats) -> Floats:
+    """Multiply the 2 x 2 blocks (n, 2, 2) of a whitening to rows (2n, k)."""
+    return (whitening @ rows.reshape(len(whitening), 2, -1)).reshape(rows.shape)
+
+
 def inverse_of(blocks: Floats) -> Floats:
     """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
     a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]
