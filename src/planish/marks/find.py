@@ -31,9 +31,6 @@ REASONS = {
     "unlike": "unlike the other holes",
 }
 
-# Of all openings: so many that are not round are no single holes that are half closed.
-MANY_OPENINGS = 0.25
-
 
 def count_rejected(
     measured: Floats, holes: Floats, criteria: dict[str, Bools], is_whole: Bools, dropped: int
@@ -70,7 +67,8 @@ def check_holes(holes: xr.Dataset) -> Check:
     sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
     dropped, openings = counts.get("not_measured", 0), int(holes.attrs.get("openings", 0))
     advice = "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um)."
-    many = openings if openings > max(1, MANY_OPENINGS * (count + openings)) else 0
+    # Of all openings: so many that are not round are no single holes that are half closed.
+    many = openings if openings > max(1, 0.25 * (count + openings)) else 0
     if openings:
         subject = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
         sentence += f" {subject} not round enough for one."
@@ -91,9 +89,6 @@ USUAL_UM = 173.2
 
 # Share of the least contrast from which on a mark is measured.
 SEEN = 0.6
-
-# Beyond a rim this much may be burnt.
-CHAR_UM = 60.0
 
 
 def find_holes(
@@ -245,7 +240,8 @@ def _detections(fine: Raster, low: float, high: float, signs: tuple[float, ...])
         measured[:, k.STANDING] = standing
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         holes = measured[criteria.is_hole(measured, fine.pixel_um, low, high)]
-        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse_origin).T, holes[:, k.RADIUS] + CHAR_UM], axis=1)
+        # Beyond a rim this much may be burnt.
+        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse_origin).T, holes[:, k.RADIUS] + 60.0], axis=1)
         texture = candidates.texture(coarse, coarse_size, 2 * high, square, circles)
         measured = measured[np.isfinite(measured[:, k.RADIUS])]
         _raise_texture(measured, texture)
