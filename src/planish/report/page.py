@@ -28,6 +28,7 @@ from planish.report import (
     relation,
     scale,
     slices,
+    statement,
     summary,
     tables,
     text,
@@ -161,7 +162,7 @@ def _render(
     shown = _Shown()
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
-        summary=summary, text=text, first=first, shown=shown, sheets=sheets, leading=leading,
+        summary=summary, statement=statement, text=text, first=first, shown=shown, sheets=sheets, leading=leading,
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
         pairs=_draw_pairs(pairs, results, data.titles), scales=_scales(results, data.titles), scale=scale,
         lights=[d for e in results.evidence if (d := _light(e, results, data.titles, pairs))],

@@ -17,7 +17,7 @@ import xarray as xr
 
 from planish.core.series_results import SeriesResults, Specimen
 from planish.report import series_words as words
-from planish.report import text
+from planish.report import statement, text
 from planish.report.colours import Array, image_uri, limits
 from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, reduced, round_step
 
@@ -80,7 +80,7 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     drawn = ((k, draw_groups(results, k)) for k in columns)
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
     page = text.template("planish.report", "series.html.j2").render(
-        results=results, words=words, text=text, sources=_SOURCES, factors=factors,
+        results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
         columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
         orders=_orders(results, factors), pictures=[(k, picture) for k, picture in drawn if picture is not None],
         tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state in _OUT],

@@ -10,6 +10,7 @@ from planish.analyze import LagNumbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
 from planish.report.relation import largest, written_difference
+from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import (
     NONE,
     REGISTERED,
@@ -21,10 +22,6 @@ from planish.report.text import (
     number,
     percent,
     plain,
-    r2_interval_text,
-    r2_text,
-    r_interval_text,
-    r_text,
     typeset,
     unit,
     with_article,
