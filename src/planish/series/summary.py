@@ -159,7 +159,7 @@ def _levels_of(specimen: Specimen, factors: Sequence[str]) -> tuple[str, ...]:
 def _fields(specimens: Sequence[Specimen], k: int, *, with_names: bool = False) -> Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
-    values = [cell.value if cell.counts and cell.value is not None else math.nan for cell in cells]
+    values = [_nan(cell.value) if cell.counts else math.nan for cell in cells]
     names = [specimen.member.factors.get("field", "") for specimen in specimens] if with_names else []
     return Fields(values, [specimen.sheet for specimen in specimens], names)
 
@@ -168,24 +168,25 @@ def _group(specimens: Sequence[Specimen], k: int, quantity: Quantity, group: Map
     """State one quantity over the sheets of one group."""
     members = [specimen for specimen in specimens if _levels_of(specimen, [*group]) == tuple(group.values())]
     fields = _fields(members, k)
-    about: dict[str, Any] = {"quantity": k, "group": dict(group), "left_out": _left_out(members, k)}
     if quantity.what == "r":
-        n_eff = [math.nan if (n := specimen.cells[k].n_eff_interval) is None else n for specimen in members]
-        pooled = pooled_r(fields, n_eff)
-        return GroupFacts(
-            **about, sheets=pooled.sheets, fields=pooled.fields, mean=pooled.r, interval=pooled.interval,
-            reason=pooled.reason, between_sheets=_heterogeneity(pooled.between_sheets),
-            between_fields=_heterogeneity(pooled.between_fields),
+        mean = pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
+        figures: dict[str, Any] = {"mean": mean.r, "between_sheets": _heterogeneity(mean.between_sheets)}
+        figures["between_fields"] = _heterogeneity(mean.between_fields)
+    else:
+        mean, v = over_sheets(fields), variances_of(fields)
+        variances = VarianceFacts(
+            sd_between=v.sd_between, sd_within=v.sd_within, share=v.share, share_interval=v.share_interval, p=v.p,
+            reason=v.reason,
         )  # fmt: skip
-    mean, variances = over_sheets(fields), variances_of(fields)
+        figures = {"mean": mean.mean, "sd": mean.sd, "variances": variances}
     return GroupFacts(
-        **about, sheets=mean.sheets, fields=mean.fields, mean=mean.mean, sd=mean.sd, interval=mean.interval,
-        reason=mean.reason,
-        variances=VarianceFacts(
-            sd_between=variances.sd_between, sd_within=variances.sd_within, share=variances.share,
-            share_interval=variances.share_interval, p=variances.p, reason=variances.reason,
-        ),
+        quantity=k, group=dict(group), sheets=mean.sheets, fields=mean.fields, left_out=_left_out(members, k),
+        interval=mean.interval, reason=mean.reason, **figures,
     )  # fmt: skip
+
+
+def _nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _heterogeneity(effects: RandomEffects | None) -> HeterogeneityFacts | None:
