@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from planish.core.facts import is_known
 
@@ -146,13 +146,14 @@ def template(package: str, name: str) -> Template:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters |= {"is_known": is_known, "length_um": length, "limit": with_unit}
-    environment.filters |= {f.__name__: f for f in _FILTERS}
+    environment.filters.update(_FILTERS)
     return environment.get_template(name)
 
 
-_FILTERS = (capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
-"""How templates write numbers and words, beside the three that have other names there."""
+_FILTERS: dict[str, Any] = {"is_known": is_known, "length_um": length, "limit": with_unit} | {
+    f.__name__: f for f in (capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
+}
+"""How templates write numbers and words."""
 
 
 def left_out(regions: object) -> str:
