@@ -234,10 +234,9 @@ def _block(
         shared = bool(rows) and rows[0].same_quantity
         pair = _valid(data, layer.headline), _valid(reference, base.headline)
         shown = [maps.draw_side_by_side(pair, names=(layer.name, base.name), shared=shared, without=without)]
-    name = "image-based check" if len(results.layers) == 2 else f"image-based check of {layer.name}"
     return _Block(
         layer=layer, marks=marks if marks is not None and marks.sizes["mark"] else None,
-        check=summary.lag_verdict(r.lag, first=first, second=second, name=name),
+        check=summary.lag_verdict(r.lag, first=first, second=second),
         pictures=_registration(r, data, other, marks, results, words=(layer.name, first, second)), linked=shown,
         outlined=outlined,
     )  # fmt: skip

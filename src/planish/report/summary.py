@@ -45,11 +45,9 @@ class KeyFigure(NamedTuple):
 
 
 class LagVerdict(NamedTuple):
-    """Result of the image-based check: its light, also as a word, its sentence, and what that means."""
+    """Result of the image-based check: its light, its sentence, and what that means."""
 
     state: Literal["agrees", "amber", "grey"]
-    word: str
-    name: str
     sentence: str
     meaning: str
 
@@ -287,13 +285,13 @@ def _figure_of_r(row: CorrelationRow | None, label: str) -> KeyFigure:
     return KeyFigure(r_text(row), "", label, f"{interval}{square if is_known(row.r2) else ''}{points}; {REGISTERED}")
 
 
-def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -> LagVerdict | None:
+def lag_verdict(lag: LagNumbers | None, *, first: str, second: str) -> LagVerdict | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
-    width, state, word = math.hypot(*lag.se_um), "agrees", " agrees"
+    width, state = math.hypot(*lag.se_um), "agrees"
     if lag.agrees is None:
-        state, word = "grey", " inconclusive"
+        state = "grey"
         end = (
             "The marks give no expected error to compare the result with."
             if is_known(lag.length_um)
@@ -301,7 +299,7 @@ def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -
             "from the marks alone."
         )
     elif not lag.agrees:
-        state, word = "amber", " to be inspected"
+        state = "amber"
         end = (
             "They do not coincide within the expected error. Until the cause is known, a position is known to about "
             f"{length(lag.length_um, 2)} and no better."
@@ -314,4 +312,4 @@ def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -
     else:
         end = "They coincide within the error expected from the marks."
     meaning = f"The fine textures of {first} and {second} were aligned without using the marks. {end}"
-    return LagVerdict(state, word, name, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)
+    return LagVerdict(state, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)
