@@ -98,7 +98,7 @@ def _line(specimen: Specimen, factors: Sequence[str], columns: Sequence[int], re
         doubt = cell.why_not if is_apart else "" if cell.trust == "ok" else cell.trust
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
-    return SpecimenLine(specimen, link, [specimen.member.factors.get(name, "") for name in factors], cells)
+    return SpecimenLine(specimen, link, [specimen.factor(name) for name in factors], cells)
 
 
 def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrder]:
@@ -115,10 +115,10 @@ def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrde
         v = specimen.cells[k].value if specimen.cells else None
         return (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
 
-    by("name", lambda s: (natural(s.member.name),))
+    by("name", lambda s: (natural(s.name),))
     by("state", lambda s: (s.member.state != "whole", s.member.state, s.light or ""))
     for name in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
-        by(name, lambda s, name=name: (not s.member.factors.get(name), natural(s.member.factors.get(name, ""))))
+        by(name, lambda s, name=name: (not s.factor(name), natural(s.factor(name))))
     for k, q in enumerate(results.quantities):
         title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
         if q.map == results.quantities[0].map:
@@ -203,7 +203,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     fields = [  # sheet and value of every specimen of a group that counts
         [
             (s.sheet, float(s.cells[k].value or 0.0)) for s in results.specimens
-            if s.cells and s.cells[k].counts and all(s.member.factors.get(f, "") == v for f, v in g.group.items())
+            if s.cells and s.cells[k].counts and all(s.factor(f) == v for f, v in g.group.items())
         ]
         for g in groups
     ]  # fmt: skip

@@ -85,7 +85,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     return SeriesResults(
         planish=planish.__version__, declared=declared.model_dump(mode="json"), quantities=quantities,
         headline_declared=bool(declared.headline), factors=factors, grouped_by=grouped_by, compared_by=compared_by,
-        sheets_given=bool(counted) and all(specimen.member.factors.get("sheet") for specimen in counted),
+        sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
         specimens=tuple(specimens), groups=tuple(groups),
         differences=tuple(
             _difference(about, change, margin_of(quantities[about["quantity"]], declared))
@@ -153,14 +153,14 @@ def _specimens(
 
 
 def _levels_of(specimen: Specimen, factors: Sequence[str]) -> tuple[str, ...]:
-    return tuple(specimen.member.factors.get(name, "") for name in factors)
+    return tuple(specimen.factor(name) for name in factors)
 
 
 def _fields(specimens: Sequence[Specimen], k: int, *, with_names: bool = False) -> Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
     values = [_nan(cell.value) if cell.counts else math.nan for cell in cells]
-    names = [specimen.member.factors.get("field", "") for specimen in specimens] if with_names else []
+    names = [specimen.factor("field") for specimen in specimens] if with_names else []
     return Fields(values, [specimen.sheet for specimen in specimens], names)
 
 
@@ -198,7 +198,7 @@ def _heterogeneity(effects: RandomEffects | None) -> HeterogeneityFacts | None:
 
 
 def _left_out(specimens: Sequence[Specimen], k: int) -> tuple[str, ...]:
-    return tuple(specimen.member.name for specimen in specimens if not specimen.cells[k].counts)
+    return tuple(specimen.name for specimen in specimens if not specimen.cells[k].counts)
 
 
 def _pairs(
@@ -206,13 +206,13 @@ def _pairs(
 ) -> Iterator[tuple[dict[str, Any], SheetDifference]]:
     """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
     other_factors = [name for name in grouped_by if name != factor]
-    levels = _in_order(specimen.member.factors.get(factor, "") for specimen in specimens)
+    levels = _in_order(specimen.factor(factor) for specimen in specimens)
     if not 2 <= len(levels) <= _MOST_LEVELS:
         return
     strata = dict[tuple[str, ...], dict[str, list[Specimen]]]()
     for specimen in specimens:
         of_levels = strata.setdefault(_levels_of(specimen, other_factors), {})
-        of_levels.setdefault(specimen.member.factors.get(factor, ""), []).append(specimen)
+        of_levels.setdefault(specimen.factor(factor), []).append(specimen)
     for k, quantity in enumerate(quantities):
         for of_others, of_levels in strata.items():
             for first, second in combinations((level for level in levels if level in of_levels), 2):
@@ -226,7 +226,7 @@ def _pairs(
 def _compare(first: Sequence[Specimen], second: Sequence[Specimen], k: int, quantity: Quantity) -> SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = bool({specimen.sheet for specimen in first} & {specimen.sheet for specimen in second})
-    keys = [[(s.sheet, s.member.factors.get("field", "")) for s in specimens] for specimens in (first, second)]
+    keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
     named = paired and all(all(field for _, field in of_set) and len({*of_set}) == len(of_set) for of_set in keys)
     fields = [_fields(specimens, k, with_names=named) for specimens in (first, second)]
     if quantity.what == "r":
