@@ -69,34 +69,16 @@ class FigureRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """What a series keeps of a run beside its rows.
+    """What a series keeps of a run beside its rows."""
 
-    Attributes
-    ----------
-    specimen : Specimen
-        As its page names it, without sheet and figures.
-    sheets, images : tuple of str
-        Names of the layers of either kind.
-    headlines : tuple of str
-        Maps that stand for its sheets.
-    volumes : tuple of str
-        Hashes of the volumes.
-    thin_um : float or None
-        Limit of the study for thin regions.
-    column_um : float or None
-        Width of a column, where thin shares state it; of a voxel otherwise.
-    instruments : tuple of InstrumentFacts
-        Of two volumes.
-    """
-
-    specimen: Specimen
-    sheets: tuple[str, ...]
+    specimen: Specimen  # as the page names it, without sheet and figures
+    sheets: tuple[str, ...]  # names of the layers of either kind
     images: tuple[str, ...]
-    headlines: tuple[str, ...]
-    volumes: tuple[str, ...]
-    thin_um: float | None
-    column_um: float | None
-    instruments: tuple[InstrumentFacts, ...]
+    headlines: tuple[str, ...]  # maps that stand for its sheets
+    volumes: tuple[str, ...]  # hashes of the volumes
+    thin_um: float | None  # limit of the study for thin regions
+    column_um: float | None  # width of a column, where thin shares state it; of a voxel otherwise
+    instruments: tuple[InstrumentFacts, ...]  # of two volumes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
