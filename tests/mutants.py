@@ -112,9 +112,9 @@ MUTANTS = [
     Mutant("sections/_kernels.py", "x = c + pose[1] - pose[3] * (r - middle_r)", "x = c + pose[1] + pose[3] * (r - middle_r)", "sections/test_volume.py sections/test_align.py"),
     Mutant("correct/cupping.py", "100.0 * (1.0 - 1.0 / max(", "100.0 * (1.0 - max(", "correct/test_correct.py"),
     # synthetic, validate
-    Mutant("synthetic/draws.py", "rng.integers(limits[0], limits[1] + 1)", "rng.integers(limits[0], limits[1])", "synthetic/test_specimen.py -k drawn"),
+    Mutant("synthetic/params.py", "rng.integers(limits[0], limits[1] + 1)", "rng.integers(limits[0], limits[1])", "synthetic/test_specimen.py -k drawn"),
     Mutant("synthetic/_kernels.py", "s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)", "s = dx * nx + dy * ny + dz * nz", "synthetic/test_specimen.py -k inverse"),
-    Mutant("validate/volume_errors.py", "100.0 * (1.0 / similar.transform.scale - 1.0)", "100.0 * (similar.transform.scale - 1.0)", "validate/test_ledger.py -k too_large"),
+    Mutant("validate/errors.py", "100.0 * (1.0 / similar.transform.scale - 1.0)", "100.0 * (similar.transform.scale - 1.0)", "validate/test_ledger.py -k too_large"),
     Mutant("validate/truth.py", "return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)", "return np.abs(self.linked_material[..., 0] - u)", "validate/test_ledger.py -k shift_of"),
 ]  # fmt: skip
 

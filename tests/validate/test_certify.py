@@ -15,10 +15,8 @@ import record
 from planish.core.errors import CannotRegister, InputError
 from planish.validate import certify
 from planish.validate.certify import Certificate, Entry, run_scenario
-from planish.validate.drawings import dots
-from planish.validate.figures import STAGES
-from planish.validate.page import render_page
-from planish.validate.scenario import Limit, read_scenario
+from planish.validate.page import dots, render_page
+from planish.validate.scenario import STAGES, Limit, read_scenario
 from planish.validate.table import as_json, markdown, summary, terminal_rows, verdict
 
 RECORDED = Path(__file__).with_name("recorded.toml")

@@ -104,7 +104,10 @@ class Applying:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
             if not self._closed and (self._ready is None or self._ready.poll() is not None):
-                self._ready = _worker()
+                self._ready = subprocess.Popen(
+                    [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
+                )  # fmt: skip
 
     def _warm_soon(self) -> None:
         """Once something was changed, it will be applied; but not while the first clicks follow each other."""
@@ -207,13 +210,6 @@ class Applying:
         with suppress(OSError, ValueError):
             sweep(Path((staged / TARGET).read_text(encoding="utf-8")))
         shutil.rmtree(staged, ignore_errors=True)
-
-
-def _worker() -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
-    )  # fmt: skip
 
 
 def _wait_and_close(process: subprocess.Popen[str]) -> None:

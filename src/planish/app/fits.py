@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any
@@ -14,13 +14,14 @@ from planish.app.changes import Mark
 from planish.app.outliers import find_outliers
 from planish.app.picture import PLANES, Plane, finite_or_none
 from planish.core.errors import PlanishError
+from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats
 from planish.register import FittedTransform, RegistrationParams, fit_transform, register_marks
 
 QUICK = ("rigid", "similarity", "affine", "projective")
 """Models that are fitted within a click."""
 
-_ROW_NUMBERS = "(counted from 0)"
+_OF_MARKS = "(counted from 0)", "marks only"  # in warnings of a fit that are about single marks
 _COVARIANCES = ("cov_xx", "cov_xy", "cov_yy")
 
 
@@ -93,7 +94,11 @@ class Fitted:
         self, side: Plane, point_um: tuple[float, float]
     ) -> tuple[tuple[float, float], float | None, str] | None:
         """Place in the other plane of a point of ``side``, its expected error in um where known, and both in words."""
-        transform, error, words = self._transform()
+        if self.fit is not None and int(self.used.sum()) >= 3:
+            transform, error, words = self.fit, self.fit.expected_error_um, "its error is not known"
+        else:
+            error = None
+            transform, words = _from_few_pairs(self.moving[self.used], self.fixed[self.used], self.mirrored)
         if transform is None:
             return None
         point = np.array(point_um)
@@ -104,12 +109,6 @@ class Fitted:
         if error_um is not None:
             words = f"expected error {error_um:.1f} um"
         return (float(counterpart_um[0]), float(counterpart_um[1])), error_um, words
-
-    def _transform(self) -> tuple[Any, Callable[[Any], Any] | None, str]:
-        n = int(self.used.sum())
-        if self.fit is not None and n >= 3:
-            return self.fit, self.fit.expected_error_um, "its error is not known"
-        return _from_few_pairs(self.moving[self.used], self.fixed[self.used], self.mirrored)
 
 
 def fitted(
@@ -132,7 +131,8 @@ def fitted(
         Whether only what takes some milliseconds is done: of another model than `QUICK`, a similarity instead.
     """
     rows = [mark for mark in marks if mark.paired]
-    moving, fixed = (_places(rows, plane) for plane in PLANES)
+    ends = ([getattr(mark, plane).xy for mark in rows] for plane in PLANES)
+    moving, fixed = (np.array(places, dtype=np.float64).reshape(-1, 2) for places in ends)
     used = np.array([mark.used for mark in rows], dtype=np.bool_)
     is_mirrored = _fits_mirrored(moving[used], fixed[used]) if mirrored is None else mirrored
     is_outlier = np.zeros(len(rows), dtype=np.bool_)
@@ -142,8 +142,10 @@ def fitted(
         "model": model, "ids": tuple(m.id for m in rows), "labels": tuple(m.label for m in rows), "moving": moving,
         "fixed": fixed, "used": used, "mirrored": mirrored, "pending": quick and len(rows) > 1,
     }  # fmt: skip
-    warnings = [*_at_one_place(rows), *_too_few(int(used.sum()))]
-    error = ""
+    warnings, error = _at_one_place(rows), ""
+    if (count := int(used.sum())) < 3:
+        few = f"{count} pair{'s' * (count != 1)} of marks in use: a registration needs 3, far apart, and more to say"
+        warnings.append(FitWarning(text=f"{few} how good it is."))
     try:
         if model == "auto" and not quick:
             fit = _fit_as_applied([m for m in rows if m.used], mirrored, params)
@@ -168,24 +170,21 @@ def fitted(
         with suppress(PlanishError):  # too few are left for this model
             fit_to_others = _least_squares(moving, fixed, kind, mirrored, inspect=False, weights=weights)
             leave_one_out_um = fit_to_others.leave_one_out_um
-    about_marks = _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
+    warnings += _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
+    # Those of the fit that are about single marks stand beside them already.
+    warnings += [FitWarning(text=text) for text in fit.warnings if not any(part in text for part in _OF_MARKS)]
     return Fitted(
         **common, fit=fit, outliers=is_outlier, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
-        warnings=(*warnings, *about_marks, *_warnings_of_fit(fit)),
+        warnings=tuple(warnings),
     )  # fmt: skip
-
-
-def _places(rows: Sequence[Mark], plane: Plane) -> Floats:
-    return np.array([end.xy for m in rows if (end := getattr(m, plane)) is not None], dtype=np.float64).reshape(-1, 2)
 
 
 def _fit_as_applied(rows: Sequence[Mark], mirrored: bool | None, params: RegistrationParams) -> FittedTransform:
     """The fit that a run makes of given marks."""
-    seen_from = {"moving": "bottom" if mirrored else "top", "fixed": "top"}
-    holes = [holes_of(rows, plane).assign_attrs(seen_from=seen_from[plane]) for plane in PLANES]
-    params = params.model_copy(update={"model": "auto"})
+    sides = zip(PLANES, ("bottom" if mirrored else "top", "top"), strict=True)
+    holes = [holes_of(rows, plane).assign_attrs(seen_from=side) for plane, side in sides]
     pairs = np.stack([np.arange(len(rows))] * 2, axis=1)
-    return register_marks(*holes, params=params, pairs=pairs).fit
+    return register_marks(*holes, params=params.model_copy(update={"model": "auto"}), pairs=pairs).fit
 
 
 def holes_of(rows: Sequence[Mark], plane: Plane) -> xr.Dataset:
@@ -210,26 +209,17 @@ def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | N
     return fit_transform(moving, fixed, model=model, mirrored=mirrored, robust=False, lowest="similarity", **how)
 
 
-def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, None, str]:
+def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
     """Fit one or two pairs: a shift, or a similarity."""
-    is_mirrored = bool(mirrored)
     if len(moving) == 1:
-        from planish.core.transform import Similarity
-
-        turned = moving[0] * (-1.0, 1.0) if is_mirrored else moving[0]
-        x, y = (fixed[0] - turned).tolist()
-        return (
-            Similarity(shift_um=(x, y), mirrored=is_mirrored),
-            None,
-            "from 1 mark, a shift: rotation and scale unknown",
-        )
-    if len(moving) < 2:
-        return None, None, ""
-    try:
-        fit = _least_squares(moving, fixed, "similarity", mirrored, inspect=False)
-    except PlanishError:
-        return None, None, ""
-    return fit, None, f"from {len(moving)} marks, a similarity: its error is not known"
+        x, y = (fixed[0] - (moving[0] * (-1.0, 1.0) if mirrored else moving[0])).tolist()
+        shift = Similarity(shift_um=(x, y), mirrored=bool(mirrored))
+        return shift, "from 1 mark, a shift: rotation and scale unknown"
+    with suppress(PlanishError):
+        if len(moving):
+            fit = _least_squares(moving, fixed, "similarity", mirrored, inspect=False)
+            return fit, f"from {len(moving)} marks, a similarity: its error is not known"
+    return None, ""
 
 
 # --- words -----------------------------------------------------------------------------------------------------------
@@ -247,13 +237,6 @@ def _at_one_place(rows: Sequence[Mark]) -> list[FitWarning]:
     return warnings
 
 
-def _too_few(count: int) -> list[FitWarning]:
-    if count >= 3:
-        return []
-    marks = f"{count} pair{'s' * (count != 1)} of marks in use"
-    return [FitWarning(text=f"{marks}: a registration needs 3, far apart, and more to say how good it is.")]
-
-
 def _warnings_of_marks(
     rows: Sequence[Mark], used: Bools, is_outlier: Bools, fit: FittedTransform, residual: Floats,
     leave_one_out_um: Floats,
@@ -268,11 +251,6 @@ def _warnings_of_marks(
         elif is_outlier[k]:
             warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
     return warnings
-
-
-def _warnings_of_fit(fit: FittedTransform) -> list[FitWarning]:
-    """Give the warnings of a fit about all marks; those about single ones stand beside them."""
-    return [FitWarning(text=text) for text in fit.warnings if _ROW_NUMBERS not in text and "marks only" not in text]
 
 
 def _refusal(error: PlanishError, rows: Sequence[Mark], used: Bools) -> str:

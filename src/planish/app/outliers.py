@@ -51,7 +51,12 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     w = fixed[:, 0] + 1j * fixed[:, 1]
     inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
-        off, spread = _scaled_errors(z, w, inliers)
+        # How far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance.
+        off = np.abs(_residuals(z, w, inliers))
+        away = np.abs(z - z[inliers].mean()) ** 2
+        lever = 1 / inliers.size + away / max(float(np.sum(away[inliers])), 1e-300)
+        spread = float(np.sum(off[inliers] ** 2)) / max(2 * inliers.size - 4, 1)
+        off = off / np.sqrt(1 + lever)
         # The inliers were chosen for being close: the chance counts how many choices there were.
         limit = _CHANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
         free = 2 * inliers.size - 4
@@ -69,8 +74,11 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
 
 def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     """The marks that one similarity fits best."""
-    pairs = np.array(list(combinations(range(len(z)), 2)) if len(z) < 56 else _some_pairs(len(z)))
-    i, j = pairs.T
+    if len(z) < 56:
+        i, j = np.array(list(combinations(range(len(z)), 2))).T
+    else:
+        tries = np.tile(np.arange(len(z)), (_MOST_PAIRS, 1))
+        i, j = np.random.default_rng(0).permuted(tries, axis=1)[:, :2].T
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = (w[j] - w[i]) / (z[j] - z[i])
     good = np.isfinite(turn)
@@ -88,22 +96,9 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     return min(candidates, key=lambda candidate: candidate[0])[1]
 
 
-def _some_pairs(n: int) -> NDArray[np.intp]:
-    return np.random.default_rng(0).permuted(np.tile(np.arange(n), (_MOST_PAIRS, 1)), axis=1)[:, :2]
-
-
 def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
     """Give the residuals of all marks from the similarity that fits the inliers best."""
     source, target = z[inliers].mean(), w[inliers].mean()
     away = z[inliers] - source
     turn = np.sum(away.conj() * (w[inliers] - target)) / max(float(np.sum(np.abs(away) ** 2)), 1e-300)
     return w - (target + turn * (z - source))
-
-
-def _scaled_errors(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> tuple[Floats, float]:
-    """Give how far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance."""
-    off = np.abs(_residuals(z, w, inliers))
-    away = np.abs(z - z[inliers].mean()) ** 2
-    lever = 1 / inliers.size + away / max(float(np.sum(away[inliers])), 1e-300)
-    variance = float(np.sum(off[inliers] ** 2)) / max(2 * inliers.size - 4, 1)
-    return off / np.sqrt(1 + lever), variance

@@ -17,7 +17,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from planish.core.area import count_of, halved_values
 from planish.core.threads import thread_pool
 from planish.exports.content import ExportHistory, Maps, percentile_limits
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 
 # As the large maps of a run are stored, so that their chunks are those of the image, too.
 _CHUNK = 512
@@ -56,7 +56,11 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
                 for rows, band in maps.bands(name, np.float32):
                     finest.add(band, last=rows.stop == shape[0])
                 finest.finish()
-            windows.append(_window(np.asarray(arrays[-1][... if channel is None else channel])))
+            overview = np.asarray(arrays[-1][... if channel is None else channel])  # the coarsest
+            low, high = percentile_limits(overview)
+            values = overview[np.isfinite(overview)]
+            ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+            windows.append({"min": ends[0], "max": ends[1], "start": low, "end": high})
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
 
@@ -127,14 +131,6 @@ class _Level:
 
 
 # --- what is said of them --------------------------------------------------------------------------------------------
-
-
-def _window(overview: NDArray[np.float32]) -> dict[str, float]:
-    """Limits between which viewers show a map, from its coarsest overview."""
-    low, high = percentile_limits(overview)
-    measured = overview[np.isfinite(overview)]
-    least, most = (float(measured.min()), float(measured.max())) if measured.size else (0.0, 1.0)
-    return {"min": least, "max": most, "start": low, "end": high}
 
 
 def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:

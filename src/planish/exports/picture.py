@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 from planish.report.colours import MISSING, Scale
 from planish.report.text import unit
 

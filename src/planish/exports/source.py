@@ -21,7 +21,7 @@ from planish.core.grid import Grid
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
 from planish.exports.content import ExportHistory
-from planish.exports.displacements import DirectedTransform, TransformPair
+from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import group_names, read_group
@@ -301,19 +301,15 @@ class ExportSource:
             target=(float(image[0]), float(image[1])),
         )  # fmt: skip
         exact = self.is_affine(layer.name)
-        grids = [
-            self.grid_of(name) or _grid_around(marks) for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
-        ]
-        return TransformPair(
-            forward=DirectedTransform(
-                source=layer.name, target=target, function=fit, grid=grids[0], affine=affine, exact=exact
-            ),
-            back=DirectedTransform(
-                source=target, target=layer.name, function=fit.inverse, grid=grids[1], affine=affine.inverse,
-                exact=exact,
-            ),
-            model=fit.model,
-        )  # fmt: skip
+        sides = ((layer.name, fit.moving), (target, fit.fixed))
+        moving, fixed = (self.grid_of(name) or _grid_around(marks) for name, marks in sides)
+        forward = DirectedTransform(
+            source=layer.name, target=target, function=fit, grid=moving, affine=affine, exact=exact
+        )
+        back = DirectedTransform(
+            source=target, target=layer.name, function=fit.inverse, grid=fixed, affine=affine.inverse, exact=exact
+        )
+        return TransformPair(forward=forward, back=back, model=fit.model)
 
     def landmarks(self, layer: LayerFacts) -> xr.Dataset:
         """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""

@@ -12,7 +12,7 @@ from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import StudyError
 from planish.exports.content import ExportHistory, Maps, column_of
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 
 Array = NDArray[np.float64]
 _TEXTS = 200_000  # numbers that are texts at a time

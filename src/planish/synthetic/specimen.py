@@ -16,15 +16,11 @@ from planish.core.errors import FileError
 from planish.core.lazy import labelled
 from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
-from planish.synthetic.draws import generator, stream
-from planish.synthetic.holes import hole_pattern
-from planish.synthetic.microtome import Microtome, Poses, draw_poses
-from planish.synthetic.params import SpecimenParams
+from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
+from planish.synthetic.params import SpecimenParams, Warp, generator, stream
 from planish.synthetic.pose import CameraPose, draw_pose
 from planish.synthetic.presets import DEMO
-from planish.synthetic.scanner import Scanner
-from planish.synthetic.sheet import Sheet, make_sheet
-from planish.synthetic.warp import Warp
+from planish.synthetic.sheet import Sheet, hole_pattern, make_sheet
 
 if TYPE_CHECKING:
     from planish.synthetic.files import InstrumentFiles
