@@ -78,7 +78,7 @@ def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     run = SimpleNamespace(results=results, groups={"linked": None})
     monkeypatch.setattr(certify, "run_study", lambda *_, **__: run)
     monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})
-    monkeypatch.setattr(certify, "draw_example", lambda _both, seed: [f"maps of {seed}"])
+    monkeypatch.setattr("planish.validate.page.draw_example", lambda _both, seed: [f"maps of {seed}"])
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
     assert [entry.seed for entry in found.entries] == [4, 2]

@@ -23,7 +23,6 @@ from typing import Any, TextIO
 from planish.core.errors import PlanishError, ResourceError
 from planish.core.files import as_planish, writing
 
-_NICE = 5  # the page and whatever else a person does come first
 TARGET = "target"
 """File among those of an order: where the new run will stand."""
 
@@ -39,7 +38,7 @@ def main() -> None:
 
     signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
     with suppress(OSError, AttributeError):
-        os.nice(_NICE)
+        os.nice(5)  # the page and whatever else a person does come first
     try:
         _warm_up()
         line = sys.stdin.readline()

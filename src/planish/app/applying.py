@@ -29,7 +29,6 @@ _BEHIND = {
     "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
     "link": 0.5, "correlate": 0.65, "write": 0.88,
 }  # fmt: skip
-_LATER_S = 5.0  # after the first change
 _PATIENCE_S = 5.0  # for a process that was asked to stop
 _LOST = (
     "The process that made the run ended without a word, most likely because the memory was used up. Close other "
@@ -113,7 +112,7 @@ class Applying:
         """Once something was changed, it will be applied; but not while the first clicks follow each other."""
         if self.session.state is not self.session.first:
             self._unlisten()
-            later = threading.Timer(_LATER_S, self.warm)
+            later = threading.Timer(5.0, self.warm)  # after the first change
             later.daemon = True
             later.start()
 

@@ -17,7 +17,6 @@ LEAST = 5
 """Of fewer marks none can be told from the others."""
 _CHANCE = 0.01  # of right marks alone, in one set of a hundred one is named
 _MOST_PAIRS = 1500  # of which a similarity is tried
-_STEPS = 5
 _CLEAR = 4.0  # standard deviations of one coordinate
 
 
@@ -90,7 +89,7 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     candidates: list[tuple[float, NDArray[np.intp]]] = []
     for k in best:
         inliers = np.argsort(off[k], kind="stable")[:count]
-        for _ in range(_STEPS):
+        for _ in range(5):
             inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
         candidates.append((float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers)))
     return min(candidates, key=lambda candidate: candidate[0])[1]

@@ -39,7 +39,6 @@ LAST_CODE = 65535
 
 _WINDOW = 256  # pixels along the edge of the parts of a picture that show which values it has
 _FEW, _MANY = 2, 4  # such parts along each side, with and without a coarse level
-_WIDENED = 2.0  # spans by which their range is widened
 
 
 class Answer(BaseModel):
@@ -158,7 +157,7 @@ class PlanePicture:
             return Codes(0.0, 1.0)
         low, high = float(values.min()), float(values.max())
         span = max(high - low, 1e-6 * max(abs(low), abs(high)), 1e-30)
-        more = 0.0 if len(self.levels) == 1 else _WIDENED * span
+        more = 0.0 if len(self.levels) == 1 else 2.0 * span
         return Codes.between(low - more, low + span + more)
 
     @cached_property

@@ -134,7 +134,6 @@ BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
 
 _BINS = 128
-_TAILS = (0.1, 99.9)  # percentiles between which points are drawn; those beyond are counted
 
 Window = tuple[slice, slice]
 
@@ -345,7 +344,8 @@ def _limits(values: Floats) -> tuple[float, float]:
     """Between which nearly all values lie, with a little room."""
     if values.size == 0:
         return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(values, _TAILS))
+    # Percentiles between which points are drawn; those beyond are counted.
+    low, high = (float(v) for v in np.percentile(values, (0.1, 99.9)))
     room = 0.02 * (high - low) or 0.5
     return low - room, high + room
 

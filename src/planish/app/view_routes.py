@@ -29,7 +29,6 @@ from planish.core.status import Status
 from planish.surface import Corrections, Stretch
 from planish.surface.params import REACH_UM
 
-_GONE_S = 0.1  # how often it is asked whether the page still waits
 _FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
 
 
@@ -81,7 +80,7 @@ async def get_selection(request: Request) -> Response:
 
     async def watch() -> None:
         while not await request.is_disconnected():
-            await anyio.sleep(_GONE_S)
+            await anyio.sleep(0.1)  # how often it is asked whether the page still waits
         stop.set()
 
     def selected() -> Selected | PlanishError | None:

@@ -82,9 +82,6 @@ class Chunks:
         into[...] = block[: into.shape[0], : into.shape[1]]
 
 
-_DIGITS = 12  # significant digits of a pixel size: sums of its multiples have no more
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportHistory:
     """Origin of an export, which travels with every file as one line of JSON.
@@ -257,4 +254,4 @@ def column_of(name: str, units: str) -> str:
 
 
 def _exact(length_um: float) -> float:
-    return float(f"{length_um:.{_DIGITS}g}")
+    return float(f"{length_um:.12g}")  # sums of multiples of a pixel size have no more digits

@@ -28,9 +28,6 @@ from planish.pipeline.compare import is_property
 from planish.pipeline.run import Run
 from planish.results import LayerFacts
 
-_SMALL = 2**22  # pixels of a map that is read once more for the limits between which it is shown first
-_NAMED = 5  # maps that are named while they are written
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class ExportRequest:
@@ -143,9 +140,10 @@ def _file_of_maps(request: ExportRequest, maps: Maps, name: str) -> OutputFile:
     check_content(request.params.to, maps, request.params)
 
     def write(path: Path) -> None:
-        request.progress("write", ", ".join(maps.names) if len(maps.names) < _NAMED else f"{len(maps.names)} maps")
+        request.progress("write", ", ".join(maps.names) if len(maps.names) < 5 else f"{len(maps.names)} maps")
         scales = maps.scales
-        if form.shows_limits and maps.shape[0] * maps.shape[1] <= _SMALL:
+        # A map of so few pixels is read once more for the limits between which it is shown first.
+        if form.shows_limits and maps.shape[0] * maps.shape[1] <= 2**22:
             # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
             group = source.group(maps.group).assign(maps.data.data_vars)
             scales = {name: source.scale_of(group, name) for name in maps.names}

@@ -34,7 +34,6 @@ _STL_TRIANGLE = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour",
 _STL_COLOURED = 1 << 15
 
 _VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
-_VTK_QUAD = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -171,7 +170,7 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
         file.write("</Points>\n<Cells>\n")
         _write_vtk_array(file, "connectivity", mesh.quads)
         _write_vtk_array(file, "offsets", 4 * np.arange(1, cells + 1, dtype=np.int64))
-        _write_vtk_array(file, "types", np.full(cells, _VTK_QUAD, np.uint8))
+        _write_vtk_array(file, "types", np.full(cells, 9, np.uint8))  # quadrilaterals
         file.write(f"</Cells>\n<PointData{first}>\n")
         for name, numbers in mesh.maps.items():
             _write_vtk_array(file, name, numbers)

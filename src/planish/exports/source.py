@@ -44,8 +44,6 @@ STRAIGHTENED = "straightened"
 _GRIDS = ("linked", "maps", "refined", "surfaces", "flat")
 """Groups of maps on one grid, beside those of layers."""
 
-_BEYOND = 0.3  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportSource:
@@ -350,7 +348,7 @@ def _grid_around(marks: np.ndarray) -> Grid:
     """Pixels of a layer of which only the marks are known."""
     low, high = marks.min(axis=0), marks.max(axis=0)
     extent = float((high - low).max())
-    around = _BEYOND * extent
+    around = 0.3 * extent  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
     pixel = max(extent / 2000, 1e-6)
     cols, rows = (int(n) for n in np.ceil((high - low + 2 * around) / pixel).astype(int) + 1)
     return Grid.regular((rows, cols), pixel, (float(low[0] - around), float(low[1] - around)))

@@ -22,7 +22,6 @@ from planish.exports.formats import ExportParams
 MOST = 2**32 - 2**20
 """Bytes of the values of a TIFF for ImageJ."""
 
-_FINEST = 10**6  # of a pixel size as a fraction
 _VOLUME_BYTES = 2**26  # of a volume that are in memory at a time
 
 
@@ -59,7 +58,7 @@ def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistor
             metadata["mode"] = "grayscale"
     else:
         metadata["spacing"] = stack.pixel_um[0]
-    pixels = [Fraction(pitch).limit_denominator(_FINEST) for pitch in stack.pixel_um[:-3:-1]]
+    pixels = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
     resolution = tuple((pixel.denominator, pixel.numerator) for pixel in pixels)
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
 

@@ -20,10 +20,8 @@ from planish.marks.files import write_any
 
 Array = NDArray[np.float64]
 
-_AROUND = 0.1  # of the layer's longer side: the field reaches so far beyond it
 _COARSEST = 64  # pixels of the layer between nodes of a field
 _WRONG = 1 / 400  # of a pixel: what a field may err by in the middle between nodes
-_MOST = 2_000_000  # nodes
 _CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols in (slice(None, -1), slice(1, None))]
 
 
@@ -128,7 +126,7 @@ def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], facto
     down, across = grid.pixel_um
     (x0, y0), (rows, cols) = grid.origin_um, grid.shape
     size = np.array([cols * across, rows * down])
-    around = _AROUND * float(size.max())
+    around = 0.1 * float(size.max())  # of the layer's longer side: the field reaches so far beyond it
     low = np.array([x0, y0]) - 0.5 * np.array([across, down]) - around
     length = size + 2 * around
     pitch = _COARSEST * float(np.sqrt(down * across))
@@ -156,7 +154,7 @@ def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], facto
         errors = np.linalg.norm(interpolated - exact, axis=-1)[counted]
         error = float(errors.max()) if errors.size else 0.0
         # A map that is affine needs no finer grid, however large its pixels are.
-        if error <= _WRONG * min(down, across) or 2 * vectors.size > _MOST:
+        if error <= _WRONG * min(down, across) or 2 * vectors.size > 2_000_000:  # nodes
             break
         pitch /= 2
     return DisplacementField(

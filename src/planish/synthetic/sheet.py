@@ -89,7 +89,6 @@ def _filtered(field: Floats, sigma_um: float) -> Floats:
 
 
 _BORDER_UM = 260.0  # from the middle of a hole to the end of the field
-_CORNER_UM = 520.0  # from one line to the first hole of the next
 _APART_UM = 550.0
 # Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify any few holes.
 _PITCHES_UM = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
@@ -111,7 +110,7 @@ def hole_pattern(params: HoleParams, low: Floats, high: Floats, seed: int) -> Fl
 def _coded(params: HoleParams, low: Floats, high: Floats) -> Floats:
     """Three lines: along the lower edge, and up the left and the right one."""
     per_line = -(-params.count // 3)
-    corner, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + _CORNER_UM)
+    corner, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)  # from one line to the first hole of the next
     starts = (corner, (corner[0], rise), (high[0] - _BORDER_UM, rise))
     lines: list[Floats] = []
     for pitches, start, direction in zip(_PITCHES_UM, starts, (0, 1, 1), strict=True):
@@ -205,7 +204,6 @@ Field = NDArray[np.float32]
 LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
 _FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
 _LOOSE_PER_MM2 = 6.0
-_SKEW = 0.6
 _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
 
@@ -348,6 +346,6 @@ def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int
     excess_variance = p.coating_sd_um**2 - float(levelled.var())
     if excess_variance > 0:
         # Skewed: a spot can lack more than another can carry too much.
-        spots = np.exp(_SKEW * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
+        spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
         levelled -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
     return np.maximum(mean_um + levelled, 0.0)

@@ -37,7 +37,6 @@ from planish.validate.truth import (
 
 _EDGE_UM = 100.0  # length whose error is the strain: well over the scatter of single columns
 _WIDE_UM = 20.0  # of a difference that gives a normal where neighbouring sections scatter against each other
-_LEAST_SECTIONS = 4
 
 
 def section_errors(comparison: Comparison) -> Values:
@@ -48,7 +47,7 @@ def section_errors(comparison: Comparison) -> Values:
     sections, surfaces = comparison.groups.get("sections"), comparison.groups["surfaces"]
     frame, across = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.
-    if sections is None or frame.through == "z" or across.size < _LEAST_SECTIONS:
+    if sections is None or frame.through == "z" or across.size < 4:
         return {}
     middle = {
         frame.cols: float(surfaces["x"].values.mean()),

@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from planish.validate.certify import Entry
 
 _NAMES = {"coating_top": "coating thickness", "thickness": "sheet thickness"}
-_DOTS = (150.0, 16.0)  # CSS pixels of a row of dots
 _DOT_MARGIN = 6.0
 
 
@@ -88,7 +87,7 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     """Return a row of dots as SVG: one a seed, a long tick at 0 and a red one at the limit; empty without a value."""
     if not seed_values:
         return ""
-    width, height = _DOTS
+    width, height = 150.0, 16.0  # CSS pixels of a row of dots
     ends = [] if bound is None else [bound, -bound] if min(seed_values) < 0 and bound else [bound]
     low, high = min(0.0, *seed_values, *ends), max(0.0, *seed_values, *ends)
     span = (high - low) or 1.0
@@ -110,9 +109,6 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(parts)}</svg>'
 
 
-_GROWN = 3.0  # times the baseline: the darkest cell of the heat table
-
-
 def write_page(path: Path, certificate: Certificate, table: Sensitivity | None = None) -> None:
     """Write the certificate; the same certificate gives the same bytes."""
     write_whole(path, render_page(certificate, table).encode())
@@ -122,7 +118,8 @@ def render_page(certificate: Certificate, table: Sensitivity | None = None) -> s
     """Return the page of :func:`write_page` as text."""
     heat: list[list[tuple[str, bool]]] = []
     for row in table.rows if table is not None else ():
-        shades = {stage: min(1.0, row.growth.get(stage, 0.0) / _GROWN) for stage in row.added}
+        # Three times the baseline is the darkest cell of the heat table.
+        shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
         heat.append([(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()])
     scenario, entries = certificate.scenario, certificate.entries
     page = template("planish.validate", "certificate.html.j2").render(

@@ -146,9 +146,7 @@ BUDGET = 6_000_000
 
 _MOST_PIXELS = 1_500_000  # of a map: what a browser colours anew in some milliseconds
 _NOT_SHOWN = ("volume_", "projected_", "presence", "error_")  # beginnings of names
-_PLACES = ("u", "v")
 _LEAST_STEPS = 100  # of the values between the limits of the colours
-_SPAN = (0.05, 99.95)  # per cent of the values that the scatter spans
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -251,7 +249,7 @@ def _map_names(source: ExportSource) -> list[tuple[str, list[str]]]:
     for name in names:
         data = source.group(name)
         float_maps = [str(k) for k, v in data.data_vars.items() if v.ndim == 2 and v.dtype.kind == "f"]
-        maps = [k for k in float_maps if not k.startswith(_NOT_SHOWN) and k not in _PLACES and not k.endswith("_se")]
+        maps = [k for k in float_maps if not k.startswith(_NOT_SHOWN) and k not in ("u", "v") and not k.endswith("_se")]
         first = [layer.headline for layer in results.layers if name in ("linked", "maps", f"layers/{layer.name}")]
         listed = [k for layer in results.layers if layer.sheet for k in layer.sheet.properties]
         order = {k: rank for rank, k in reversed([*enumerate([*first, *listed])])}
@@ -299,7 +297,8 @@ def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results:
     pack = packed(data.values)
     if (scale.high - scale.low) / pack.step < _LEAST_STEPS:  # single values, such as holes, take most of them
         pack = packed(data.values, bits=16)
-    span = tuple(float(v) for v in np.percentile(counted, _SPAN)) if counted.size else (0.0, 1.0)
+    # Per cent of the values that the scatter spans.
+    span = tuple(float(v) for v in np.percentile(counted, (0.05, 99.95))) if counted.size else (0.0, 1.0)
     return ShownMap(
         layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=pack, scale=scale,
         span=(span[0], span[-1]) if span[0] < span[-1] else (span[0] - 0.5, span[0] + 0.5),
