@@ -29,11 +29,10 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 
     An overview is the mean of the pixels that have a value. Scale and translation place the middle of each pixel in um.
     """
-    names, shape = maps.names, maps.shape
+    names, sizes = maps.names, [maps.shape]
     several = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
-    sizes = [shape]
-    for _ in range(count_of(shape)):
+    for _ in range(count_of(maps.shape)):
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
     channels = (len(names),) if several else ()
     arrays: list[Any] = [
@@ -54,7 +53,7 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
                     finest = _Level(array, channel, pool, finest)
                 assert finest is not None
                 for rows, band in maps.bands(name, np.float32):
-                    finest.add(band, last=rows.stop == shape[0])
+                    finest.add(band, last=rows.stop == maps.shape[0])
                 finest.finish()
             overview = np.asarray(arrays[-1][... if channel is None else channel])  # the coarsest
             low, high = percentile_limits(overview)

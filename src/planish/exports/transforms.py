@@ -122,14 +122,12 @@ def before_affine(transform: DirectedTransform) -> DisplacementField:
 
 def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], factor: Array) -> DisplacementField:
     """Sample ``factor @ (function - near)`` as coarsely as it may be."""
-    grid = transform.grid
-    down, across = grid.pixel_um
-    (x0, y0), (rows, cols) = grid.origin_um, grid.shape
-    size = np.array([cols * across, rows * down])
+    pixel = np.array(transform.grid.pixel_um[::-1])
+    size = np.array(transform.grid.shape[::-1]) * pixel
     around = 0.1 * float(size.max())  # of the layer's longer side: the field reaches so far beyond it
-    low = np.array([x0, y0]) - 0.5 * np.array([across, down]) - around
+    low = np.array(transform.grid.origin_um) - 0.5 * pixel - around
     length = size + 2 * around
-    pitch = _COARSEST * float(np.sqrt(down * across))
+    pitch = _COARSEST * float(np.sqrt(pixel.prod()))
 
     def nodes(shift: float, counts: NDArray[np.intp]) -> Array:
         axes = [low[k] + pitch * (np.arange(counts[k] - (shift > 0)) + shift) for k in (0, 1)]
@@ -154,7 +152,7 @@ def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], facto
         errors = np.linalg.norm(interpolated - exact, axis=-1)[counted]
         error = float(errors.max()) if errors.size else 0.0
         # A map that is affine needs no finer grid, however large its pixels are.
-        if error <= _WRONG * min(down, across) or 2 * vectors.size > 2_000_000:  # nodes
+        if error <= _WRONG * pixel.min() or 2 * vectors.size > 2_000_000:  # nodes
             break
         pitch /= 2
     return DisplacementField(
