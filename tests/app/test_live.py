@@ -13,9 +13,8 @@ import numpy as np
 import pytest
 
 from planish.app.changes import Import, Mark, change_of
-from planish.app.fits import fitted
+from planish.app.fits import find_outliers, fitted
 from planish.app.live import Live
-from planish.app.outliers import find_outliers
 from planish.app.pictures import Pictures
 from planish.app.session import Session
 from planish.app.snap import snapped

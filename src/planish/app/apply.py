@@ -174,7 +174,8 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
         ]
         free[side] = [hole for k, hole in enumerate(holes) if not inside[:, k].any()]
     for side, unmarked in free.items():
-        names = (name for k in itertools.count(1) if (name := f"{side} {k}") not in {*labels})
+        in_use = {*labels}
+        names = (name for k in itertools.count(1) if (name := f"{side} {k}") not in in_use)
         labels = [*labels, *itertools.islice(names, len(unmarked))]
         used += [True] * len(unmarked)
         for other in PLANES:
