@@ -18,9 +18,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.checks import CHECKS, RegisteredSheet
+from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
 from planish.flatten import flatten_sheet
-from planish.pipeline.through_scale import estimate, judge, scale_from_thickness
 from planish.register import fit_transform
 
 Floats = NDArray[np.float64]
@@ -128,7 +129,8 @@ def examine(case: Case, rng: np.random.Generator):
     fit = fit_transform(moving, fixed, model="auto", lowest="similarity")
     found = estimate(seen, flat, fit)
     assert found is not None
-    return judge(found, scale_from_thickness(seen), seen), found
+    light = next(light for light in CHECKS if light.stage is RegisteredSheet)
+    return judge_marks(light, seen, found, scale_from_thickness(seen)), found
 
 
 def _thickness(rng: np.random.Generator, height: Floats, stated: float, step: float) -> Floats:

@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from planish.checks import CHECKS, MappedSheet, RegisteredSheet
+from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
 from planish.flatten import flatten_sheet, places_when_scaled
-from planish.pipeline.through_scale import estimate, judge, scale_from_thickness, thickness_scale_check
 from planish.register import Pairs, find_through_scale, fit_transform
 
+BY_THICKNESS, BY_MARKS = (
+    next(light for light in CHECKS if light.name == "scale through the sheet" and light.stage is stage)
+    for stage in (MappedSheet, RegisteredSheet)
+)
 SLOPE, WAVE_UM, TURN = 0.5, 1300.0, 0.4  # 27°
 THICK_UM = 90.0
 
@@ -58,7 +63,7 @@ def checked(seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, 
     fixed[0] += wrong_um
     fit = fit_transform(at, fixed, model=model, lowest="similarity")
     found = estimate(seen, flat, fit)
-    return found, None if found is None else judge(found, scale_from_thickness(seen), seen)
+    return found, None if found is None else judge_marks(BY_MARKS, seen, found, scale_from_thickness(seen))
 
 
 def turned_onto(places, truth):
@@ -141,7 +146,7 @@ def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
     flat, at, places = marks(wrong, 16)
     fixed = places * [np.sqrt(1 + 0.49), 1] + np.random.default_rng(0).normal(0, 0.5, at.shape)
     found = estimate(wrong, flat, fit_transform(at, fixed, model="affine"))
-    check = judge(found, scale_from_thickness(wrong), wrong)
+    check = judge_marks(BY_MARKS, wrong, found, scale_from_thickness(wrong))
     assert found.scale == pytest.approx(2, abs=0.05)
     assert check.state == "look"
     assert "explains it as well" in check.sentence
@@ -194,16 +199,16 @@ def test_a_sheet_seen_from_the_low_end_of_its_axis():
 def test_thickness_against_slope_is_exact_without_noise(stated):
     found = scale_from_thickness(sheet(stated, slope=0.8))
     assert found.scale == pytest.approx(1 / stated, rel=0.01)
-    check = thickness_scale_check(sheet(stated, slope=0.8, grain=0.05))
+    check = BY_THICKNESS(MappedSheet(None, sheet(stated, slope=0.8, grain=0.05)))
     assert check.state == ("pass" if stated == 1 else "look")
 
 
 def test_thickness_of_a_flat_sheet_says_nothing():
-    check = thickness_scale_check(sheet(slope=0.05, grain=0.05))
+    check = BY_THICKNESS(MappedSheet(None, sheet(slope=0.05, grain=0.05)))
     assert check.state == "unknown"
     assert "marks can say more" in check.sentence
     empty = sheet().assign(status=(("y", "x"), np.full((150, 180), 2, np.uint8)))
-    assert thickness_scale_check(empty).value is None
+    assert BY_THICKNESS(MappedSheet(None, empty)).value is None
 
 
 def test_thickness_tells_a_spacing_from_a_stretch():
@@ -212,5 +217,5 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     found, _ = checked(seen, slope=0.8)
     slope = scale_from_thickness(seen)
     doubtful = type(found)(**{k: getattr(found, k) for k in found.__slots__} | {"over_stretch": 0.0})
-    assert judge(doubtful, slope, seen).state == "fail"
-    assert "Thickness against slope asks for the same" in judge(doubtful, slope, seen).sentence
+    assert judge_marks(BY_MARKS, seen, doubtful, slope).state == "fail"
+    assert "Thickness against slope asks for the same" in judge_marks(BY_MARKS, seen, doubtful, slope).sentence

@@ -74,7 +74,7 @@ def no_specimen(monkeypatch):
 def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     """What the studies do with real runs, with the run and its ledger replaced."""
     check = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um.")
-    results = SimpleNamespace(spoken=lambda state: [check] if state == "fail" else [])
+    results = SimpleNamespace(checks_in=lambda state: [check] if state == "fail" else [])
     run = SimpleNamespace(results=results, groups={"linked": None})
     monkeypatch.setattr(certify, "run_study", lambda *_, **__: run)
     monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})

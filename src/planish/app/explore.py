@@ -17,12 +17,11 @@ from planish.app.exploring.maps import MapsOfPage, Packed, map_spec, maps_of
 from planish.app.exploring.slices import BUDGET, Stack, stack_of
 from planish.compute import Compute, Progress, silent
 from planish.core.area import area_mean
-from planish.core.checks import CORRELATION, POSITION, concerned
+from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
 from planish.core.files import write_whole
 from planish.core.threads import limit_threads
 from planish.exports import ExportSource
 from planish.io.run_folder import refuse_existing, refuse_inside
-from planish.pipeline.checks import trust_of
 from planish.report import summary
 from planish.report.colours import MISSING, colours_in_steps, image_uri
 from planish.report.slices import LINES

@@ -1,4 +1,4 @@
-"""Slices out of order, repeated, filled, missing or foreign, found from how each differs from its neighbours.
+"""Light of the slices: out of order, repeated, filled, missing or foreign, by how each differs from its neighbours.
 
 Neighbouring slices of a continuous body are alike, and how much they differ changes slowly from slice to slice. Every
 statistic compares a slice with its own neighbourhood, so that none needs a scale; logarithms are natural.
@@ -6,13 +6,17 @@ statistic compares a slice with its own neighbourhood, so that none needs a scal
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.checks.scan import Scan
 from planish.checks.windows import Window
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light
+from planish.core.frame import Axis
 from planish.core.typing import Bools, Floats
 
 Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "jump"]
@@ -28,6 +32,16 @@ _BACK, _FAR = 0.25, 64  # rise of ln d1 above its median at a jump that may lead
 _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _RUN = 10  # slices that are filled, or nearly the same, at most
 _LEAST = 8  # slices that are needed
+
+
+_NAMED = 4  # faults that a sentence names
+_ADVICE = {
+    "order": "Check the numbers of the files: sort them, and read the stack again.",
+    "repeated": "Take the copies out of the stack, or put the right slices in their place.",
+    "filled": "Put the measured slices in their place if there are any.",
+    "foreign": "Look at these slices; put the right ones in their place, or read the stack without them.",
+    "jump": "Compare the number of slices with the scanner's log; give the missing ones or map either part alone.",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,6 +62,72 @@ class Fault:
     def count(self) -> int:
         """Slices that are concerned."""
         return self.last - self.first + 1
+
+
+def slice_order(light: Light, scan: Scan, *, axis: Axis) -> Check:
+    """Judge the slices along an axis.
+
+    ``fail`` where they are not in their order, ``look`` where some are repeated, filled, foreign, empty or missing. The
+    value is the number of slices, or breaks, that are concerned.
+    """
+    window = scan.windows[axis]
+    faults = find_faults(window, assembled=axis in scan.assembled)
+    if not faults:
+        return light.check(
+            "pass", value=0.0, limit=0.0, units="slices", figures=(),
+            sentence=f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged, repeated, filled or "
+            "missing.",
+        )  # fmt: skip
+    kinds = [f.kind for f in faults]
+    unordered = [f for f in faults if f.kind in ("exchanged", "moved")]
+    listed = unordered or faults
+    sentences = [_sentence(f, axis) for f in listed[:_NAMED]]
+    if len(listed) > _NAMED:
+        sentences.append(f"{len(listed) - _NAMED} more such places.")
+    if unlisted := len(faults) - len(listed):
+        sentences.append(f"{unlisted} other {'fault' if unlisted == 1 else 'faults'} along the same axis.")
+    is_grave = unordered or axis == scan.through  # heights that are wrong displace on every slope
+    most = max(dict.fromkeys(kinds), key=kinds.count)
+    return light.check(
+        "fail" if unordered else "look", value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
+        limit=0.0, units="slices", sentence=" ".join(sentences) + " Slices count from 0.",
+        advice=_ADVICE["order" if unordered else "foreign" if most == "empty" else most],
+        figures=(
+            CORRELATION,
+            *([POSITION] if is_grave or {*kinds} & {"repeated", "jump"} else []),
+            *([PROPERTIES] if is_grave or {*kinds} & {"filled", "foreign", "empty"} else []),
+        ),
+    )  # fmt: skip
+
+
+def _sentence(f: Fault, axis: Axis) -> str:
+    which = f"Slices {f.first}-{f.last}" if f.count > 1 else f"Slice {f.first}"
+    several = f.count > 1
+    match f.kind:
+        case "exchanged":
+            return f"Slices {f.first} and {f.last} along {axis} are exchanged."
+        case "moved":
+            return (
+                f"Slices along {axis} are not in order: slice {f.first} does not follow {f.first - 1}, "
+                f"and slice {f.other} fits there."
+            )
+        case "repeated":
+            assert f.other is not None
+            # Slices that all repeat one slice have no room for as many others.
+            source = f"{f.other}-{f.other + f.count - 1}" if several and f.first - f.other >= f.count else f"{f.other}"
+            return f"{which} along {axis} {'are copies' if several else 'is a copy'} of {source}."
+        case "filled":
+            return f"{which} along {axis} {'are means' if several else 'is the mean'} of the neighbours, not measured."
+        case "foreign":
+            return f"{which} along {axis} does not fit between its neighbours."
+        case "empty":
+            return f"{which} along {axis} {'show' if several else 'shows'} nothing, while the neighbours do."
+        case "jump":
+            far = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
+            return (
+                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if {far} "
+                f"{'slice was' if far == 'some 1' else 'slices were'} missing."
+            )
 
 
 def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:

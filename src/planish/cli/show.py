@@ -75,7 +75,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
     several = len(results.layers) > 2
     states: tuple[State, ...] = ("fail", "look", "unknown")
     for state in states:
-        for check in results.spoken(state):
+        for check in results.checks_in(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
             text = f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip()
             sentence(text, err=True)
@@ -84,7 +84,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
 
 def exit_code(results: Results, *, strict: bool = False) -> int:
     """4 where a check failed or, with ``strict``, asks for a look."""
-    return 4 if results.state == "fail" or (strict and results.spoken("look")) else 0
+    return 4 if results.state == "fail" or (strict and results.checks_in("look")) else 0
 
 
 def _properties(name: str, sheet: SheetFacts) -> None:

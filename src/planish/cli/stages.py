@@ -211,7 +211,8 @@ def resample(
 @hole_options
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
-    from planish.marks import check_holes, write_holes
+    from planish.checks import check_holes
+    from planish.marks import write_holes
     from planish.pipeline import find_holes
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
@@ -259,10 +260,10 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 
     Of a run, rows that a check makes doubtful are marked, and those that a failed check concerns are withheld.
     """
+    from planish.checks import rows_with_trust
     from planish.cli.show import correlations, exit_code
     from planish.core.errors import InputError
     from planish.pipeline import correlate_maps
-    from planish.pipeline.checks import rows_with_trust
     from planish.pipeline.run import is_run, open_results
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")

@@ -16,7 +16,7 @@ from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file, writing
 from planish.core.grid import Grid
 from planish.core.mistakes import mistakes
-from planish.core.options import by_field, spoken
+from planish.core.options import by_field, option_names
 from planish.core.threads import limit_threads
 from planish.exports.content import Maps
 from planish.exports.formats import FORMATS, ExportFormat, ExportParams, check_content, formats_with, is_file, writer_of
@@ -312,9 +312,10 @@ def export(
         raise StudyError(f"{'; '.join(mistakes(error, ExportParams, lambda loc: (loc, None)))}.") from error
     for name in dict.fromkeys(name for form in FORMATS.values() for name in form.options):
         if name in params.model_fields_set and name not in FORMATS[params.to].options:
-            raise StudyError(f"{spoken(ExportParams, name)} is for {formats_with(name)}, and --to says {params.to}.")
+            flag = option_names(ExportParams, name)
+            raise StudyError(f"{flag} is for {formats_with(name)}, and --to says {params.to}.")
     if params.depth_um is not None and params.group != STRAIGHTENED:
-        raise StudyError(f"{spoken(ExportParams, 'depth_um')} is for --group {STRAIGHTENED}.")
+        raise StudyError(f"{option_names(ExportParams, 'depth_um')} is for --group {STRAIGHTENED}.")
     form, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
     single = is_file(params.to, out)
     refuse_existing(out)

@@ -10,7 +10,6 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
 from planish.core.errors import MarkError, SizeError
 from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _measure_kernels as k
@@ -50,32 +49,6 @@ def count_rejected(
         reason = next((name for name, is_met in met.items() if not is_met[row]), "unlike")
         counts[reason if is_whole[row] else "cut"] += 1
     return counts
-
-
-def check_holes(holes: xr.Dataset) -> Check:
-    """Check how many holes were found and what was rejected; a look where places were not measured.
-
-    Parameters
-    ----------
-    holes : Dataset, dims (mark)
-        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
-    """
-    counts: dict[str, int] = holes.attrs.get("not_taken", {})
-    listed = [f"{counts[name]} {words}" for name, words in REASONS.items() if counts.get(name)]
-    count = holes.sizes["mark"]
-    sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
-    sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
-    dropped, openings = counts.get("not_measured", 0), int(holes.attrs.get("openings", 0))
-    advice = "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um)."
-    # Of all openings: so many that are not round are no single holes that are half closed.
-    many = openings if openings > max(1, 0.25 * (count + openings)) else 0
-    if openings:
-        subject = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
-        sentence += f" {subject} not round enough for one."
-    if many:
-        advice = "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
-    figures = (POSITION, PROPERTIES, CORRELATION) if many else (POSITION,)
-    return Check.at_most("holes", dropped + many, look=0, sentence=sentence, figures=figures, advice=advice)
 
 
 Polarity = Literal["auto", "dark", "bright"]

@@ -61,7 +61,7 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
 
 def check_summary(results: Results) -> str:
     """State what the checks say, the worst first."""
-    fail, look, unknown = (len(results.spoken(state)) for state in ("fail", "look", "unknown"))
+    fail, look, unknown = (len(results.checks_in(state)) for state in ("fail", "look", "unknown"))
     total = len(results.checks)
     if not fail and not look and not unknown:
         return f"All {total} checks are passed." if total != 1 else "The check is passed."
@@ -77,7 +77,7 @@ def check_summary(results: Results) -> str:
 def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
     """Say why a figure of some layers is kept out of the headline."""
     state: State = "fail" if trust == "withheld" else "look"
-    names = [c.name for c in results.spoken(state) if c.figures and (not c.layers or set(c.layers) & set(layers))]
+    names = [c.name for c in results.checks_in(state) if c.figures and (not c.layers or set(c.layers) & set(layers))]
     return f"is {trust} ({', '.join(dict.fromkeys(names))})"
 
 

@@ -146,7 +146,7 @@ def as_judged(member: Member, results: Results) -> Member:
     """A member with the state of its run, and what the failed checks say where it says nothing yet."""
     if results.passed:
         return member.model_copy(update={"state": "whole"})
-    failed = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.spoken("fail")]
+    failed = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.checks_in("fail")]
     return member.model_copy(update={"state": "withheld", "message": member.message or " ".join(failed)})
 
 
@@ -163,7 +163,7 @@ def _summary(member: Member, results: Results) -> RunSummary:
     return RunSummary(
         specimen=Specimen(
             member=member, kind=kind, light=results.state,
-            spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.spoken(s))},
+            spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.checks_in(s))},
             marks_used=min((r.matched for r in registered), default=None),
             leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registered]), expected_error_um=_largest(errors),
         ),
@@ -233,7 +233,7 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
         figures += _of_registration(layer, results)
     figures += _of_pairs(results)
     for state in ("fail", "look", "unknown", "pass"):
-        figures.append({"quantity": f"checks_{state}", "value": float(len(results.spoken(state)))})
+        figures.append({"quantity": f"checks_{state}", "value": float(len(results.checks_in(state)))})
     return [FigureRow(specimen=member.name, factors=member.factors, **figure) for figure in figures]
 
 

@@ -173,8 +173,8 @@ def run_specimen(
             # The folder's name is made up anew each time and means nothing to a reader.
             return Entry(seed=seed, values={}, refusal=error.text.replace(f"{folder}{os.sep}", ""))
         progress("compare", "with the truth")
-        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("fail"))
-        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("look"))
+        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
+        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
         if scenario.second is not None:
             return Entry(seed=seed, values=in_order(pair_errors(specimens, run)), failed=failed, looks=looks)
         comparison, pictures = Comparison(*specimens[0], run), ()

@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.area import halved
-from planish.core.checks import POSITION, concerned
+from planish.core.checks import POSITION, concerned, trust_of
 from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
@@ -21,7 +21,6 @@ from planish.core.typing import Floats
 from planish.exports.source import IMAGE, ExportSource
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
-from planish.pipeline.checks import trust_of
 from planish.pipeline.run import MAPS
 from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of

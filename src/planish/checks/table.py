@@ -1,0 +1,128 @@
+"""All lights of a run in one table: name, what is judged, the figures concerned, and the function that judges."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from functools import partial
+from typing import Any
+
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.checks import greys, registration, sheets, through_scale
+from planish.checks.greys import SheetImage
+from planish.checks.registration import HolesOnSheet, LayerHoles, RegisteredLayer, TextureChecks
+from planish.checks.scan import Scan
+from planish.checks.sheets import MappedSheet
+from planish.checks.slices import slice_order
+from planish.checks.through_scale import RegisteredSheet
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light
+from planish.results import LayerFacts, LinkedArea
+
+_ALL = (PROPERTIES, POSITION, CORRELATION)
+_COATINGS = ("coating_top", "coating_bottom", "base_thickness", "thickness")
+_THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
+_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom")
+
+CHECKS = (
+    # planish map: from the maps of a sheet
+    Light("coverage", MappedSheet, (PROPERTIES,), sheets.coverage),
+    Light("missing voxels", MappedSheet, (PROPERTIES,), sheets.missing_voxels),
+    Light("fold-over", MappedSheet, (POSITION,), sheets.fold_over),
+    Light("alignment", MappedSheet, (PROPERTIES, POSITION), sheets.alignment),
+    Light("cut-off", MappedSheet, (POSITION,), sheets.cutoff),
+    Light("scale through the sheet", MappedSheet, _ALL, through_scale.scale_by_thickness),
+    Light("corrections", MappedSheet, (PROPERTIES,), sheets.corrections),
+    # planish map: from the volume
+    Light("hand of the volume", Scan, (POSITION, CORRELATION), sheets.hand),
+    Light("slices along z", Scan, _ALL, partial(slice_order, axis="z")),
+    Light("slices along y", Scan, _ALL, partial(slice_order, axis="y")),
+    Light("slices along x", Scan, _ALL, partial(slice_order, axis="x")),
+    Light("clipped grey", Scan, _COATINGS, greys.clipped_grey),
+    Light("grey of the slices", Scan, (PROPERTIES,), greys.steady_grey),
+    Light("grey across the sheet", Scan, (PROPERTIES,), greys.shading),
+    Light("one sheet", Scan, (PROPERTIES, POSITION), sheets.one_sheet),
+    Light("blur of the scan", Scan, (PROPERTIES, POSITION), greys.blur),
+    Light("voxels through the sheet", Scan, _THICKNESSES, sheets.voxels_through),
+    Light("dust, top", Scan, ("coating_top", "base_thickness", "thickness"), partial(sheets.dust, side="top")),
+    Light("dust, bottom", Scan, ("coating_bottom", "base_thickness", "thickness"), partial(sheets.dust, side="bottom")),
+    # planish link: from a registration
+    Light("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
+    Light("marks", RegisteredLayer, (POSITION,), registration.marks),
+    Light("scale", RegisteredLayer, (PROPERTIES, POSITION), registration.scale),
+    Light("strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain),
+    Light("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
+    Light("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
+    Light("holes in NAME", LayerHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
+    # planish link: from the layers on one grid
+    Light("common field", LayerFacts, (CORRELATION,), registration.common_field),
+    Light("holes without partner", HolesOnSheet, (POSITION, CORRELATION), registration.holes_without_partner),
+    Light("clipped image", SheetImage, (CORRELATION,), greys.clipped_image),
+    Light("side and specimen", TextureChecks, (*_SIDES, POSITION, CORRELATION), lambda _, textures: textures.side),
+    Light("position by texture", TextureChecks, (POSITION, CORRELATION), lambda _, textures: textures.position),
+    Light("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
+)
+"""Rows in the order of the results, each a :class:`planish.core.checks.Light`."""
+
+
+def run_checks(subject: object, *layers: str) -> list[Check]:
+    """Judge a subject by all rows of its class, as checks about ``layers``."""
+    checks = [light(subject) for light in CHECKS if isinstance(subject, light.stage)]
+    return for_layers([check for check in checks if check is not None], *layers)
+
+
+def for_layers(checks: Iterable[Check], *layers: str) -> list[Check]:
+    """Checks with the layers that they are about: one of a sheet, two of a registration or a comparison."""
+    return [check.model_copy(update={"layers": layers}) for check in checks]
+
+
+def check_scan(
+    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool = False, labels: bool = False,
+    threads: int | None = None,
+) -> tuple[Check, ...]:  # fmt: skip
+    """Check a volume and the sheet that was measured in it.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x), coordinates in um
+        Parts of it are read, in one pass.
+    measured : Dataset, dims (y, x)
+        Surfaces and properties, heights in um.
+    sections : bool
+        Whether planish joined serial sections to the volume: what it bridged itself is no fault.
+    labels : bool
+        Whether voxels are labels, which have no grey scale.
+    threads : int, optional
+        No result depends on it.
+    """
+    scan = Scan.read(volume, measured, sections=sections, labels=labels, threads=threads)
+    return tuple(run_checks(scan))
+
+
+def check_holes(holes: xr.Dataset) -> Check:
+    """Check how many holes were found and what was rejected; a look where places were not measured.
+
+    Parameters
+    ----------
+    holes : Dataset, dims (mark)
+        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
+    """
+    return run_checks(LayerHoles("", holes))[0].model_copy(update={"name": "holes"})
+
+
+def exposure_check(values: NDArray[Any]) -> Check:
+    """Judge the greys of an image of the sheet, away from holes.
+
+    Parameters
+    ----------
+    values : array, any shape and numeric type
+        A sample of the image's greys; NaN is left out.
+
+    Returns
+    -------
+    Check
+        ``look`` where more than 1 % of the pixels share the lowest or the highest grey, three times as many as have
+        the greys next to it: r then sees these pixels as equal, and is too weak. Images of fewer than eight levels
+        pass: they show areas.
+    """
+    return run_checks(SheetImage(values))[0]
