@@ -127,10 +127,11 @@ def examine(case: Case, rng: np.random.Generator):
     fixed = np.stack([u, v], axis=1) @ _stretch(rng)
     fixed += rng.normal(0, case.error_um / np.sqrt(2), fixed.shape)
     fit = fit_transform(moving, fixed, model="auto", lowest="similarity")
-    found = estimate(seen, flat, fit)
+    registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
+    found = estimate(registered)
     assert found is not None
     light = next(light for light in CHECKS if light.stage is RegisteredSheet)
-    return judge_marks(light, seen, found, scale_from_thickness(seen)), found
+    return judge_marks(light, registered, found, scale_from_thickness(seen)), found
 
 
 def _thickness(rng: np.random.Generator, height: Floats, stated: float, step: float) -> Floats:

@@ -62,8 +62,9 @@ def checked(seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, 
     fixed += np.random.default_rng(seed + 100).normal(0, error_um / np.sqrt(2), fixed.shape)
     fixed[0] += wrong_um
     fit = fit_transform(at, fixed, model=model, lowest="similarity")
-    found = estimate(seen, flat, fit)
-    return found, None if found is None else judge_marks(BY_MARKS, seen, found, scale_from_thickness(seen))
+    registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
+    found = estimate(registered)
+    return found, None if found is None else judge_marks(BY_MARKS, registered, found, scale_from_thickness(seen))
 
 
 def turned_onto(places, truth):
@@ -145,8 +146,9 @@ def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
     wrong = seen.assign(centre=0.5 * seen["centre"])
     flat, at, places = marks(wrong, 16)
     fixed = places * [np.sqrt(1 + 0.49), 1] + np.random.default_rng(0).normal(0, 0.5, at.shape)
-    found = estimate(wrong, flat, fit_transform(at, fixed, model="affine"))
-    check = judge_marks(BY_MARKS, wrong, found, scale_from_thickness(wrong))
+    registered = RegisteredSheet(measured=wrong, flat=flat, fit=fit_transform(at, fixed, model="affine"))
+    found = estimate(registered)
+    check = judge_marks(BY_MARKS, registered, found, scale_from_thickness(wrong))
     assert found.scale == pytest.approx(2, abs=0.05)
     assert check.state == "look"
     assert "explains it as well" in check.sentence
@@ -217,5 +219,6 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     found, _ = checked(seen, slope=0.8)
     slope = scale_from_thickness(seen)
     doubtful = type(found)(**{k: getattr(found, k) for k in found.__slots__} | {"over_stretch": 0.0})
-    assert judge_marks(BY_MARKS, seen, doubtful, slope).state == "fail"
-    assert "Thickness against slope asks for the same" in judge_marks(BY_MARKS, seen, doubtful, slope).sentence
+    check = judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
+    assert check.state == "fail"
+    assert "Thickness against slope asks for the same" in check.sentence

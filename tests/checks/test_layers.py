@@ -9,13 +9,22 @@ from scipy import ndimage
 
 from planish.checks import CHECKS, check_scan
 from planish.checks.greys import clipping, level_jump, noise_width
-from planish.checks.scan import Greys, voxels_through
+from planish.checks.scan import voxels_through
 from planish.checks.sheets import find_particles
 from planish.checks.windows import window_of
+from planish.measure.greys import Greys
 
 LIGHTS = {light.name: light for light in CHECKS}
 VOXEL = 3.0
-GREYS = Greys(air=40.0, base=90.0, coating=200.0, noise=5.0)
+
+
+def levels(air, base, coating, noise):
+    sign = 1.0 if base >= air else -1.0
+    of_all = {"air": air, "base": base, "coating_top": coating, "coating_bottom": np.nan, "noise": noise}
+    return Greys(**of_all, polarity=sign, blur_um=2.4, padding=np.nan)
+
+
+GREYS = levels(40.0, 90.0, 200.0, 5.0)
 
 
 def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
@@ -46,7 +55,7 @@ def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
         {k: (("y", "x"), (v + np.zeros(shape)) * VOXEL) for k, v in heights.items()},
         coords={k: coords[k] for k in "yx"},
         attrs={"through": "z", "top_side": "high", "grey_air": 40.0, "grey_base": 90.0, "grey_coating_top": 200.0,
-               "grey_coating_bottom": 200.0, "grey_noise": 5.0, "blur_um": 2.4},
+               "grey_coating_bottom": 200.0, "grey_noise": 5.0, "polarity": 1.0, "blur_um": 2.4},
     )  # fmt: skip
     coating = ndimage.gaussian_filter(rng.normal(size=shape), 5)
     for side in ("top", "bottom"):
@@ -205,7 +214,7 @@ def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
     turned = [v if sign > 0 else 250 - v for v in (40.0, 90.0, 200.0)]
     for at in (np.inf, 150.0, 195.0, 203.0):
         air, base, coating = (v * scale for v in turned)
-        greys = Greys(air=air, base=base, coating=min(coating, at * scale) if sign > 0 else coating, noise=8 * scale)
+        greys = levels(air, base, min(coating, at * scale) if sign > 0 else coating, 8 * scale)
         check = judged("clipped grey", sample=histogram(dtype, scale, at=at, sign=sign), greys=greys)
         assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
     assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness", "thickness"}
@@ -220,7 +229,7 @@ def test_clipping_well_above_the_coating_is_said_and_passes():
 
 def test_a_volume_stretched_to_16_bits_after_clipping_is_seen():
     eight = histogram(np.uint8, at=150.0).astype(np.uint16) * 257
-    spike, share, end = clipping(eight, Greys(air=40 * 257, base=90 * 257, coating=150 * 257, noise=5 * 257))
+    spike, share, end = clipping(eight, levels(40 * 257, 90 * 257, 150 * 257, 5 * 257))
     assert spike > 3
     assert share == pytest.approx(0.1, abs=0.01)
     assert end == 150 * 257

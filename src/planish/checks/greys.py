@@ -9,20 +9,17 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.checks.scan import Greys, Scan
+from planish.checks.scan import GreyScan
 from planish.checks.windows import Window
 from planish.core.checks import PROPERTIES, Check, Light
+from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.core.typing import Floats
+from planish.measure.greys import Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
 _BINS = 256  # between the air and the end of the grey scale
 _REST = range(1, 7)  # bins that the histogram is continued from
-_NEAR = 1.0  # standard deviations of the noise: so near to the layer's own level, a limit moves it
-
-UNSTEADY = 0.03  # of the contrast: levels of slices that jump by as much, as a standard deviation
-_LEVELS = (5.0, 50.0, 95.0)  # percentiles of the block means of a slice
-
 SHADED = 0.15  # of base - air: change of the base's grey across the sheet
 _NOTABLE = 9.0  # times the standard error of a mean: range of a fitted parabola that chance does not make
 _LEAST_TILES, _LEAST_PLACES = 20, 4  # of all, and different ones along an axis
@@ -31,12 +28,9 @@ _FWHM = 2.3548  # of a Gaussian, in standard deviations
 _EDGE, _DEPTH = 32, 8  # voxels along the edge of a block of air; along the axis through the sheet
 _GAP = 6  # voxels between the sheet and a block
 _PLACES = 4  # blocks along either axis of the sheet, on either side
-_QUIET = 0.5  # steps of the grey scale: noise that is less is that of rounding
 _LAGS = 12  # voxels
 
 _CUT_SHARE = 0.01  # of an image's pixels at one end of the scale, from which on a correlation suffers
-_NEXT = 1 / 64  # of the range of greys, counted as next to an end
-_LEAST_LEVELS = 8  # fewer are an image of areas, not of greys
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,26 +43,33 @@ class SheetImage:
 # --- of a scan -------------------------------------------------------------------------------------------------------
 
 
-def clipped_grey(light: Light, scan: Scan) -> Check | None:
+def clipped_grey(light: Light, scan: GreyScan) -> Check:
     """Judge whether the grey scale ends where the sheet's densest layer lies."""
-    if (greys := scan.greys) is None:
-        return None
+    greys = scan.greys
     spike, share, end = clipping(scan.sample, greys)
-    layer = "coating" if greys.is_coated else "base"
-    is_inside = greys.sign * (end - greys.densest) < _NEAR * greys.noise + 0.02 * abs(greys.densest - greys.air)
+    coat = denser_coating(greys)
+    layer, level = ("base", greys.base) if coat is None else ("coating", coat)
+    # So near to the layer's own level, a limit moves it.
+    is_inside = greys.polarity * (end - level) < greys.noise + 0.02 * abs(level - greys.air)
     crowd = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
     if not (spike > SPIKE and share > SHARE):
         sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
     elif not is_inside and share < 0.02:
-        sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({greys.densest:.4g})."
+        sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({level:.4g})."
     else:
         return light.check(
-            "look", value=spike, limit=SPIKE, figures=light.figures if greys.is_coated else (PROPERTIES,),
-            sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {greys.densest:.4g}: its "
+            "look", value=spike, limit=SPIKE, figures=(PROPERTIES,) if coat is None else light.figures,
+            sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {level:.4g}: its "
             "contrast is too low, and its face is displaced.",
             advice="Export the volume with a wider grey window, or as 16 bit.",
         )  # fmt: skip
     return light.check("pass", sentence, value=spike, limit=SPIKE, figures=())
+
+
+def denser_coating(greys: Greys) -> float | None:
+    """Level of the coating, of two the one farther from the base; None where there is none."""
+    levels = [greys.coating(side) for side in SIDES if greys.coated(side)]
+    return max(levels, key=lambda level: abs(level - greys.base), default=None)
 
 
 def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
@@ -84,8 +85,7 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     levels, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
-    sign = greys.sign
-    end = float(levels.max() if sign > 0 else levels.min())
+    end = float(levels.max() if greys.polarity > 0 else levels.min())
     reach = abs(end - greys.air)
     width = reach / _BINS
     if whole:  # a bin holds as many steps of the scale as any other
@@ -93,7 +93,7 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
         step = float(np.diff(near.astype(np.float64)).min()) if near.size > 1 else 1.0
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
     # Away from the end; half a step keeps rounding out of the places of the bins.
-    bins = np.floor(sign * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
+    bins = np.floor(greys.polarity * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
     is_near_end = bins <= _REST[-1]
     weights = None if counts is None else counts[is_near_end]
     h = np.bincount(bins[is_near_end].astype(np.int64), weights, _REST[-1] + 1).astype(np.float64)
@@ -104,15 +104,14 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     return first / (x + 3 * np.sqrt(x) + 1), first / (levels.size if counts is None else int(counts.sum())), end
 
 
-def steady_grey(light: Light, scan: Scan) -> Check | None:
+def steady_grey(light: Light, scan: GreyScan) -> Check:
     """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
-    if (greys := scan.greys) is None:
-        return None
-    contrast = abs(greys.densest - greys.air)
+    greys, coat = scan.greys, denser_coating(scan.greys)
+    contrast = abs((greys.base if coat is None else coat) - greys.air)
     judged = [w for axis, w in scan.windows.items() if axis not in (*scan.assembled, scan.through)]
     jumps, axis = max(((level_jump(w) / contrast, w.axis) for w in judged), key=lambda j: j[0], default=(0.0, "z"))
     return light.at_most(
-        jumps, look=UNSTEADY,
+        jumps, look=0.03,
         sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jumps:.1f} % of the contrast between "
         "air and sheet.",
         advice="Slices were probably scaled one by one. Export all of them with one grey window.",
@@ -121,21 +120,19 @@ def steady_grey(light: Light, scan: Scan) -> Check | None:
 
 def level_jump(window: Window) -> float:
     """Standard deviation of what the levels of single slices jump by, in greys."""
-    levels = np.percentile(window.blocks, _LEVELS, axis=1)
+    levels = np.percentile(window.blocks, (5.0, 50.0, 95.0), axis=1)
     if levels.shape[1] < 8:
         return 0.0
     bend = np.abs(np.diff(levels, n=2, axis=1))
     return float(1.4826 / np.sqrt(6) * np.median(bend, axis=1).max())
 
 
-def shading(light: Light, scan: Scan) -> Check | None:
+def shading(light: Light, scan: GreyScan) -> Check:
     """Judge whether the base has one grey from one border of the sheet to the other.
 
     Along each axis of the sheet a parabola is fitted to the tiles' grey.
     """
-    if (greys := scan.greys) is None or (core := scan.core) is None or (grey := scan.core_grey) is None:
-        return None
-    contrast = abs(greys.base - greys.air)
+    core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
     points = core.points.reshape(*core.shape, 3)
     tiles = np.any(np.isfinite(grey).all(axis=2), axis=1)
     if np.count_nonzero(tiles) < _LEAST_TILES or not contrast > 0:
@@ -162,7 +159,7 @@ def shading(light: Light, scan: Scan) -> Check | None:
     )  # fmt: skip
 
 
-def blur(light: Light, scan: Scan) -> Check | None:
+def blur(light: Light, scan: GreyScan) -> Check | None:
     """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen.
 
     What is flattened lies between the faces: where they are moved, so are its places.
@@ -171,7 +168,7 @@ def blur(light: Light, scan: Scan) -> Check | None:
     """
     measured = scan.measured
     names = [k for k in ("coating_top", "coating_bottom") if k in measured and np.isfinite(measured[k].values).any()]
-    if scan.greys is None or not names:
+    if not names:
         return None
     thin = min(float(np.nanmedian(measured[k].values)) for k in names)
     edge, noise = _FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
@@ -212,8 +209,12 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
             grey = np.asarray(part.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
             grey -= grey.mean()
             variance = float(np.mean(grey**2))
-            if np.isfinite(variance) and variance > _QUIET**2 * (volume.dtype.kind != "f"):
-                lags += _products(grey)
+            # Noise below half a step of the grey scale is that of rounding.
+            if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
+                # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
+                sides = grey, grey.swapaxes(0, 1)
+                means = [[float(np.mean(v[k:] * v[: len(v) - k])) for v in sides] for k in range(_LAGS)]
+                lags += np.array(means, dtype=np.float64).mean(axis=1)
     if not lags[0] > lags[-1]:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.
@@ -221,13 +222,6 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     k = int(np.argmax(share < 0.5))
     half = k - (0.5 - share[k]) / (share[k - 1] - share[k])
     return np.sqrt(2.0) * half * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
-
-
-def _products(grey: Floats) -> Floats:
-    """Mean product with the neighbour at 0, 1, 2 ... voxels along the two axes of the sheet."""
-    sides = grey, grey.swapaxes(0, 1)
-    means = [[float(np.mean(v[k:] * v[: len(v) - k])) for v in sides] for k in range(_LAGS)]
-    return np.array(means, dtype=np.float64).mean(axis=1)
 
 
 def _blocks(frame: Frame, coordinates: dict[str, Floats]) -> list[tuple[slice, slice]]:
@@ -247,9 +241,9 @@ def clipped_image(light: Light, image: SheetImage) -> Check:
     grey = np.asarray(image.greys, dtype=np.float64)
     grey = grey[np.isfinite(grey)]
     share, tone = 0.0, "dark"
-    if grey.size and np.unique(grey).size >= _LEAST_LEVELS:
+    if grey.size and np.unique(grey).size >= 8:  # fewer levels are an image of areas
         lowest, highest = float(grey.min()), float(grey.max())
-        near = _NEXT * (highest - lowest)
+        near = 1 / 64 * (highest - lowest)  # counted as next to an end
         for end_tone, end in (("dark", lowest), ("bright", highest)):
             end_share = float(np.mean(grey == end))
             near_share = float(np.mean((grey != end) & (np.abs(grey - end) < near)))

@@ -13,31 +13,24 @@ from planish.marks.find import REASONS
 from planish.register import FittedTransform
 from planish.results import LayerFacts, LinkedArea, RegistrationFacts
 
-_MD_LIMIT_DEG = 10.0
-_LEAST_AREA, _LEAST_FIELD = 0.5, 0.05
-_SCALE = 0.03
-_STRAIN = 0.01  # paper strains by less between two measurements
 _OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
 _CORE, _WHOLE = 0.35, 0.7  # of a hole's diameter: its middle, where no sheet is; share measured that says there is one
 _TILT_DEG, _SURE = 1.5, 4.0  # of holes burnt from above; and in standard errors
 _LEAST_TILTED = 4
-_FAR = 5.0  # times the limit from which on marks give no position
-_MANY_OPENINGS = 0.25  # of all openings: so many that are not round are no single holes that are half closed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisteredLayer:
     """A layer with its registration.
 
-    ``agreement`` says how many marks agree, and which were left out; ``hole_um`` is the mean diameter of the holes,
-    ``pixel_um`` the larger pixel of the two layers: a mark can hardly be placed better than within one.
+    A mark can hardly be placed better than within the larger pixel of the two layers.
     """
 
     layer: str
     facts: RegistrationFacts
     fit: FittedTransform
-    agreement: str
-    hole_um: float
+    agreement: str  # how many marks agree, and which were left out
+    hole_um: float  # mean diameter of the holes
     pixel_um: float
 
 
@@ -81,7 +74,7 @@ def marks(light: Light, registered: RegisteredLayer) -> Check:
             f"{registered.agreement}",
         )  # fmt: skip
     check = light.at_most(
-        loo, look=limit, fail=_FAR * limit, units="um", sentence=registered.agreement,
+        loo, look=limit, fail=5.0 * limit, units="um", sentence=registered.agreement,
         advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
     )  # fmt: skip
     # A hole that is badly found is left out now and then; one that lies elsewhere is worth a look.
@@ -94,7 +87,7 @@ def marks(light: Light, registered: RegisteredLayer) -> Check:
 def scale(light: Light, registered: RegisteredLayer) -> Check:
     """Judge whether the calibrations of both layers agree."""
     return light.at_most(
-        abs(registered.facts.scale - 1), look=_SCALE, units="share",
+        abs(registered.facts.scale - 1), look=0.03, units="share",
         sentence=f"The marks ask for a scale of {registered.facts.scale:.4f}.",
         advice="The calibrations do not agree. Check the voxel and the pixel size.",
     )  # fmt: skip
@@ -104,7 +97,7 @@ def strain(light: Light, registered: RegisteredLayer) -> Check:
     """Judge the strain of the registration between the marks."""
     largest = registered.fit.strain.largest
     return light.at_most(
-        largest, look=_STRAIN, units="share",
+        largest, look=0.01, units="share",
         sentence=f"Between the marks, the registration strains the sheet by up to {100 * largest:.2g} %.",
         advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
     )  # fmt: skip
@@ -137,7 +130,7 @@ def machine_direction(light: Light, registered: RegisteredLayer) -> Check | None
         return None
     off = abs((direction.md_deg_fixed - direction.md_deg_fixed_from_moving + 90.0) % 180.0 - 90.0)
     return light.at_most(
-        off, look=_MD_LIMIT_DEG, units="deg",
+        off, look=10.0, units="deg",
         sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by {off:.1f}°.",
         advice="One of them is wrong, or the marks were matched wrongly.",
     )  # fmt: skip
@@ -151,7 +144,8 @@ def holes_of_layer(light: Light, subject: LayerHoles) -> Check:
     sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
     sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
     dropped, openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
-    many = openings if openings > max(1, _MANY_OPENINGS * (count + openings)) else 0
+    # So many that are not round are no single holes that are half closed.
+    many = openings if openings > max(1, 0.25 * (count + openings)) else 0
     if openings:
         which = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
         sentence += f" {which} not round enough for one."
@@ -173,7 +167,7 @@ def common_field(light: Light, layer: LayerFacts) -> Check | None:
         return None
     share = layer.share_of_reference or 0.0
     return light.at_least(
-        share, look=_LEAST_FIELD, units="share",
+        share, look=0.05, units="share",
         sentence=f"{100 * share:.1f} % of the {layer.registration.path[-1]} shows the {layer.name}.",
         advice="Give the part of the reference that shows the specimen.",
     )  # fmt: skip
@@ -211,7 +205,7 @@ def linked_area(light: Light, area: LinkedArea) -> Check:
     """Judge whether enough of what the reference shows of the sheet is valid."""
     share = area.share_valid_away_from_holes
     return light.at_least(
-        share, look=_LEAST_AREA, units="share",
+        share, look=0.5, units="share",
         sentence=f"{100 * share:.0f} % of the sheet that the image shows away from holes is valid.",
         advice="The linked maps are mostly blank. Look at the slices and the column status.",
     )  # fmt: skip

@@ -13,6 +13,7 @@ from planish.checks.windows import Window, read_windows
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.typing import Bools, Floats
+from planish.measure.greys import Greys
 
 TILE_UM = 60.0
 _COLUMNS = 7  # along the edge of a tile, at most
@@ -20,40 +21,6 @@ _INNER = (0.2, 0.45)  # of the base on either side, least and most, that is left
 _BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
 _DEPTHS = (9, 48)  # fewest and most places across the base
 _TILES = 2500  # at most
-
-
-@dataclass(frozen=True, slots=True)
-class Greys:
-    """Grey levels that the surface search learnt; NaN for a coating that is not there."""
-
-    air: float
-    base: float
-    coating: float
-    noise: float
-
-    @classmethod
-    def of(cls, surfaces: xr.Dataset) -> Greys:
-        """Take them from the attributes of surfaces; of two coatings the one farther from the base."""
-        air, base, noise, *coats = (
-            float(surfaces.attrs[f"grey_{k}"]) for k in ("air", "base", "noise", "coating_top", "coating_bottom")
-        )
-        coating = max(filter(np.isfinite, coats), key=lambda c: abs(c - base), default=float("nan"))
-        return cls(air=air, base=base, coating=coating, noise=noise)
-
-    @property
-    def is_coated(self) -> bool:
-        """Whether a coating was seen."""
-        return bool(np.isfinite(self.coating))
-
-    @property
-    def densest(self) -> float:
-        """Level of the layer that is farthest from the air."""
-        return self.coating if self.is_coated else self.base
-
-    @property
-    def sign(self) -> float:
-        """-1 where the sheet is darker than the air."""
-        return 1.0 if self.base >= self.air else -1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -68,65 +35,49 @@ class Core:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Scan:
-    """A volume and the sheet that was measured in it.
-
-    Attributes
-    ----------
-    volume : DataArray, dims (z, y, x)
-    measured : Dataset, dims (y, x)
-        Surfaces and properties, heights in um.
-    assembled : tuple of {"z", "y", "x"}
-        Axes along which planish put the slices together, or along which they are labels.
-    windows : dict of Window
-        By the axis of their slices.
-    sample : ndarray
-        Greys as stored, of a part of the voxels around the sheet.
-    greys, core, core_grey : Greys, Core, (tiles, columns, depths) or None
-        Levels, places in the middle of the base and their grey, NaN where it was not read; None for labels.
-    voxels : float
-        Voxels through the sheet, along its normal.
-    """
+    """A volume (z, y, x) and the sheet that was measured in it (y, x)."""
 
     volume: xr.DataArray
     measured: xr.Dataset
     through: Axis
-    assembled: tuple[Axis, ...]
+    assembled: tuple[Axis, ...]  # axes along which planish put the slices together, or along which they are labels
     windows: dict[Axis, Window]
-    sample: NDArray[Any]
-    greys: Greys | None
-    core: Core | None
-    core_grey: NDArray[np.float32] | None
-    voxels: float
-
-    @classmethod
-    def read(
-        cls, volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
-    ) -> Scan:
-        """Read what the lights need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
-        frame = Frame.of(measured)
-        every: tuple[Axis, ...] = ("z", "y", "x")
-        greys, core = (None, None) if labels else (Greys.of(measured), core_places(volume, measured))
-        reading = read_windows(
-            volume, through=frame.through, sheet=_reach(volume, measured, frame),
-            points=None if core is None else core.points, missing=0.0 if greys is None else greys.air, threads=threads,
-        )  # fmt: skip
-        core_grey = None
-        if core is not None:
-            core_grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
-        return cls(
-            volume=volume, measured=measured, through=frame.through,
-            assembled=every if labels else every[:1] if sections else (),
-            windows={window.axis: window for window in reading.windows}, sample=reading.sample,
-            greys=greys, core=core, core_grey=core_grey, voxels=voxels_through(volume, measured),
-        )  # fmt: skip
+    voxels: float  # through the sheet, along its normal
 
 
-def _reach(volume: xr.DataArray, measured: xr.Dataset, frame: Frame) -> tuple[int, int]:
-    """First and last slice along the axis through the sheet that hold it."""
-    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GreyScan(Scan):
+    """A scan whose voxels are greys, not labels."""
+
+    greys: Greys
+    sample: NDArray[Any]  # as stored, of a part of the voxels around the sheet
+    core: Core
+    core_grey: NDArray[np.float32]  # (tiles, columns, depths), NaN where it was not read
+
+
+def read_scan(
+    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
+) -> Scan:  # fmt: skip
+    """Read what the lights need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
+    through = Frame.of(measured).through
+    every: tuple[Axis, ...] = ("z", "y", "x")
+    heights = np.asarray(volume.coords[through].values, dtype=np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
     low, high = np.clip(np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)]), 0, heights.size - 1)
-    return int(low), int(high)
+    greys, core = (None, None) if labels else (Greys.of(measured), core_places(volume, measured))
+    reading = read_windows(
+        volume, through=through, sheet=(int(low), int(high)), points=None if core is None else core.points,
+        missing=0.0 if greys is None else greys.air, threads=threads,
+    )  # fmt: skip
+    scan: dict[str, Any] = {
+        "volume": volume, "measured": measured, "through": through,
+        "assembled": every if labels else every[:1] if sections else (),
+        "windows": {window.axis: window for window in reading.windows}, "voxels": voxels_through(volume, measured),
+    }  # fmt: skip
+    if greys is None or core is None:
+        return Scan(**scan)
+    grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
+    return GreyScan(**scan, greys=greys, sample=reading.sample, core=core, core_grey=grey)
 
 
 def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:

@@ -9,7 +9,8 @@ import numpy as np
 import xarray as xr
 from scipy import ndimage
 
-from planish.checks.scan import TILE_UM, Scan
+from planish.checks.greys import denser_coating
+from planish.checks.scan import TILE_UM, GreyScan, Scan
 from planish.core.checks import Check, Light
 from planish.core.facts import SIDES, Side
 from planish.core.grid import pitch
@@ -18,23 +19,12 @@ from planish.core.typing import Bools, Floats
 from planish.results import SheetFacts
 from planish.surface import Corrections
 
-_LEAST_COVERAGE = 0.5
-_MOST_MISSING = 0.05
-_MOST_ALONE = 0.05  # of serial sections: those that fit none of their neighbours
-_MOST_BRIDGED = 0.02  # of the columns
-_MOST_DRAWN = 0.1  # of the sheet
-
-BRIGHT, DARK = 0.5, 0.6  # of coating - base, of base - air
-BRIGHT_SHARE, DARK_SHARE = 0.10, 0.02  # of the tiles
-LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
-_LEAST_COLUMNS = 5  # in a tile, and
-_LEAST_SHARE = 1 / 3  # of its columns: a few side by side may lie in one pore
+_BRIGHT_SHARE, _DARK_SHARE = 0.10, 0.02  # of the tiles
+_LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
+_LEAST_COLUMNS = 5  # in a tile, and a third of its columns: a few side by side may lie in one pore
 _LEAST_TILES = 10
-_SURE = 3.0  # standard errors of a median; 1.86 is 1.4826 of the median deviation, 1.253 of the median
 
-HEIGHT = 5.0  # MAD, as a standard deviation, over the median around
-AREA_UM2 = 400.0
-MOST = 1.0  # particles a mm2
+_HEIGHT, _AREA_UM2 = 5.0, 400.0  # of a particle: MAD, as a standard deviation, over the median around
 _AROUND_UM = 300.0
 _COARSE = 10  # cells across the median
 _LEAST_MM2 = 0.1  # measured
@@ -58,7 +48,7 @@ def coverage(light: Light, sheet: MappedSheet) -> Check:
     air = min(s.empty_share or 0.0, s.shares["no_sheet"])
     share = s.shares["measured"] / max(1.0 - s.shares["rim"] - air, 1e-9)
     return light.at_least(
-        share, look=_LEAST_COVERAGE, units="share",
+        share, look=0.5, units="share",
         sentence=f"{100 * share:.0f} % of the columns with a sheet, away from rims, are measured.",
         advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
     )  # fmt: skip
@@ -69,7 +59,7 @@ def missing_voxels(light: Light, sheet: MappedSheet) -> Check | None:
     if (share := sheet.facts.surfaces.missing_share) is None:
         return None
     return light.at_most(
-        share, look=_MOST_MISSING, units="share",
+        share, look=0.05, units="share",
         sentence=f"{100 * share:.1f} % of the voxels are NaN or infinite.",
         advice="Columns with such voxels near a face are not measured. Export the volume without them.",
     )  # fmt: skip
@@ -89,7 +79,7 @@ def alignment(light: Light, sheet: MappedSheet) -> Check | None:
     if (sections := sheet.facts.sections) is None:
         return None
     return light.at_most(
-        sections.not_aligned / sections.count, look=_MOST_ALONE, units="share",
+        sections.not_aligned / sections.count, look=0.05, units="share",
         sentence=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
         advice="The others are torn, blurred, or not of this sheet, and count as missing. Look at them, and at the "
         "order of the files.",
@@ -101,7 +91,7 @@ def cutoff(light: Light, sheet: MappedSheet) -> Check:
     attrs = sheet.measured.attrs
     share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
     return light.at_most(
-        share, look=_MOST_BRIDGED,
+        share, look=0.02,
         sentence=f"The centre surface has the stated cut-off of {cutoff_um:g} um in {100 * (1 - share):.1f} % of the "
         "columns away from holes and rims"
         + (", and twice or four times as much in the alternatives." if share > 0 else "."),
@@ -120,7 +110,7 @@ def corrections(light: Light, sheet: MappedSheet) -> Check | None:
     columns = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
     drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (1, 2))  # the flags of the maps
     return light.at_most(
-        drawn / columns, look=_MOST_DRAWN,
+        drawn / columns, look=0.1,
         sentence=f"Faces of {drawn} columns ({100 * drawn / columns:.2g} % of the sheet) were drawn to {points} points "
         f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
         advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
@@ -141,13 +131,12 @@ def hand(light: Light, scan: Scan) -> Check | None:
     )  # fmt: skip
 
 
-def one_sheet(light: Light, scan: Scan) -> Check | None:
+def one_sheet(light: Light, scan: GreyScan) -> Check:
     """Judge whether a coating, or air, lies inside the base."""
-    if (greys := scan.greys) is None or (core := scan.core) is None or (profiles := scan.core_grey) is None:
-        return None
-    if not scan.voxels >= LEAST_VOXELS:
+    greys, core, profiles = scan.greys, scan.core, scan.core_grey
+    if not scan.voxels >= _LEAST_VOXELS:
         return light.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
-    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, _LEAST_SHARE * core.shape[1])
+    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, 1 / 3 * core.shape[1])
     if np.count_nonzero(enough) < _LEAST_TILES:
         return light.check(
             "unknown", f"The base is seen in {np.count_nonzero(enough)} tiles of {TILE_UM:g} um only, too few to tell "
@@ -156,36 +145,38 @@ def one_sheet(light: Light, scan: Scan) -> Check | None:
     profiles = profiles[enough]
     count = np.isfinite(profiles).sum(axis=1)
     middle = np.nanmedian(profiles, axis=1)
-    # What the scatter of a tile's columns leaves open of their median: strong noise is no gap.
+    # What the scatter of a tile's columns leaves open of their median, 3 standard errors: strong noise is no gap.
+    # 1.86 is 1.4826 of the median deviation, 1.253 of the median.
     profiles -= middle[:, None]
     spread, median = np.nanmedian(np.abs(profiles, out=profiles), axis=1), middle.astype(np.float64)
-    open_ = _SURE * 1.86 * spread / np.sqrt(count)
+    open_ = 3.0 * 1.86 * spread / np.sqrt(count)
     base = float(np.median(median))
-    dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > DARK))
+    dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > 0.6))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
-    brighter = (greys.coating if np.isfinite(greys.coating) else 2 * base - greys.air) - base
-    bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > BRIGHT))
-    if bright > BRIGHT_SHARE:
+    coat = denser_coating(greys)
+    brighter = (2 * base - greys.air if coat is None else coat) - base
+    bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > 0.5))
+    if bright > _BRIGHT_SHARE:
         return light.check(
-            "fail", value=bright, limit=BRIGHT_SHARE, units="share",
+            "fail", value=bright, limit=_BRIGHT_SHARE, units="share",
             sentence=f"In {100 * bright:.0f} % of the sheet something as dense as a coating lies in the middle of the "
             "base: a second sheet lies on the first.",
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
+    end = ": it is split, or two sheets lie on each other." if dark > _DARK_SHARE else ", and nowhere a second sheet."
     return light.at_most(
-        dark, fail=DARK_SHARE, units="share",
-        sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base"
-        + (": it is split, or two sheets lie on each other." if dark > DARK_SHARE else ", and nowhere a second sheet."),
+        dark, fail=_DARK_SHARE, units="share",
+        sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base{end}",
         advice="Look at the slices. Crop the volume to one sheet that is whole.",
     )  # fmt: skip
 
 
 def voxels_through(light: Light, scan: Scan) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
+    thinner = " It may be thinner: sheets of 2 or 3 voxels are measured too thick."
     return light.at_least(
-        scan.voxels, look=LEAST_VOXELS, units="voxels",
-        sentence=f"The sheet is {scan.voxels:.1f} voxels thick."
-        + (" It may be thinner: sheets of 2 or 3 voxels are measured too thick." if scan.voxels < LEAST_VOXELS else ""),
+        scan.voxels, look=_LEAST_VOXELS, units="voxels",
+        sentence=f"The sheet is {scan.voxels:.1f} voxels thick.{thinner if scan.voxels < _LEAST_VOXELS else ''}",
         advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
     )  # fmt: skip
 
@@ -201,7 +192,7 @@ def dust(light: Light, scan: Scan, *, side: Side) -> Check | None:
         return None
     covered = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
     return light.at_most(
-        particles.a_mm2, look=MOST, units="1/mm2",
+        particles.a_mm2, look=1.0, units="1/mm2",
         sentence=f"{particles.number} particles stand out of the {side} coating, {particles.a_mm2:.2g} a mm², "
         f"on {covered:.2g} % of it.",
         advice="Blow the specimen clean and scan it again, or leave the particles out of the map.",
@@ -230,9 +221,9 @@ def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
         return Particles(np.zeros(coating.shape, bool), 0, area)
     above = coating - _median_around(coating, pitch_um)
     scale = 1.4826 * float(np.nanmedian(np.abs(above - np.nanmedian(above))))
-    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > HEIGHT * max(scale, 1e-6))
+    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > _HEIGHT * max(scale, 1e-6))
     sizes = np.bincount(labels.ravel(), minlength=n + 1) * cell
-    large = sizes >= AREA_UM2
+    large = sizes >= _AREA_UM2
     large[0] = False
     return Particles(large[labels], int(large.sum()), area)
 

@@ -7,6 +7,7 @@ statistic compares a slice with its own neighbourhood, so that none needs a scal
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
@@ -32,7 +33,6 @@ _BACK, _FAR = 0.25, 64  # rise of ln d1 above its median at a jump that may lead
 _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _RUN = 10  # slices that are filled, or nearly the same, at most
 _LEAST = 8  # slices that are needed
-
 
 _NAMED = 4  # faults that a sentence names
 _ADVICE = {
@@ -144,8 +144,8 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     stack = _Stack.of(window, standardised=assembled)
     if stack is None or np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
-    steps = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
-    for find in (_foreign, _exchanged, _jumps) if assembled else steps:
+    every = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
+    for find in (_foreign, _exchanged, _jumps) if assembled else every:
         for fault in find(stack):
             stack.faults.append(fault)
             stack.good[max(fault.first - 1, 0) : fault.last + 2] = False
@@ -225,7 +225,7 @@ def _log(differences: Floats) -> Floats:
     return np.log(np.maximum(differences, 1e-300))
 
 
-def _empty(t: _Stack) -> list[Fault]:
+def _empty(t: _Stack) -> Iterable[Fault]:
     """Slices that show nothing between such that show the body."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], t.shows, [True]]).astype(np.int8)))
     usual = _FULL * float(np.median(t.spread))
@@ -236,27 +236,23 @@ def _empty(t: _Stack) -> list[Fault]:
     ]
 
 
-def _foreign(t: _Stack) -> list[Fault]:
+def _foreign(t: _Stack) -> Iterator[Fault]:
     """Slices unlike both neighbours, which are like each other."""
     indices = np.arange(1, t.d1.size)
     ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
-    faults: list[Fault] = []
-    for k in indices[(ratio > FOREIGN) & t.good[indices - 1] & t.good[indices] & t.good[indices + 1]]:
-        away = t.away(int(k))
+    named: set[int] = set()
+    for k in indices[(ratio > FOREIGN) & _all(t.good, indices, -1, 1)].tolist():
+        away = t.away(k)
         away[max(k - 2, 0) : k + 3] = np.inf
         other = int(away.argmin())
-        if away[other] == 0 and any(f.first == other for f in faults):
+        if away[other] == 0 and other in named:
             continue
-        if away[other] == 0:
-            faults.append(Fault(kind="repeated", first=int(k), last=int(k), other=other))
-        elif away[other] < _FITS * t.usual(other):
-            faults.append(Fault(kind="moved", first=int(k), last=int(k), other=other))
-        else:
-            faults.append(Fault(kind="foreign", first=int(k), last=int(k)))
-    return faults
+        kind: Kind = "repeated" if away[other] == 0 else "moved" if away[other] < _FITS * t.usual(other) else "foreign"
+        named.add(k)
+        yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else other)
 
 
-def _copies(t: _Stack) -> list[Fault]:
+def _copies(t: _Stack) -> Iterator[Fault]:
     """Slices of which every block mean is that of an earlier one; neighbours at the same distance are one fault."""
     copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
     first_indices: dict[bytes, int] = {}
@@ -264,19 +260,17 @@ def _copies(t: _Stack) -> list[Fault]:
     for k in np.flatnonzero(t.shows):
         if k not in copied:
             lag[k] = k - first_indices.setdefault(t.s[k].tobytes(), int(k))
-    faults: list[Fault] = []
     k = 0
     while k < len(t.s):
         last = k
         if lag[k]:
             while lag[last + 1] and (k - lag[k] == last + 1 - lag[last + 1] or lag[last + 1] == lag[k]):
                 last += 1
-            faults.append(Fault(kind="repeated", first=k, last=last, other=k - int(lag[k])))
+            yield Fault(kind="repeated", first=k, last=last, other=k - int(lag[k]))
         k = last + 1
-    return faults
 
 
-def _exchanged(t: _Stack) -> list[Fault]:
+def _exchanged(t: _Stack) -> Iterator[Fault]:
     """Two neighbours in the wrong order: each is nearer to the neighbour of the other."""
     k = np.arange(1, t.d1.size - 1)
     ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(np.maximum(t.d2[k - 1], t.d2[k]), 1e-300)
@@ -288,11 +282,11 @@ def _exchanged(t: _Stack) -> list[Fault]:
     pairs = np.flatnonzero(between > limit[: d3.size] * outer)
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     hit |= np.isin(k, pairs) | np.isin(k, pairs + 2)
-    faults: list[Fault] = []
-    for first in k[hit & _all(t.good, k, -1, 2)]:
-        if not faults or first > faults[-1].last:
-            faults.append(Fault(kind="exchanged", first=int(first), last=int(first) + 1))
-    return faults
+    last = -1
+    for first in k[hit & _all(t.good, k, -1, 2)].tolist():
+        if first > last:
+            last = first + 1
+            yield Fault(kind="exchanged", first=first, last=last)
 
 
 def _all(good: Bools, k: NDArray[np.intp], low: int, high: int) -> Bools:
@@ -317,27 +311,25 @@ def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[i
     return dips
 
 
-def _near_copies(t: _Stack) -> list[Fault]:
+def _near_copies(t: _Stack) -> Iterator[Fault]:
     """Slices that differ from the one before by noise or compression alone."""
-    dips = _dips(_log(t.square), t.good, 2, ALIKE)
-    return [Fault(kind="repeated", first=a + 1, last=b + 1, other=a) for a, b in dips]
+    for a, b in _dips(_log(t.square), t.good, 2, ALIKE):
+        yield Fault(kind="repeated", first=a + 1, last=b + 1, other=a)
 
 
-def _filled(t: _Stack) -> list[Fault]:
+def _filled(t: _Stack) -> Iterator[Fault]:
     """Slices that are the mean of their neighbours, or lie on a straight line between two."""
     bend = (t.square[:-1] + t.square[1:] - 2 * t.product) / 4
-    return [
-        Fault(kind="filled", first=a + 1, last=b + 1)
-        for a, b in _dips(_log(bend), t.good, 3, FILLED)
-        if float((_difference(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a)  # otherwise all of them are copies
-    ]
+    for a, b in _dips(_log(bend), t.good, 3, FILLED):
+        # Otherwise all of them are copies.
+        if float((_difference(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a):
+            yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
-def _far_copies(t: _Stack) -> list[Fault]:
+def _far_copies(t: _Stack) -> Iterator[Fault]:
     """Blocks of slices that were there before, with noise or compression of their own: a jump leads back to them."""
-    log, n = _log(t.d1), len(t.s)
-    faults: list[Fault] = []
-    for k in range(2, n - 1):
+    log = _log(t.d1)
+    for k in range(2, len(t.s) - 1):
         back = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
         if back < _BACK or not t.good[k - 1 : k + 1].all():
             continue
@@ -347,13 +339,10 @@ def _far_copies(t: _Stack) -> list[Fault]:
         usual = min(t.usual(k - 1), t.usual(source))
         if away.min() < _COPY * usual:
             same = _differences(t.s[source : k + _FAR], k - source) < _COPY * usual
-            last = k + int(np.argmin(np.append(same, False))) - 1
-            faults.append(Fault(kind="repeated", first=k, last=last, other=source))
-            t.good[k - 1 : last + 2] = False
-    return faults
+            yield Fault(kind="repeated", first=k, last=k + int(np.argmin(np.append(same, False))) - 1, other=source)
 
 
-def _jumps(t: _Stack) -> list[Fault]:
+def _jumps(t: _Stack) -> Iterable[Fault]:
     """Places where the body goes on by more than a slice: what is missing, or lies elsewhere."""
     log = _log(t.d1)
     k = np.arange(1, t.d1.size - 1)
@@ -371,23 +360,16 @@ def _jumps(t: _Stack) -> list[Fault]:
 
 def _jump(t: _Stack, k: int) -> Fault:
     """Name the fault at a jump between slices k and k + 1: one of them fits elsewhere, or slices are missing."""
-    usual = t.usual(k)
     back, onward = t.away(k + 1), t.away(k)
     back[k : k + 4] = onward[max(k - 2, 0) : k + 2] = np.inf
-    back_fit, onward_fit = int(back.argmin()), int(onward.argmin())
-    far = 0.6 * t.d1[k]
-    fits = back_fit if back[back_fit] < onward[onward_fit] else onward_fit
-    if min(back[back_fit], onward[onward_fit]) < min(_FITS * min(usual, t.usual(fits)), far) and _breaks(t.d1, fits):
-        return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
+    nearest = back if back.min() < onward.min() else onward
+    fits = int(nearest.argmin())
+    if nearest[fits] < min(_FITS * min(t.usual(k), t.usual(fits)), 0.6 * t.d1[k]):
+        # That slice is at an end of the stack, or does not continue a neighbour of its own.
+        usual = np.median(t.d1[max(fits - 4, 0) : fits + 4])
+        if fits in (0, t.d1.size) or max(t.d1[fits - 1], t.d1[fits]) > 1.3 * usual:
+            return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
     return Fault(kind="jump", first=k, last=k + 1, steps=_steps(t.s, k, float(t.d1[k])))
-
-
-def _breaks(d1: Floats, k: int) -> bool:
-    """Tell if slice ``k`` is at an end of the stack or does not continue a neighbour of its own."""
-    if k in (0, d1.size):
-        return True
-    near = d1[max(k - 4, 0) : k + 4]
-    return bool(max(d1[k - 1], d1[k]) > 1.3 * np.median(near))
 
 
 def _steps(s: NDArray[Any], k: int, difference: float) -> float:

@@ -1,10 +1,10 @@
-"""All lights of a run in one table: name, what is judged, the figures concerned, and the function that judges."""
+"""All lights of a run in one table, what makes checks of its rows, and what these leave of the figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import partial
-from typing import Any
+from typing import Any, TypeVar
 
 import xarray as xr
 from numpy.typing import NDArray
@@ -12,12 +12,23 @@ from numpy.typing import NDArray
 from planish.checks import greys, registration, sheets, through_scale
 from planish.checks.greys import SheetImage
 from planish.checks.registration import HolesOnSheet, LayerHoles, RegisteredLayer, TextureChecks
-from planish.checks.scan import Scan
+from planish.checks.scan import GreyScan, Scan, read_scan
 from planish.checks.sheets import MappedSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light
-from planish.results import LayerFacts, LinkedArea
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light, trust_of
+from planish.core.facts import Trust
+from planish.results import (
+    ComparisonRow,
+    CorrelationRow,
+    ExpectedError,
+    LayerFacts,
+    LinkedArea,
+    PropertyFacts,
+    Results,
+)
+
+Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _COATINGS = ("coating_top", "coating_bottom", "base_thickness", "thickness")
@@ -38,11 +49,11 @@ CHECKS = (
     Light("slices along z", Scan, _ALL, partial(slice_order, axis="z")),
     Light("slices along y", Scan, _ALL, partial(slice_order, axis="y")),
     Light("slices along x", Scan, _ALL, partial(slice_order, axis="x")),
-    Light("clipped grey", Scan, _COATINGS, greys.clipped_grey),
-    Light("grey of the slices", Scan, (PROPERTIES,), greys.steady_grey),
-    Light("grey across the sheet", Scan, (PROPERTIES,), greys.shading),
-    Light("one sheet", Scan, (PROPERTIES, POSITION), sheets.one_sheet),
-    Light("blur of the scan", Scan, (PROPERTIES, POSITION), greys.blur),
+    Light("clipped grey", GreyScan, _COATINGS, greys.clipped_grey),
+    Light("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
+    Light("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
+    Light("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
+    Light("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
     Light("voxels through the sheet", Scan, _THICKNESSES, sheets.voxels_through),
     Light("dust, top", Scan, ("coating_top", "base_thickness", "thickness"), partial(sheets.dust, side="top")),
     Light("dust, bottom", Scan, ("coating_bottom", "base_thickness", "thickness"), partial(sheets.dust, side="bottom")),
@@ -95,8 +106,7 @@ def check_scan(
     threads : int, optional
         No result depends on it.
     """
-    scan = Scan.read(volume, measured, sections=sections, labels=labels, threads=threads)
-    return tuple(run_checks(scan))
+    return tuple(run_checks(read_scan(volume, measured, sections=sections, labels=labels, threads=threads)))
 
 
 def check_holes(holes: xr.Dataset) -> Check:
@@ -126,3 +136,52 @@ def exposure_check(values: NDArray[Any]) -> Check:
         pass: they show areas.
     """
     return run_checks(SheetImage(values))[0]
+
+
+# --- what checks mean for figures ------------------------------------------------------------------------------------
+
+
+def apply_checks(results: Results) -> Results:
+    """Mark every figure by the checks that concern it; what a failed check concerns loses its numbers."""
+    checks = results.checks
+    if all(check.state in ("pass", "unknown") for check in checks):
+        return results
+    rows, names = rows_with_trust(results.correlations, checks), tuple(layer.name for layer in results.layers)
+    withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
+    return results.model_copy(update={
+        "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
+        "correlations": rows,
+        "comparison": tuple(_marked(row, _trust_of_pair(names, (row.property,), checks)) for row in results.comparison),
+        "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld),
+    })  # fmt: skip
+
+
+def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
+    """The same correlations, each marked by the checks that concern it."""
+    return tuple(_marked(row, _trust_of_pair((row.a, row.b), (row.a_map, row.b_map), checks)) for row in rows)
+
+
+def _trust_of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
+    """Trust in a correlation of maps of some layers."""
+    return trust_of(checks, layers, (*maps, POSITION, CORRELATION))
+
+
+def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
+    update: dict[str, Any] = {}
+    if (sheet := layer.sheet) is not None:
+        properties = {k: _marked(p, trust_of(checks, (layer.name,), (k,))) for k, p in sheet.properties.items()}
+        # The sheet's numbers are made of the maps.
+        is_withheld = any(p.trust == "withheld" for p in properties.values())
+        numbers = None if is_withheld else sheet.numbers
+        update["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
+    r = layer.registration
+    if r is not None and r.expected_error is not None:
+        error = _marked(r.expected_error, trust_of(checks, (layer.name,), (POSITION,)))
+        update["registration"] = r.model_copy(update={"expected_error": error})
+    return layer.model_copy(update=update)
+
+
+def _marked(figure: Figure, trust: Trust) -> Figure:
+    """Give a figure its trust, and take its numbers where they are withheld."""
+    numbers = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}
+    return type(figure).model_validate({**dict(figure), **numbers, "trust": trust})

@@ -30,13 +30,13 @@ _ADVICE = (
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisteredSheet:
-    """A mapped sheet whose marks were registered.
+    """A sheet whose marks were registered: its surfaces, where their columns lie in the flat map, and the fit.
 
     ``is_fixed``: the sheet is what was registered to; ``either``: the other layer is a sheet too, so that either may be
     wrong.
     """
 
-    surfaces: xr.Dataset
+    measured: xr.Dataset
     flat: xr.Dataset
     fit: FittedTransform
     is_fixed: bool = False
@@ -103,14 +103,10 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     return SlopeScale(scale, float(spread / (2 * max(scale, 0.25))))
 
 
-def scale_by_thickness(light: Light, sheet: MappedSheet) -> Check:
+def scale_by_thickness(light: Light, sheet: MappedSheet | RegisteredSheet) -> Check:
     """Judge a sheet without marks: gross errors of the spacing along the axis through it."""
-    return judge_thickness(light, sheet.measured, scale_from_thickness(sheet.measured))
-
-
-def judge_thickness(light: Light, measured: xr.Dataset, slope: SlopeScale) -> Check:
-    """Say what the thickness means for the spacing along the axis through a sheet."""
-    axis, stated = _spacing(measured)
+    slope = scale_from_thickness(sheet.measured)
+    axis, stated = _spacing(sheet)
     if slope.error > _UNCERTAIN:
         return light.check(
             "unknown", value=slope.scale if np.isfinite(slope.error) else None,
@@ -128,23 +124,20 @@ def judge_thickness(light: Light, measured: xr.Dataset, slope: SlopeScale) -> Ch
 
 def scale_by_marks(light: Light, sheet: RegisteredSheet) -> Check:
     """Judge a sheet by the marks of its registration."""
-    marks = estimate(sheet.surfaces, sheet.flat, sheet.fit, fixed=sheet.is_fixed)
-    slope = scale_from_thickness(sheet.surfaces)
+    marks = estimate(sheet)
     if marks is None:
-        return judge_thickness(light, sheet.surfaces, slope)
-    return judge_marks(light, sheet.surfaces, marks, slope, either=sheet.either)
+        return scale_by_thickness(light, sheet)
+    return judge_marks(light, sheet, marks, scale_from_thickness(sheet.measured))
 
 
-def judge_marks(
-    light: Light, measured: xr.Dataset, marks: ThroughScale, slope: SlopeScale, *, either: bool = False
-) -> Check:  # fmt: skip
+def judge_marks(light: Light, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
-    axis, stated = _spacing(measured)
+    axis, stated = _spacing(sheet)
     error = float(np.hypot(marks.error, _SYSTEMATIC))
     is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
     if not is_off and error > _UNCERTAIN:
         if slope.error <= _UNCERTAIN:
-            return judge_thickness(light, measured, slope)
+            return scale_by_thickness(light, sheet)
         times = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
         return light.check(
             "unknown", value=marks.scale,
@@ -159,7 +152,7 @@ def judge_marks(
     if is_off:
         state, more = _explained(marks, slope)
         text += more
-    if is_off and either:
+    if is_off and sheet.either:
         state, text = "look", f"{text} The other sheet's may be wrong as well."
     return light.check(
         state, text, value=marks.scale, limit=_limit(marks.scale, error),
@@ -181,30 +174,21 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     return "look", f" But {along} explains it {how}, as pixels that are not square make it."
 
 
-def estimate(
-    surfaces: xr.Dataset, flat: xr.Dataset, fit: FittedTransform, *, fixed: bool = False
-) -> ThroughScale | None:  # fmt: skip
-    """Scale of a sheet's heights that the marks of a registration ask for; None where they are too few.
-
-    Parameters
-    ----------
-    surfaces, flat : Dataset, dims (y, x), in um
-        The centre surface of the sheet, and where its columns lie in the flat sheet.
-    fit : FittedTransform
-        The sheet is its moving side, or the fixed one.
-    """
+def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
+    """Scale of a sheet's heights that the marks of a registration ask for; None where they are too few."""
+    fit = sheet.fit
     pairs = Pairs(moving=fit.moving, fixed=fit.fixed, information=fit.information)
-    if fixed:
+    if sheet.is_fixed:
         information = fit.weights[:, None, None] * np.eye(2)
         pairs = Pairs(moving=fit.fixed, fixed=fit.moving, information=information)
-    scales, places = places_when_scaled(surfaces, flat, pairs.moving)
+    scales, places = places_when_scaled(sheet.measured, sheet.flat, pairs.moving)
     return find_through_scale(scales, places, pairs, mirrored=fit.mirrored)
 
 
-def _spacing(measured: xr.Dataset) -> tuple[str, float]:
+def _spacing(sheet: MappedSheet | RegisteredSheet) -> tuple[str, float]:
     """The axis through the sheet and its spacing as stated, um."""
-    axis = Frame.of(measured).through
-    return axis, float(measured.attrs["voxel_um"]["zyx".index(axis)])
+    axis = Frame.of(sheet.measured).through
+    return axis, float(sheet.measured.attrs["voxel_um"]["zyx".index(axis)])
 
 
 def _limit(scale: float, error: float) -> float:

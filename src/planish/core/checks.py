@@ -40,24 +40,12 @@ class Check(Facts):
 
 @dataclass(frozen=True, slots=True)
 class Light:
-    """A rule that makes one check: a row of the table ``planish.checks.CHECKS``.
+    """A rule that makes one check: a row of the table ``planish.checks.CHECKS``."""
 
-    Attributes
-    ----------
-    name : str
-        Of the check, as in ``results.json``.
-    stage : type
-        Stage of a run, by the class of what it gives to judge.
-    figures : tuple of str
-        What the check concerns: names of maps, or properties, position, correlation.
-    judge : callable
-        Takes the rule and what is judged; makes the check, or gives None where there is nothing to judge.
-    """
-
-    name: str
-    stage: type
-    figures: tuple[str, ...]
-    judge: Callable[[Light, Any], Check | None]
+    name: str  # of the check
+    stage: type  # of a run, by the class of what it gives to judge
+    figures: tuple[str, ...]  # that the check concerns, where the function names no others
+    judge: Callable[[Light, Any], Check | None]  # takes the rule and what is judged; None where there is nothing
 
     def __call__(self, subject: Any) -> Check | None:
         """Judge a subject."""
@@ -71,8 +59,8 @@ class Light:
         return Check(name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **numbers)
 
     def at_most(
-        self, value: float, *, look: float | None = None, fail: float | None = None, sentence: str, units: str = "",
-        advice: str = "", figures: tuple[str, ...] | None = None,
+        self, value: float, *, look: float | None = None, fail: float | None = None, sentence: str, advice: str = "",
+        **more: Any,
     ) -> Check:  # fmt: skip
         """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
         state: State = "pass"
@@ -82,13 +70,13 @@ class Light:
             state = "look"
         limit = fail if state == "fail" or look is None else look
         advice = "" if state == "pass" else advice
-        return self.check(state, sentence, value=float(value), limit=limit, units=units, advice=advice, figures=figures)
+        return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **more)
 
-    def at_least(self, value: float, *, look: float, sentence: str, units: str, advice: str) -> Check:
+    def at_least(self, value: float, *, look: float, sentence: str, advice: str, units: str) -> Check:
         """Judge a value that should be large."""
-        mirrored = self.at_most(-value, look=-look, sentence=sentence, units=units, advice=advice)
-        advice = mirrored.advice
-        return self.check(mirrored.state, sentence, value=float(value), limit=look, units=units, advice=advice)
+        state: State = "pass" if value >= look else "look"
+        advice = "" if state == "pass" else advice
+        return self.check(state, sentence, value=float(value), limit=look, units=units, advice=advice)
 
 
 def concerned(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> list[Check]:

@@ -325,7 +325,7 @@ def _scale_checks(layer: Layer, links: dict[str, Link]) -> Iterator[Check]:
         one, to = link.path[:2]
         if layer.name == name or (layer.name == to.name and layer.name not in links):
             sheet = RegisteredSheet(
-                surfaces=layer.groups["surfaces"], flat=layer.groups["flat"], fit=link.registration.fit,
+                measured=layer.groups["surfaces"], flat=layer.groups["flat"], fit=link.registration.fit,
                 is_fixed=layer.name == to.name, either=one.kind == to.kind == "sheet",
             )  # fmt: skip
             yield from run_checks(sheet, one.name, to.name)

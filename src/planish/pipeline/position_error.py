@@ -10,8 +10,7 @@ errors, of which the alignment sees most, and a slow wander that it leaves alone
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
@@ -113,8 +112,10 @@ def error_shares(maps: xr.Dataset) -> ErrorShares | None:
         share = 100 * (rms[largest] / whole) ** 2
         sentence += f"{share:.0f} % of its square is {_TITLES[largest]}; {_LOWER[largest]} would lower it. "
     sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
-    shares = {f"{name}_um": value for name, value in rms.items()}
-    return ErrorShares.model_validate({**shares, "rms_um": whole, "largest": largest, "sentence": sentence})
+    return ErrorShares.model_validate(
+        {f"{name}_um": value for name, value in rms.items()}
+        | {"rms_um": whole, "largest": largest, "sentence": sentence}
+    )
 
 
 def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dict[str, Floats]:
@@ -130,38 +131,30 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
         other, factor = zero + _UNSEEN * float(surfaces.attrs["thickness_um"]), 1.0
     shorter = neutral + surfaces["centre_shorter"].values
     moves = flat_moves(surfaces, {"neutral": other, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
-    fit, uv = chain.fits[0], chain.inverse(places)
+    fit, uv, moves_of = chain.fits[0], chain.inverse(places), _moves_in_map(moves, sheet["flat"])
     errors: dict[str, Floats] = {}
     for name, by in (("neutral", factor), ("smoothing", 1.0)):
-        field = _MovesOfMap.of(moves, name, sheet["flat"])
-        shifted = fit.refitted(fit.moving + field(fit.moving))(uv + field(uv))
+        shifted = fit.refitted(fit.moving + moves_of(name, fit.moving))(uv + moves_of(name, uv))
         for link in chain.fits[1:]:
             shifted = link(shifted)
         errors[name] = by * filled(np.linalg.norm(shifted - chain(uv), axis=-1))
     return errors
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _MovesOfMap:
-    """Moves (u, v) of places in the flat map, from those of columns of the volume."""
+def _moves_in_map(moves: xr.Dataset, flat: xr.Dataset) -> Callable[[str, Floats], Floats]:
+    """Moves of places (u, v) of the flat map, from those of the nodes of their mesh; carried on beyond the sheet."""
+    nodes = flat[["u", "v"]].sel(y=moves["y"], x=moves["x"])
+    uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
+    grid = covering_grid(uv, min(pitch(moves)))
+    places = find_places(uv, grid)
+    fields = {str(name): filled(resample(moves[name].values, places)) for name in moves}
+    (x, y), (down, across), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
 
-    grid: Grid
-    moves: Floats
-
-    @classmethod
-    def of(cls, moves: xr.Dataset, name: str, flat: xr.Dataset) -> _MovesOfMap:
-        """Carry them from the nodes of their mesh to the pixels of a map, and beyond the sheet."""
-        nodes = flat[["u", "v"]].sel(y=moves["y"], x=moves["x"])
-        uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
-        grid = covering_grid(uv, min(pitch(moves)))
-        places = find_places(uv, grid)
-        along = [filled(resample(moves[f"{name}_{axis}"].values, places)) for axis in "uv"]
-        return cls(grid=grid, moves=np.stack(along, axis=-1))
-
-    def __call__(self, uv: Floats) -> Floats:
-        (x, y), (down, across), (rows, cols) = self.grid.origin_um, self.grid.pixel_um, self.grid.shape
+    def moves_of(name: str, uv: Floats) -> Floats:
         row, col = np.clip((uv[..., 1] - y) / down, 0, rows - 1), np.clip((uv[..., 0] - x) / across, 0, cols - 1)
-        return np.stack([bilinear(self.moves[..., k], row, col) for k in range(2)], axis=-1)
+        return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
+
+    return moves_of
 
 
 def _poses_um(sheet: Mapping[str, xr.Dataset], marks: int) -> float | None:
