@@ -1,4 +1,4 @@
-"""Lights of a run: every check of a scan, a sheet, a registration and a link, in one table."""
+"""Checks of a run: all of a scan, a sheet, a registration and a link, in one table."""
 
 import lazy_loader as lazy
 

@@ -112,11 +112,10 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
         step = places[1] - places[0] if places.size > 1 else 1.0
         voxels = np.rint((measured[dim].values - places[0]) / step).astype(np.int32)
         points[..., "zyx".index(axis)] = voxels[columns][..., None]
-    above, below = high[r, c], low[r, c]
+    is_base, high, low = good[r, c], high[r, c], low[r, c]
     for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
-        index = np.rint((np.nan_to_num(above * (1 - share) + below * share) - heights[0]) / along).astype(np.int32)
+        index = np.rint((np.nan_to_num(high * (1 - share) + low * share) - heights[0]) / along).astype(np.int32)
         points[..., k, "zyx".index(frame.through)] = np.clip(index, 0, heights.size - 1)
-    is_base = good[r, c]
     points[~is_base] = 0
     return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)
 

@@ -33,17 +33,14 @@ NEUTRAL = {"base": 1.25, "faces": 0.55}
 # shift of 1: microtomes of the field jitter by 1-2 um and wander by 0.1-0.2 um a section.
 _SHARED, _WANDER = 1.3, 0.1
 _UNSEEN = 0.01  # of the thickness: how far the neutral surface lies off where no coating is seen
-_TITLES = {
-    "marks": "marks and model",
-    "neutral": "the surface that is taken to stay unstrained",
-    "smoothing": "smoothing of the centre surface",
-    "sections": "poses of the sections",
-}
-_LOWER = {
-    "marks": "more marks, spread over the field",
-    "neutral": "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
-    "smoothing": "a shorter --cutoff-um, or fewer holes with narrower rims",
-    "sections": "a volume in place of sections, or sections with more in common",
+_SHARES = {  # their words, and what would lower them
+    "marks": ("marks and model", "more marks, spread over the field"),
+    "neutral": (
+        "the surface that is taken to stay unstrained",
+        "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
+    ),
+    "smoothing": ("smoothing of the centre surface", "a shorter --cutoff-um, or fewer holes with narrower rims"),
+    "sections": ("poses of the sections", "a volume in place of sections, or sections with more in common"),
 }
 
 
@@ -92,7 +89,7 @@ class PositionErrors:
         total = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
         maps = {"expected_error": (total, "Expected error of the place, rms")}
         if not self._whole:
-            maps |= {f"error_{k}": (share, f"Expected error by {_TITLES[k]}") for k, share in shares.items()}
+            maps |= {f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}") for k, share in shares.items()}
         return {
             name: xr.DataArray(values.astype(np.float32), part.coords, ("y", "x"), attrs={
                 "long_name": title, "units": "um"
@@ -102,15 +99,15 @@ class PositionErrors:
 
 def error_shares(maps: xr.Dataset) -> ErrorShares | None:
     """Root mean square of each share over the pixels, which is the largest, and what would lower it."""
-    rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _TITLES if f"error_{k}" in maps}
+    rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
     if not rms:
         return None
     whole, largest = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])
-    parts = ", ".join(f"{_TITLES[name]} {value:.2g}" for name, value in rms.items())
+    parts = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
     sentence = f"Expected error {whole:.2g} um rms over the map: {parts} um. "
     if whole > 0:
-        share = 100 * (rms[largest] / whole) ** 2
-        sentence += f"{share:.0f} % of its square is {_TITLES[largest]}; {_LOWER[largest]} would lower it. "
+        words, cure = _SHARES[largest]
+        sentence += f"{100 * (rms[largest] / whole) ** 2:.0f} % of its square is {words}; {cure} would lower it. "
     sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
     return ErrorShares.model_validate(
         {f"{name}_um": value for name, value in rms.items()}
