@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.checks import CHECKS, MappedSheet, RegisteredSheet
+from planish.checks import CHECKS, MeasuredSheet, RegisteredSheet
 from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
 from planish.flatten import flatten_sheet, places_when_scaled
@@ -14,7 +14,7 @@ from planish.register import Pairs, find_through_scale, fit_transform
 
 BY_THICKNESS, BY_MARKS = (
     next(light for light in CHECKS if light.name == "scale through the sheet" and light.stage is stage)
-    for stage in (MappedSheet, RegisteredSheet)
+    for stage in (MeasuredSheet, RegisteredSheet)
 )
 SLOPE, WAVE_UM, TURN = 0.5, 1300.0, 0.4  # 27°
 THICK_UM = 90.0
@@ -201,16 +201,16 @@ def test_a_sheet_seen_from_the_low_end_of_its_axis():
 def test_thickness_against_slope_is_exact_without_noise(stated):
     found = scale_from_thickness(sheet(stated, slope=0.8))
     assert found.scale == pytest.approx(1 / stated, rel=0.01)
-    check = BY_THICKNESS(MappedSheet(None, sheet(stated, slope=0.8, grain=0.05)))
+    check = BY_THICKNESS(MeasuredSheet(None, sheet(stated, slope=0.8, grain=0.05)))
     assert check.state == ("pass" if stated == 1 else "look")
 
 
 def test_thickness_of_a_flat_sheet_says_nothing():
-    check = BY_THICKNESS(MappedSheet(None, sheet(slope=0.05, grain=0.05)))
+    check = BY_THICKNESS(MeasuredSheet(None, sheet(slope=0.05, grain=0.05)))
     assert check.state == "unknown"
     assert "marks can say more" in check.sentence
     empty = sheet().assign(status=(("y", "x"), np.full((150, 180), 2, np.uint8)))
-    assert BY_THICKNESS(MappedSheet(None, empty)).value is None
+    assert BY_THICKNESS(MeasuredSheet(None, empty)).value is None
 
 
 def test_thickness_tells_a_spacing_from_a_stretch():

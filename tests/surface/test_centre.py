@@ -4,7 +4,7 @@ import xarray as xr
 from scipy import ndimage
 
 from naive import twice_smoothed
-from planish.checks import CHECKS, MappedSheet
+from planish.checks import CHECKS, MeasuredSheet
 from planish.surface import SurfaceParams
 from planish.surface.assemble import centre_surface
 from planish.surface.centre import gaussian_regression
@@ -108,8 +108,8 @@ def test_data_with_poor_neighbours_never_blanks_a_field(cutoff):
 def test_a_cut_off_that_was_not_kept_is_said():
     surfaces = xr.Dataset(attrs={"bridged_off_rims_share": 0.3, "cutoff_um": 250.0})
     cutoff = next(light for light in CHECKS if light.name == "cut-off")
-    check = cutoff(MappedSheet(None, surfaces))
+    check = cutoff(MeasuredSheet(None, surfaces))
     assert check.state == "look"
     assert "250 um in 70.0 %" in check.sentence
     assert check.figures == ("position",)
-    assert cutoff(MappedSheet(None, surfaces.assign_attrs(bridged_off_rims_share=0.01))).state == "pass"
+    assert cutoff(MeasuredSheet(None, surfaces.assign_attrs(bridged_off_rims_share=0.01))).state == "pass"

@@ -1,9 +1,9 @@
 from .greys import SheetImage as SheetImage
+from .registration import DetectedHoles as DetectedHoles
 from .registration import HolesOnSheet as HolesOnSheet
-from .registration import LayerHoles as LayerHoles
 from .registration import RegisteredLayer as RegisteredLayer
 from .registration import TextureChecks as TextureChecks
-from .sheets import MappedSheet as MappedSheet
+from .sheets import MeasuredSheet as MeasuredSheet
 from .table import CHECKS as CHECKS
 from .table import apply_checks as apply_checks
 from .table import check_holes as check_holes

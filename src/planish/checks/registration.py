@@ -35,7 +35,7 @@ class RegisteredLayer:
 
 
 @dataclass(frozen=True, slots=True)
-class LayerHoles:
+class DetectedHoles:
     """The holes that were found in a layer: Dataset (mark) of :func:`planish.find_holes`."""
 
     layer: str
@@ -136,7 +136,7 @@ def machine_direction(light: Light, registered: RegisteredLayer) -> Check | None
     )  # fmt: skip
 
 
-def holes_of_layer(light: Light, subject: LayerHoles) -> Check:
+def holes_of_layer(light: Light, subject: DetectedHoles) -> Check:
     """Judge how many holes were found and what was rejected; a look where places were not measured."""
     attrs, count = subject.holes.attrs, subject.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})

@@ -34,7 +34,7 @@ class Core:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scan:
+class ScannedSheet:
     """A volume (z, y, x) and the sheet that was measured in it (y, x)."""
 
     volume: xr.DataArray
@@ -46,7 +46,7 @@ class Scan:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class GreyScan(Scan):
+class GreyScan(ScannedSheet):
     """A scan whose voxels are greys, not labels."""
 
     greys: Greys
@@ -57,7 +57,7 @@ class GreyScan(Scan):
 
 def read_scan(
     volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
-) -> Scan:  # fmt: skip
+) -> ScannedSheet:  # fmt: skip
     """Read what the lights need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
     through = Frame.of(measured).through
     every: tuple[Axis, ...] = ("z", "y", "x")
@@ -75,7 +75,7 @@ def read_scan(
         "windows": {window.axis: window for window in reading.windows}, "voxels": voxels_through(volume, measured),
     }  # fmt: skip
     if greys is None or core is None:
-        return Scan(**scan)
+        return ScannedSheet(**scan)
     grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
     return GreyScan(**scan, greys=greys, sample=reading.sample, core=core, core_grey=grey)
 

@@ -10,7 +10,7 @@ import xarray as xr
 from scipy import ndimage
 
 from planish.checks.greys import denser_coating
-from planish.checks.scan import TILE_UM, GreyScan, Scan
+from planish.checks.scan import TILE_UM, GreyScan, ScannedSheet
 from planish.core.checks import Check, Light
 from planish.core.facts import SIDES, Side
 from planish.core.grid import pitch
@@ -31,7 +31,7 @@ _LEAST_MM2 = 0.1  # measured
 
 
 @dataclass(frozen=True, slots=True)
-class MappedSheet:
+class MeasuredSheet:
     """A sheet as it was mapped: its facts, and its surfaces and properties (y, x)."""
 
     facts: SheetFacts
@@ -41,7 +41,7 @@ class MappedSheet:
 # --- of a mapped sheet -----------------------------------------------------------------------------------------------
 
 
-def coverage(light: Light, sheet: MappedSheet) -> Check:
+def coverage(light: Light, sheet: MeasuredSheet) -> Check:
     """Judge how much of the sheet is measured."""
     s = sheet.facts.surfaces
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
@@ -54,7 +54,7 @@ def coverage(light: Light, sheet: MappedSheet) -> Check:
     )  # fmt: skip
 
 
-def missing_voxels(light: Light, sheet: MappedSheet) -> Check | None:
+def missing_voxels(light: Light, sheet: MeasuredSheet) -> Check | None:
     """Judge how many voxels have no value."""
     if (share := sheet.facts.surfaces.missing_share) is None:
         return None
@@ -65,7 +65,7 @@ def missing_voxels(light: Light, sheet: MappedSheet) -> Check | None:
     )  # fmt: skip
 
 
-def fold_over(light: Light, sheet: MappedSheet) -> Check:
+def fold_over(light: Light, sheet: MeasuredSheet) -> Check:
     """Judge whether the flattened mesh is folded."""
     folded = sheet.facts.flatten.folded_cells
     return light.at_most(
@@ -74,7 +74,7 @@ def fold_over(light: Light, sheet: MappedSheet) -> Check:
     )  # fmt: skip
 
 
-def alignment(light: Light, sheet: MappedSheet) -> Check | None:
+def alignment(light: Light, sheet: MeasuredSheet) -> Check | None:
     """Judge whether serial sections fit their neighbours."""
     if (sections := sheet.facts.sections) is None:
         return None
@@ -86,7 +86,7 @@ def alignment(light: Light, sheet: MappedSheet) -> Check | None:
     )  # fmt: skip
 
 
-def cutoff(light: Light, sheet: MappedSheet) -> Check:
+def cutoff(light: Light, sheet: MeasuredSheet) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     attrs = sheet.measured.attrs
     share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
@@ -99,7 +99,7 @@ def cutoff(light: Light, sheet: MappedSheet) -> Check:
     )  # fmt: skip
 
 
-def corrections(light: Light, sheet: MappedSheet) -> Check | None:
+def corrections(light: Light, sheet: MeasuredSheet) -> Check | None:
     """Judge how much of the sheet was corrected by hand; None where nothing was."""
     surfaces = sheet.measured
     if "corrections" not in surfaces.attrs:
@@ -120,7 +120,7 @@ def corrections(light: Light, sheet: MappedSheet) -> Check | None:
 # --- of a scan -------------------------------------------------------------------------------------------------------
 
 
-def hand(light: Light, scan: Scan) -> Check | None:
+def hand(light: Light, scan: ScannedSheet) -> Check | None:
     """Say that the file makes its slices a mirror image of the specimen."""
     if not (axes := scan.volume.attrs.get("hand")):
         return None
@@ -171,7 +171,7 @@ def one_sheet(light: Light, scan: GreyScan) -> Check:
     )  # fmt: skip
 
 
-def voxels_through(light: Light, scan: Scan) -> Check:
+def voxels_through(light: Light, scan: ScannedSheet) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
     thinner = " It may be thinner: sheets of 2 or 3 voxels are measured too thick."
     return light.at_least(
@@ -181,7 +181,7 @@ def voxels_through(light: Light, scan: Scan) -> Check:
     )  # fmt: skip
 
 
-def dust(light: Light, scan: Scan, *, side: Side) -> Check | None:
+def dust(light: Light, scan: ScannedSheet, *, side: Side) -> Check | None:
     """Judge the particles on a side, which are measured as coating; None where no coating was measured."""
     name = f"coating_{side}"
     if name not in scan.measured or not np.isfinite(scan.measured[name].values).any():

@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.checks.scan import Scan
+from planish.checks.scan import ScannedSheet
 from planish.checks.windows import Window
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light
 from planish.core.frame import Axis
@@ -64,7 +64,7 @@ class Fault:
         return self.last - self.first + 1
 
 
-def slice_order(light: Light, scan: Scan, *, axis: Axis) -> Check:
+def slice_order(light: Light, scan: ScannedSheet, *, axis: Axis) -> Check:
     """Judge the slices along an axis.
 
     ``fail`` where they are not in their order, ``look`` where some are repeated, filled, foreign, empty or missing. The

@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from planish.checks import greys, registration, sheets, through_scale
 from planish.checks.greys import SheetImage
-from planish.checks.registration import HolesOnSheet, LayerHoles, RegisteredLayer, TextureChecks
-from planish.checks.scan import GreyScan, Scan, read_scan
-from planish.checks.sheets import MappedSheet
+from planish.checks.registration import DetectedHoles, HolesOnSheet, RegisteredLayer, TextureChecks
+from planish.checks.scan import GreyScan, ScannedSheet, read_scan
+from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light, trust_of
@@ -37,26 +37,31 @@ _SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom"
 
 CHECKS = (
     # planish map: from the maps of a sheet
-    Light("coverage", MappedSheet, (PROPERTIES,), sheets.coverage),
-    Light("missing voxels", MappedSheet, (PROPERTIES,), sheets.missing_voxels),
-    Light("fold-over", MappedSheet, (POSITION,), sheets.fold_over),
-    Light("alignment", MappedSheet, (PROPERTIES, POSITION), sheets.alignment),
-    Light("cut-off", MappedSheet, (POSITION,), sheets.cutoff),
-    Light("scale through the sheet", MappedSheet, _ALL, through_scale.scale_by_thickness),
-    Light("corrections", MappedSheet, (PROPERTIES,), sheets.corrections),
+    Light("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
+    Light("missing voxels", MeasuredSheet, (PROPERTIES,), sheets.missing_voxels),
+    Light("fold-over", MeasuredSheet, (POSITION,), sheets.fold_over),
+    Light("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
+    Light("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
+    Light("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
+    Light("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
     # planish map: from the volume
-    Light("hand of the volume", Scan, (POSITION, CORRELATION), sheets.hand),
-    Light("slices along z", Scan, _ALL, partial(slice_order, axis="z")),
-    Light("slices along y", Scan, _ALL, partial(slice_order, axis="y")),
-    Light("slices along x", Scan, _ALL, partial(slice_order, axis="x")),
+    Light("hand of the volume", ScannedSheet, (POSITION, CORRELATION), sheets.hand),
+    Light("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
+    Light("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
+    Light("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
     Light("clipped grey", GreyScan, _COATINGS, greys.clipped_grey),
     Light("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
     Light("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
     Light("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
     Light("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
-    Light("voxels through the sheet", Scan, _THICKNESSES, sheets.voxels_through),
-    Light("dust, top", Scan, ("coating_top", "base_thickness", "thickness"), partial(sheets.dust, side="top")),
-    Light("dust, bottom", Scan, ("coating_bottom", "base_thickness", "thickness"), partial(sheets.dust, side="bottom")),
+    Light("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
+    Light("dust, top", ScannedSheet, ("coating_top", "base_thickness", "thickness"), partial(sheets.dust, side="top")),
+    Light(
+        "dust, bottom",
+        ScannedSheet,
+        ("coating_bottom", "base_thickness", "thickness"),
+        partial(sheets.dust, side="bottom"),
+    ),
     # planish link: from a registration
     Light("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
     Light("marks", RegisteredLayer, (POSITION,), registration.marks),
@@ -64,7 +69,7 @@ CHECKS = (
     Light("strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain),
     Light("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
     Light("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
-    Light("holes in NAME", LayerHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
+    Light("holes in NAME", DetectedHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
     # planish link: from the layers on one grid
     Light("common field", LayerFacts, (CORRELATION,), registration.common_field),
     Light("holes without partner", HolesOnSheet, (POSITION, CORRELATION), registration.holes_without_partner),
@@ -117,7 +122,7 @@ def check_holes(holes: xr.Dataset) -> Check:
     holes : Dataset, dims (mark)
         Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
     """
-    return run_checks(LayerHoles("", holes))[0].model_copy(update={"name": "holes"})
+    return run_checks(DetectedHoles("", holes))[0].model_copy(update={"name": "holes"})
 
 
 def exposure_check(values: NDArray[Any]) -> Check:

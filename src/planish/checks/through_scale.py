@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from planish.checks.sheets import MappedSheet
+from planish.checks.sheets import MeasuredSheet
 from planish.core.checks import Check, Light, State
 from planish.core.frame import Frame
 from planish.core.grid import pitch
@@ -103,7 +103,7 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     return SlopeScale(scale, float(spread / (2 * max(scale, 0.25))))
 
 
-def scale_by_thickness(light: Light, sheet: MappedSheet | RegisteredSheet) -> Check:
+def scale_by_thickness(light: Light, sheet: MeasuredSheet | RegisteredSheet) -> Check:
     """Judge a sheet without marks: gross errors of the spacing along the axis through it."""
     slope = scale_from_thickness(sheet.measured)
     axis, stated = _spacing(sheet)
@@ -185,7 +185,7 @@ def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
     return find_through_scale(scales, places, pairs, mirrored=fit.mirrored)
 
 
-def _spacing(sheet: MappedSheet | RegisteredSheet) -> tuple[str, float]:
+def _spacing(sheet: MeasuredSheet | RegisteredSheet) -> tuple[str, float]:
     """The axis through the sheet and its spacing as stated, um."""
     axis = Frame.of(sheet.measured).through
     return axis, float(sheet.measured.attrs["voxel_um"]["zyx".index(axis)])

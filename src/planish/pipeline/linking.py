@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 
 from planish import __version__
 from planish.checks import (
+    DetectedHoles,
     HolesOnSheet,
-    LayerHoles,
     RegisteredLayer,
     RegisteredSheet,
     SheetImage,
@@ -312,7 +312,7 @@ def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Stud
     )  # fmt: skip
     yield from run_checks(registered, layer.name, to.name)
     if link.registration.source == "found":
-        for holes in (LayerHoles(side.name, holes) for side in (layer, to) for holes in side.holes_found):
+        for holes in (DetectedHoles(side.name, holes) for side in (layer, to) for holes in side.holes_found):
             yield from run_checks(holes, layer.name, to.name)
     yield from run_checks(facts, layer.name, facts.registration.path[-1])
 

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from planish.checks import MappedSheet, check_scan, run_checks
+from planish.checks import MeasuredSheet, check_scan, run_checks
 from planish.compute import Compute, Progress, column_step, engine, silent
 from planish.core.errors import CannotMeasure
 from planish.core.frame import Frame, other_axis
@@ -94,7 +94,7 @@ def map_layer(
             name: seen["properties"][name] for name in before.facts.properties
         }  # a store has no order
         facts = SheetFacts(numbers=before.facts.numbers, **seen)
-        checks = run_checks(MappedSheet(facts, measured))
+        checks = run_checks(MeasuredSheet(facts, measured))
         names = {check.name for check in checks}
         same = {k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")}
         return Layer(
@@ -115,7 +115,7 @@ def map_layer(
     facts = SheetFacts(numbers=numbers, **seen)
     return Layer(
         params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=(*run_checks(MappedSheet(facts, measured)), *scan), md_deg=md_deg,
+        checks=(*run_checks(MeasuredSheet(facts, measured)), *scan), md_deg=md_deg,
     )  # fmt: skip
 
 
