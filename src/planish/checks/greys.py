@@ -15,7 +15,7 @@ from planish.core.checks import PROPERTIES, Check, Light
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.core.typing import Floats
-from planish.measure.greys import Greys
+from planish.measure.registry import Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
 _BINS = 256  # between the air and the end of the grey scale
