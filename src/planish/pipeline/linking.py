@@ -30,16 +30,16 @@ _RIM_UM = 100.0  # around holes of images, where no sheet says otherwise
 
 
 def link_study(
-    study: Study, *, compute: Compute, progress: Progress, tiles: Path | None = None,
-    sheets: MappedSheets | None = None, sink: HeldMaps | None = None,
+    study: Study, sheets: MappedSheets, *, compute: Compute, progress: Progress, tiles: Path | None = None,
+    sink: HeldMaps | None = None,
 ) -> Run:  # fmt: skip
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 
-    ``sink`` takes the maps on those pixels: in memory where not given. ``tiles`` is the folder for the results of
-    single tiles of volumes that are mapped; ``sheets`` holds those of volumes that need not be mapped again, and is
-    given those that were mapped, whatever becomes of the link.
+    ``sheets`` holds those of volumes that need not be mapped again, and is given those that were mapped, whatever
+    becomes of the link. ``tiles`` is the folder for the results of single tiles of volumes that are mapped; ``sink``
+    takes the maps on the reference's pixels: in memory where not given.
     """
-    sheets, sink, holes = sheets or MappedSheets(), sink or HeldMaps(), LayerHoles(study.holes)
+    sink, holes = sink or HeldMaps(), LayerHoles(study.holes)
     # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
     layers_read, regions = _read_layers(study, holes, progress)
     for params in study.layers:

@@ -107,7 +107,7 @@ def _make(
     sink: HeldMaps | None = None,
 ) -> Run:  # fmt: skip
     if len(study.layers) > 1:
-        return link_study(study, sheets=sheets, compute=compute, progress=progress, tiles=tiles, sink=sink)
+        return link_study(study, sheets, compute=compute, progress=progress, tiles=tiles, sink=sink)
     [layer] = study.layers
     similar = sheets.similar.get(layer.name)
     return gather_sheet(map_layer(layer, compute=compute, progress=progress, tiles=tiles, before=similar), study)
