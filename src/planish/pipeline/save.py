@@ -106,9 +106,9 @@ def _make(
     study: Study, sheets: MappedSheets, *, compute: Compute, progress: Progress, tiles: Path | None = None,
     sink: HeldMaps | None = None,
 ) -> Run:  # fmt: skip
-    if len(study.layers) > 1:
+    layer, more = study.layers[0], study.layers[1:]
+    if more:
         return link_study(study, sheets, compute=compute, progress=progress, tiles=tiles, sink=sink)
-    [layer] = study.layers
     similar = sheets.similar.get(layer.name)
     return gather_sheet(map_layer(layer, compute=compute, progress=progress, tiles=tiles, before=similar), study)
 

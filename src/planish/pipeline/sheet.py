@@ -98,29 +98,30 @@ def map_layer(
 
 
 def _measure(
-    layer: LayerParams, before: Layer | None, local: Engine, tiles: Path | None, compute: Compute,
-    progress: Progress,
-) -> _Measured:  # fmt: skip
+    layer: LayerParams, before: Layer | None, local: Engine, tiles: Path | None, compute: Compute, progress: Progress
+) -> _Measured:
     """Find the surfaces of a sheet and measure its columns, as far as ``before`` does not have them."""
     v = layer.volume
     assert v is not None
+
+    def read() -> tuple[xr.DataArray, xr.Dataset | None]:
+        progress("read", find_place(v.path).path.name)
+        return read_sheet_volume(v, compute, progress)
+
     corrections = asked_corrections(layer)
-    volume, sections, columns = None, None, before and before.groups["surfaces"]
-    is_same_surface = columns is not None and made_corrections(columns) == corrections
-    if before is not None and columns is not None:
-        sections = before.groups.get("sections")
-        if is_same_surface and before.params.properties == layer.properties:
-            return _Measured(None, sections, surfaces_of(columns), columns)
-    progress("read", find_place(v.path).path.name)
-    volume, sections_read = read_sheet_volume(v, compute, progress)
-    if columns is None:
-        sections, surfaces = sections_read, search_sheet(volume, layer, compute=compute, progress=progress, tiles=tiles)
+    if before is None:
+        volume, sections = read()
+        surfaces = search_sheet(volume, layer, compute=compute, progress=progress, tiles=tiles)
     else:
-        surfaces = surfaces_of(columns)
-    if columns is not None and not is_same_surface:
-        progress("surface", "corrections")
-        changes = Corrections.model_validate_json(corrections) if corrections else Corrections()
-        surfaces = correct_surfaces(surfaces, volume, changes, params=layer.surface, engine=local)
+        columns, sections = before.groups["surfaces"], before.groups.get("sections")
+        surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
+        if is_same_surface and before.params.properties == layer.properties:
+            return _Measured(None, sections, surfaces, columns)
+        volume, _ = read()
+        if not is_same_surface:
+            progress("surface", "corrections")
+            changes = Corrections.model_validate_json(corrections) if corrections else Corrections()
+            surfaces = correct_surfaces(surfaces, volume, changes, params=layer.surface, engine=local)
     progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
     try:
         columns = measure_properties(surfaces, volume=volume, params=layer.properties, engine=local)
@@ -148,13 +149,9 @@ def _remapped(before: Layer, sheet: Layer) -> Layer:
 
 
 def search_sheet(
-    volume: xr.DataArray,
-    layer: LayerParams,
-    *,
-    compute: Compute,
-    progress: Progress = silent,
+    volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress = silent,
     tiles: Path | None = None,
-) -> xr.Dataset:
+) -> xr.Dataset:  # fmt: skip
     """Find the surfaces of a sheet.
 
     Raises
