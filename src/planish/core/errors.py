@@ -24,8 +24,8 @@ else in planish decides exit codes.
 
 import re
 
+# Options without a value, of those that a call in Python may be told to give.
 SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
-"""Options without a value, of those that a call in Python may be told to give."""
 
 _COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"  # up to the end of its sentence, or its quote
 _ENDS = r"(?=[.,;:)]|$| as well| is not possible)"  # what follows a word that is a value and no part of the sentence

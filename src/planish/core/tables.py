@@ -23,11 +23,9 @@ from planish.core.errors import FileError, InputError, PlanishError
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-LARGEST_FILE = 10_000_000
-"""Bytes; no table of marks, holes or sections is larger."""
+LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
 
-MOST_FAULTS = 8
-"""Faults that one message names; of the others it gives the number."""
+MOST_FAULTS = 8  # faults that one message names; of the others it gives the number
 
 
 class CsvRow(NamedTuple):

@@ -28,8 +28,8 @@ from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
 from planish.io.volume import declared_volume, load_volume
 
+# Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-"""Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
 
 # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0

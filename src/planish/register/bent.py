@@ -41,8 +41,8 @@ class Bent(NearSimilarity):
     size: float
     nodes: Floats
     affine: Floats
+    # True where the local changes end beside the marks, so that the inverse has a meaning far from them.
     everywhere: ClassVar[bool]
-    """True where the local changes end beside the marks, so that the inverse has a meaning far from them."""
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""

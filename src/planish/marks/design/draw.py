@@ -47,8 +47,8 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "path",  # readable where the typeface is not installed
     "pdf.fonttype": 3,
 }
+# Draw in one style, whatever the user's settings; they are restored afterwards.
 house_style = partial(style.context, ["default", _STYLE])
-"""Draw in one style, whatever the user's settings; they are restored afterwards."""
 
 
 class Page:
