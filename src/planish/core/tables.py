@@ -151,7 +151,7 @@ class CsvTable:
 
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
-) -> CsvTable:  # fmt: skip
+) -> CsvTable:
     """Make a table of a text with a header, of :func:`read_text`; ``name`` is that of the file.
 
     ``needed`` columns have to be there; others may be. ``advice`` is one sentence on what the table has to look like,

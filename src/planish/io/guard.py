@@ -150,7 +150,7 @@ def _available_on_windows(kernel: Any) -> int:
 
 def _control_group_limit_bytes(
     membership: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
-) -> int:  # fmt: skip
+) -> int:
     """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
     limits = [2**62]
     ends = ((groups, False), (groups / "memory", True))

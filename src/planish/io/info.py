@@ -187,7 +187,7 @@ def _describe_sections(
 
 def _describe_image(
     path: Path, agreed: partial[Any], memory_bytes: int, look: Callable[[Values], None] | None, wanted: bool
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     warnings: list[str] = []
     picture = None

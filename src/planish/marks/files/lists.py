@@ -202,7 +202,7 @@ class LayerPixels:
 
 def join_lists(
     lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Join marks in um from one list, or from two whose points belong together in their order.
 
     Two are moving and fixed, exchanged where they are named in the other order or ``swap`` says so; ``unit`` takes the
