@@ -24,7 +24,6 @@ if TYPE_CHECKING:
     from pydantic import ValidationError
 
 LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
-
 MOST_FAULTS = 8  # faults that one message names; of the others it gives the number
 
 

@@ -18,7 +18,6 @@ from planish.core.threads import control_groups
 MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
 # Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below.
 BLOWN_UP_RATIO = 2000
-
 # Below this size a decoded image does no harm whatever its ratio, so small constant images pass.
 BLOWN_UP_FROM_BYTES = 16 * 2**20
 

@@ -30,12 +30,10 @@ from planish.io.volume import declared_volume, load_volume
 
 # Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-
 # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
-
 LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
 
 Size = Callable[[], tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError

@@ -27,9 +27,7 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
 
 # Types of Pillow's modes; all others have 8 bits.
 RASTER_TYPES = {"1": np.bool_, "I": np.int32, "I;16": np.uint16, "I;16B": np.uint16, "F": np.float32}
-
 ADVICE = "One picture is needed: save it alone."
-
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 
 Colour = Literal["grey", "rgb", "other"]

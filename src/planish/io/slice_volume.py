@@ -34,7 +34,6 @@ from planish.io.tiff import open_series, size_words, stored_rows
 
 # Files with other extensions (logs, licences, thumbnails of the system) are no slices.
 EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
-
 MOST_NAMES = 8  # names or numbers written out in a message
 
 # Keys of a log that describe how the volume was made.

@@ -101,7 +101,6 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
-
 _FIRST_NAMES = ("moving", "from", "source", "volume")
 _SECOND_NAMES = ("fixed", "to", "target", "image")
 
