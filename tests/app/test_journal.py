@@ -257,9 +257,10 @@ def restarted(session: Session) -> Session:
 
 _WRITER = """
 import sys
+from contextlib import closing
 from pathlib import Path
 from planish.app.journal import Journal
-with Journal(Path(sys.argv[1]), of="a", write=True) as made:
+with closing(Journal(Path(sys.argv[1]), of="a", write=True)) as made:
     for k in range(100000):
         made.append(b'{"do": "step", "k": %d, "fill": "%s"}' % (k, b"x" * (k % 5000)))
         print(k, flush=True)
