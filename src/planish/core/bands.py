@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Rows = xr.DataArray | NDArray[Any]
 
 BAND = 512  # rows of a band, and of a chunk of a stored map: each chunk is read once
+_SAMPLE = 2**22  # pixels that show how the values of a map are distributed
 
 
 def bands(rows: int) -> Iterator[slice]:
@@ -52,8 +53,7 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     For figures and medians, whose own uncertainty is larger than what this leaves out.
     """
     rows, cols = maps[0].shape
-    # So many pixels show how the values of a map are distributed.
-    k = max(1, math.ceil(math.sqrt(rows * cols / 2**22)))
+    k = max(1, math.ceil(math.sqrt(rows * cols / _SAMPLE)))
     if k == 1:
         return 1, [np.asarray(data) for data in maps]
     # The band's own rows, so that a stored map is read chunk by chunk and once.

@@ -38,6 +38,7 @@ CHUNK = (64, 96, 96)
 SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
 _LOCK = "lock"
+_SMALLEST, _LEAST_DEPTH = 256, 16  # voxels along the longest and the shortest axis of the last level
 _AT_WORK = 2  # blocks: one is read while the other is compressed
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
 
@@ -110,12 +111,7 @@ def write_store(
                     progress=progress,
                 )  # fmt: skip
                 for fine, coarse in pairwise(levels[1:]):
-                    folder = done.folder / coarse.basename
-                    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
-                        if not done.has(coarse, where):
-                            twice = (slice(2 * w.start, 2 * w.stop) for w in where)
-                            values = halve(np.asarray(fine[tuple(twice)]))
-                            done.add(coarse, _write_shards(coarse, where, values, folder, done.names(coarse, where)))
+                    _write_coarser_level(fine, coarse, done)
             done.settle()
         except Exception:  # only an import that was killed or interrupted is gone on with
             lock.release()
@@ -201,6 +197,14 @@ def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[l
     return written
 
 
+def _write_coarser_level(fine: Array, coarse: Array, done: ShardLists) -> None:
+    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
+        if not done.has(coarse, where):
+            values = halve(np.asarray(fine[tuple(slice(2 * w.start, 2 * w.stop) for w in where)]))
+            folder = done.folder / coarse.basename
+            done.add(coarse, _write_shards(coarse, where, values, folder, done.names(coarse, where)))
+
+
 def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
     """Write the shards of a block to the disk, and return their checksums."""
     level[where] = values
@@ -235,8 +239,7 @@ def _halved(where: Where, times: int) -> Where:
 def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     """Make or open the arrays of all levels, and write what is known of the volume."""
     shapes = [tuple(volume.shape)]
-    # The last level has up to 256 voxels along its longest axis, and none is thinner than 16.
-    while max(shapes[-1]) > 256 and min(shapes[-1]) >= 32:
+    while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
     first = [float(volume[axis].values[0]) for axis in "zyx"]

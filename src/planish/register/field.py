@@ -31,6 +31,7 @@ KERNELS = (
 # Variance of the affine deviation at that distance, and of the field, over that of a mark; 0 is as likely as not.
 _AFFINE = np.array([0.0, 3.0, 30.0, 300.0])
 _FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
+_LEAST = 1e-3  # kernels that are less likely than this share count for nothing
 _AT_ONCE = 1 << 18
 # Of more marks, those that lie together are one with their mean: the field is smooth, and the time grows with the cube.
 MOST = 256
@@ -317,5 +318,5 @@ def _log_prior(ratios: Floats) -> Floats:
 def _shares(logs: Floats) -> Floats:
     """Probabilities (kernels, affine ratios, field ratios) from logarithms, none for kernels that are unlikely."""
     shares = np.exp(logs - logs.max())
-    shares[shares.sum(axis=(1, 2)) < 1e-3 * shares.sum()] = 0.0
+    shares[shares.sum(axis=(1, 2)) < _LEAST * shares.sum()] = 0.0
     return shares / shares.sum()
