@@ -25,8 +25,8 @@ from numpy.typing import NDArray
 from scipy import fft, ndimage, optimize, stats
 
 from planish.analyze import coherence, correlate, paired_difference, size_curve, without_screen
+from planish.analyze.compare import correlate_layers
 from planish.analyze.covariance import Lags
-from planish.pipeline.compare import correlate_layers
 
 Array = NDArray[np.float64]
 Maps = tuple[Array, Array]

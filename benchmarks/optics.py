@@ -22,7 +22,6 @@ from planish.analyze import (
     independent_points,
     pile,
     reflectance,
-    screen_left,
     straight_or_curved,
     without_screen,
 )
@@ -96,11 +95,11 @@ def cover(fields: int, seed: int, lengths_um: tuple[float, float], *, of_rest: b
 
 
 def screen() -> int:
-    """Print what is left of a drawn screen of dots, beside the formula; the number of angles that miss 3.1 %."""
+    """Print what is left of a drawn screen of dots; the number of angles that miss 3.1 %."""
     missed, pixel = 0, 10.0
     y, x = (np.arange(n) * pixel for n in (600, 640))
     k = 2 * np.pi * 60e-4
-    print("screen of 60 lines/cm, sigma 70 um: amplitude left of drawn dots, and by screen_left")
+    print("screen of 60 lines/cm, sigma 70 um: amplitude left of drawn dots")
     for angle in (0.0, 15.0, 45.0, 75.0):
         c, s = np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle))
         u, v = k * (c * x + s * y[:, None]), k * (c * y[:, None] - s * x)
@@ -110,7 +109,7 @@ def screen() -> int:
                  for m in (without_screen(image, pixel_um=pixel)[inner], image[inner])]  # fmt: skip
         left = float(waves[0] / waves[1])
         missed += abs(left - 0.031) > 0.004
-        print(f"{angle:5.0f} deg {100 * left:7.2f} % {100 * screen_left(60.0, angle_deg=angle):7.2f} %")
+        print(f"{angle:5.0f} deg {100 * left:7.2f} %")
     return missed
 
 

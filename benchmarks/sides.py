@@ -23,11 +23,11 @@ from scipy import fft
 
 import planish as pl
 from planish.analyze import LagNumbers
+from planish.analyze.sides import texture_of
 from planish.core.checks import Check
 from planish.core.errors import PlanishError
 from planish.core.facts import is_known
 from planish.pipeline.build import link
-from planish.pipeline.texture import texture_of
 from planish.synthetic import PRESETS, HoleParams, SpecimenParams, Warp, draw_params
 
 Array = NDArray[np.float64]

@@ -105,7 +105,7 @@ MUTANTS = [
     # analyze
     Mutant("analyze/correlation.py", "both = np.isfinite(x) & np.isfinite(y)\n    factor", "both = np.isfinite(x)\n    factor", "analyze/test_correlate.py"),
     Mutant("analyze/correlation.py", "slope = sab / saa", "slope = sab / sbb", "analyze/test_correlate.py"),
-    Mutant("analyze/peak.py", "np.abs(r) if sign == 0 else sign * r", "np.abs(r)", "analyze/test_lag.py"),
+    Mutant("analyze/ncc.py", "np.abs(r) if sign == 0 else sign * r", "np.abs(r)", "analyze/test_lag.py"),
     # sections, correct
     Mutant("sections/volume.py", "share = np.clip((planes - places[before]) / step, 0.0, 1.0)", "share = np.clip((places[after] - planes) / step, 0.0, 1.0)", "sections/test_volume.py"),
     Mutant("sections/network.py", "_HALF = 1.0 / np.sqrt(0.5) - 1.0", "_HALF = 1.0", "sections/test_align.py sections/test_reference.py"),

@@ -7,27 +7,34 @@ import math
 import numpy as np
 import pytest
 
-from analyze.fields import gaussian_maps, related_maps
-from planish.analyze import bland_altman, cross_correlogram, deming, ring_correlation, variogram
-from planish.analyze.covariance import Lags
-from planish.pipeline.by_distance import correlogram_facts, measured_twice, variograms_of
-from planish.report.distance import draw_correlogram, draw_rings, draw_variograms, of_each, of_twice
+from analyze.fields import compared, gaussian_maps, lags_of, related_maps
+from planish.analyze import CorrelateParams, bland_altman, cross_correlogram, deming, ring_correlation, variogram
+from planish.analyze.agreement import answer_twice
+from planish.analyze.correlograms import answer_correlogram
+from planish.analyze.diagnostics import PairWords, sentences
+from planish.analyze.variograms import answer_variograms
+from planish.report.diagnostics import draw_correlogram, draw_rings, draw_variograms
 from planish.results import EvidenceFacts, Results
 
 CELL = (8.0, 8.0)
+
+
+def twice_of(maps, points, **options):
+    asked = compared(maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated=points)
+    return answer_twice(asked)["twice"]
 
 
 def pair(seed=0, r=0.6, length=6.0, shape=(120, 150)):
     a, b = related_maps(np.random.default_rng(seed), shape, length, r)
     known = np.ones(shape, bool)
     known[30:60, 50:80] = False
-    return (np.where(known, a, np.nan), np.where(known, b, np.nan)), Lags(known, CELL)
+    return (np.where(known, a, np.nan), np.where(known, b, np.nan)), lags_of(np.where(known, a, np.nan), CELL)
 
 
 def test_variograms_are_those_of_the_function():
     maps, lags = pair()
     names = (("sheet", "coating_top", "um"), ("image", "image", "1"))
-    found = [*variograms_of(maps, lags, names, 30.0)]
+    found = answer_variograms(compared(maps, lags, md_deg=30.0))["variograms"]
     for one, values, (layer, name, units) in zip(found, maps, names, strict=True):
         twin = variogram(values, pixel_um=CELL, md_deg=30.0)
         assert (one.layer, one.map, one.units, one.md_deg) == (layer, name, units, 30.0)
@@ -39,7 +46,7 @@ def test_variograms_are_those_of_the_function():
 
 def test_the_correlogram_is_that_of_the_function_with_lag_0_in_its_profiles():
     maps, lags = pair()
-    found, twin = correlogram_facts(maps, lags), cross_correlogram(*maps, pixel_um=CELL)
+    found, twin = answer_correlogram(compared(maps, lags))["correlogram"], cross_correlogram(*maps, pixel_um=CELL)
     assert (found.peak_r, found.lag_um, found.n_eff) == (twin.peak_r, twin.lag_um, twin.n_eff)
     for profile in (found.along_x, found.along_y):
         middle = len(profile.r) // 2
@@ -56,8 +63,7 @@ def test_two_measurements_are_compared_as_the_functions_say():
     a = gaussian_maps(rng, (120, 150), 6.0)[0]
     maps = tuple(a + 1.5 * rng.normal(size=a.shape) + k for k in (0.0, 0.5))
     points = tuple(m.reshape(24, 5, 30, 5).mean(axis=(1, 3)) for m in maps)
-    lags = Lags(np.ones(a.shape, bool), CELL)
-    found = measured_twice(maps, lags, points, point_um=40.0, units="um", error_ratio=2.0)
+    found = twice_of(maps, points, point_um=40.0, error_ratio=2.0)
     rings, apart = ring_correlation(*maps, pixel_um=CELL), bland_altman(*points, pixel_um=40.0)
     assert [ring.correlation for ring in found.rings] == [ring.correlation for ring in rings.rings]
     assert found.resolution_um == rings.resolution_um
@@ -65,7 +71,8 @@ def test_two_measurements_are_compared_as_the_functions_say():
     assert found.bias_interval[0] < 0.5 < found.bias_interval[1]
     assert found.error_slope == deming(*points, error_ratio=2.0, n_eff=50).slope
     assert found.error_interval[0] < 1 < found.error_interval[1]
-    said = of_twice(found, ("ct", "lm"))
+    facts = EvidenceFacts(a="ct", a_map="thickness", b="lm", b_map="thickness", declared=True, twice=found)
+    said = [*sentences(facts, "repeated")]
     assert said[0].startswith("Both show the same down to waves of")
     assert said[1].startswith("lm minus ct, over 720 points of 40\u202fµm: 0.5")
     assert "Deming" in said[2]
@@ -76,9 +83,8 @@ def test_two_measurements_are_compared_as_the_functions_say():
 
 def test_a_field_that_is_too_small_says_nothing_and_the_rest_stands():
     values = np.random.default_rng(0).normal(size=(5, 6))
-    lags = Lags(np.ones((5, 6), bool), CELL)
-    assert [*variograms_of((values, values), lags, (("a", "m", "um"), ("b", "m", "um")), None)] == []
-    found = measured_twice((values, values + 1), lags, (values, values + 1), point_um=8.0, units="um")
+    assert answer_variograms(compared((values, values), lags_of(values, CELL))) == {"variograms": ()}
+    found = twice_of((values, values + 1), (values, values + 1), point_um=8.0)
     assert found.rings == ()
     assert "rings of frequency" in found.sentence
     assert found.bias == pytest.approx(1)
@@ -86,11 +92,16 @@ def test_a_field_that_is_too_small_says_nothing_and_the_rest_stands():
 
 def facts(seed=0, *, md_deg=None, same=False, **how):
     maps, lags = pair(seed, **how)
-    names = (("a", "coating_top", "um"), ("b", "coating_top" if same else "image", "um" if same else "1"))
+    b, units = ("b", "coating_top" if same else "image"), ("um", "um" if same else "1")
+    asked = compared(maps, lags, a=("a", "coating_top"), b=b, units=units, md_deg=md_deg)
     return EvidenceFacts(
-        a="a", a_map="coating_top", b="b", b_map=names[1][1], declared=True,
-        variograms=tuple(variograms_of(maps, lags, names, md_deg)), correlogram=correlogram_facts(maps, lags),
+        a="a", a_map="coating_top", b="b", b_map=b[1], declared=True, **answer_variograms(asked),
+        **answer_correlogram(asked),
     )  # fmt: skip
+
+
+def of_each(evidence, titles):
+    return [*sentences(evidence, "distance", PairWords(titles=titles))]
 
 
 def test_the_page_names_ranges_directions_and_the_lag():

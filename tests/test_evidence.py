@@ -8,16 +8,15 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.analyze import commonality, correlate, partial
+from planish.analyze import CorrelateParams, commonality, correlate, diagnostics, partial
+from planish.analyze.compare import correlate_layers, headline_of
+from planish.analyze.diagnostics import PairWords, correlation_diagnostics
 from planish.compute import Compute
 from planish.core.area import area_mean
 from planish.core.errors import InputError
-from planish.pipeline.compare import correlate_layers, headline_of
-from planish.pipeline.evidence import evidence_of
 from planish.pipeline.preflight import check_request
-from planish.report.scale import sentences
 from planish.report.summary import cautions
-from planish.results import LayerFacts, Results
+from planish.results import Results
 from planish.study import as_study
 
 
@@ -87,7 +86,7 @@ def test_a_relation_that_saturates_is_named():
     thick = 10 + 2 * ndimage.gaussian_filter(maps["sheet"]["coating_top"].values, 6) / 0.047
     maps["sheet"]["coating_top"][:] = thick
     maps["image"]["image"][:] = 1 - np.exp(-thick / 5) + 0.01 * maps["image"]["image"].values
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     found = evidence_of(maps, *given, point_um=50, declared=False)
     assert found.curve.words == "curved, saturating"
     assert any("curved, saturating" in s for s in sentences(found, 50.0))
@@ -206,7 +205,7 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
     maps = with_base()
     maps["sheet"]["valid"][20:40, 30:70] = False
     maps["sheet"]["base_thickness"][60:80, 90:120] = np.nan
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     names = ("base_thickness", "thickness")
     found = evidence_of(maps, *given, point_um=20, declared=True, beside=names)
     known = maps["sheet"]["valid"].values & np.isfinite(maps["sheet"]["base_thickness"].values)
@@ -226,7 +225,7 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
 
 def test_the_page_says_the_partial_r():
     maps = with_base()
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     found = evidence_of(maps, *given, point_um=20, declared=True, beside=("base_thickness",))
     (said,) = [s for s in sentences(found, 20.0) if s.startswith("Given base thickness, r = 0.")]
     assert f"{found.commonality['coating_top']:.2f} of the variance" in said
@@ -238,7 +237,7 @@ def test_the_page_says_the_partial_r():
 def test_where_nothing_is_left_the_run_stands_and_says_why():
     maps = with_base()
     sheet = maps["sheet"]
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     sheet["rest"] = sheet["thickness"] - sheet["coating_top"]
     found = evidence_of(maps, *given, point_um=20, declared=True, beside=("thickness", "rest"))
     assert found.sizes
@@ -256,7 +255,7 @@ def test_where_nothing_is_left_the_run_stands_and_says_why():
 
 
 def test_a_map_that_the_sheet_lacks_cannot_stand_beside():
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     with pytest.raises(InputError, match="no map gloss to stand beside"):
         evidence_of(with_base(), *given, point_um=20, declared=True, beside=("gloss",))
 
@@ -273,17 +272,19 @@ def test_a_run_states_what_stands_beside(planish, specimen_files, tmp_path):
     assert "Given base thickness and topography top, r = " in page
 
 
-def facts_of(name, headline):
-    source = {"name": "n", "shape": (1,), "dtype": "u1", "bytes": 1, "sha256": "", "size_um": (1.0,), "size_source": ""}
-    return LayerFacts.model_validate({
-        "name": name, "kind": "sheet" if name == "sheet" else "image", "source": source, "headline": headline,
-    })  # fmt: skip
+def evidence_of(maps, a, b, *, declared=False, **options):
+    headline = a[1] if declared else None
+    return correlation_diagnostics(maps, a, b, params=CorrelateParams(headline=headline, **options))
+
+
+def sentences(evidence, point_um):
+    return [*diagnostics.sentences(evidence, "scale", PairWords(point_um))]
 
 
 def test_unrelated_noise_says_nothing_at_any_scale():
     maps = drawn()
     assert all(row.p_of_table > 0.05 for row in correlate_layers("sheet", "image", maps, 100.0))
-    found = evidence_of(maps, facts_of("sheet", "coating_top"), facts_of("image", "image"), point_um=50, declared=True)
+    found = evidence_of(maps, ("sheet", "coating_top"), ("image", "image"), point_um=50, declared=True)
     assert all(row.band[0] < 0 < row.band[1] for row in found.sizes if row.band)
     assert all(band.p_of_bands > 0.01 for band in found.bands)
     assert found.ceiling is None
@@ -294,7 +295,7 @@ def test_thin_regions_have_a_difference_with_an_interval():
     maps = drawn(shape=(120, 160))
     maps["sheet"]["coating_top"][:] = 6 + 3 * maps["sheet"]["coating_top"].values
     maps["image"]["image"][:] = 100 + maps["image"]["image"].values - 4 * (maps["sheet"]["coating_top"].values < 5)
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     found = evidence_of(maps, *given, point_um=50, declared=False)
     assert [k.thinner_than_um for k in found.thin] == [2, 5, 10]
     assert found.thin[1].interval[0] < -4 < found.thin[1].interval[1]
@@ -304,7 +305,7 @@ def test_thin_regions_have_a_difference_with_an_interval():
 def test_a_constant_map_has_no_evidence():
     maps = drawn()
     maps["sheet"]["coating_top"][:] = 3.0
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    given = ("sheet", "coating_top"), ("image", "image")
     assert evidence_of(maps, *given, point_um=50, declared=False) is None
 
 

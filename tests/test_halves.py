@@ -8,9 +8,12 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from analyze.fields import gaussian_maps
+from analyze.fields import compared, gaussian_maps, lags_of
+from planish.analyze import CorrelateParams
+from planish.analyze.ceiling import answer_ceiling
+from planish.analyze.split_half import Columns, half_points
+from planish.core.grid import Grid
 from planish.core.transform import Similarity
-from planish.pipeline.halves import Columns, half_points, noise_ceiling, reliability_of
 
 UM, POINT_UM = 4.0, 100.0
 
@@ -36,7 +39,20 @@ def columns(seed=0, *, noise=0.0, shape=(160, 200), length=20.0, similarity=None
 
 def stated(found, name="coating_top", *, cells=(80, 100), origin_um=(-2.0, -2.0), known=None):
     known = np.ones(cells, bool) if known is None else known
-    return reliability_of(found, "sheet", name, known, origin_um=origin_um, cell_um=(2 * UM, 2 * UM), point_um=POINT_UM)
+    return ceilings(found, name, origin_um=origin_um, known=known)["reliability"][0]
+
+
+def ceilings(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_um=None):
+    values = np.where(known, np.random.default_rng(0).normal(size=known.shape), np.nan)
+    corner = origin_um[0] + UM, origin_um[1] + UM
+    grid = Grid.regular(known.shape, 2 * UM, corner)
+    asked = compared(
+        (values, values), lags_of(values, (2 * UM, 2 * UM)), a=("sheet", name), columns={"sheet": found}, grid=grid,
+        params=CorrelateParams(point_um=POINT_UM),
+    )  # fmt: skip
+    if error_um is not None:
+        asked.layers[0]["expected_error"] = (("y", "x"), np.full(known.shape, error_um))
+    return answer_ceiling(asked)
 
 
 def test_noise_of_single_columns_gives_the_share_that_it_takes():
@@ -47,9 +63,9 @@ def test_noise_of_single_columns_gives_the_share_that_it_takes():
     share = points.var() / (points.var() + 20.0**2 / 625)
     assert row.n == 48
     assert row.value == pytest.approx(share, abs=0.15)
-    ratio = noise_ceiling([row], 0.9)
-    assert ratio["ceiling_noise"] == pytest.approx(np.sqrt(row.value))
-    assert ratio["ceiling_both"] == pytest.approx(0.9 * np.sqrt(row.value))
+    limits = ceilings(found, known=np.ones((80, 100), bool), error_um=5.0)
+    assert limits["ceiling_noise"] == pytest.approx(np.sqrt(row.value))
+    assert limits["ceiling_both"] == pytest.approx(limits["ceiling"] * np.sqrt(row.value))
 
 
 def test_texture_without_noise_is_wholly_reliable_however_rows_fall_into_points():
@@ -83,7 +99,9 @@ def test_many_rows_are_taken_in_bands_and_none_twice(monkeypatch):
     whole = half_points(
         found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
     )
-    monkeypatch.setattr("planish.pipeline.halves.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)])
+    monkeypatch.setattr(
+        "planish.analyze.split_half.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)]
+    )
     parts = half_points(
         found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
     )
@@ -107,8 +125,8 @@ def test_only_columns_in_cells_that_count_are_taken():
 
 def test_where_nothing_can_be_said_the_reason_stands():
     found, _ = columns()
-    row = stated(found, known=np.zeros((80, 100), bool))
+    limits = ceilings(found, known=np.zeros((80, 100), bool))
+    (row,) = limits["reliability"]
     assert math.isnan(row.value)
     assert "Only 0 points" in row.silence
-    assert noise_ceiling([row], 0.9) == {}
-    assert noise_ceiling([], 0.9) == {}
+    assert [*limits] == ["reliability"]

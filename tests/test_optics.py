@@ -9,17 +9,19 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from analyze.fields import gaussian_maps
+from analyze.fields import compared, gaussian_maps, lags_of
 from planish.analyze import reflectance, spread_light, without_screen
+from planish.analyze.diagnostics import sentences
+from planish.analyze.image_values import compared_image, image_facts
+from planish.analyze.kubelka_munk import answer_kubelka_munk, density_of, kubelka_munk_of
+from planish.analyze.light_spread import answer_light_spread
+from planish.analyze.mottle import mottle_of
 from planish.analyze.params import CorrelateParams
 from planish.compute import Compute
 from planish.core.errors import InputError, PlanishError
 from planish.io.params import ImageParams
 from planish.pipeline import correlate_maps
-from planish.pipeline.compared import compared_image, image_facts
-from planish.pipeline.optics import density_of, kubelka_munk_of, light_of, mottle_of
 from planish.pipeline.preflight import check_request
-from planish.report.light import sentences
 from planish.results import EvidenceFacts, Results
 from planish.study import as_study
 
@@ -114,18 +116,20 @@ def test_the_curve_has_the_units_of_the_coating():
 
 def test_a_coating_blurred_like_the_light_follows_the_image_better():
     coating, image = coated(spread_um=80.0)
-    params = CorrelateParams(light_spread_um=80.0)
-    found = light_of(coating, image, params, cell_um=(20.0, 20.0), point_um=40.0, density=None, in_grams=False)
+    maps, lags = (coating, image), lags_of(coating, (20.0, 20.0))
+    asked = compared(maps, lags, params=CorrelateParams(light_spread_um=80.0, point_um=40.0))
+    found = answer_light_spread(asked)
     spread = found["light_spread"]
     assert spread.r > 0.6
     assert spread.difference_interval[0] > 0.05
-    assert "kubelka_munk" not in found
+    assert answer_kubelka_munk(asked) == {}
     facts = EvidenceFacts(a="sheet", a_map="coating_top", b="image", b_map="image", declared=True, **found)
-    (said,) = sentences(facts)
+    (said,) = sentences(facts, "light")
     assert said.startswith("With the coating blurred by light that spreads over 80\u202fµm (declared), r = ")
     assert ": distinguishable from that of the coating as it is" in said
-    small = light_of(coating, image, params, cell_um=(20.0, 20.0), point_um=10.0, density=None, in_grams=False)
-    assert "smaller than the means" in small["light_spread"].silence
+    small = compared(maps, lags, params=CorrelateParams(light_spread_um=80.0, kubelka_munk=0.0, point_um=10.0))
+    for answer in (answer_light_spread(small)["light_spread"], answer_kubelka_munk(small)["kubelka_munk"]):
+        assert "smaller than the means" in answer.silence
 
 
 def test_the_density_is_that_which_was_named_or_follows_from_what_was_weighed():

@@ -13,11 +13,11 @@ import pytest
 import tifffile
 import xarray as xr
 
+from planish.analyze.compare import REGISTRATION_VARIANTS
 from planish.cli.runs import _compare
 from planish.marks.files import read_any
 from planish.pipeline import link, open_run
 from planish.pipeline.cached_maps import sheets_of
-from planish.pipeline.compare import REGISTRATION_VARIANTS
 from planish.pipeline.layers import MappedSheets
 from planish.pipeline.run import open_results, open_sheet
 from planish.pipeline.save import save_run

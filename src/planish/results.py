@@ -11,40 +11,15 @@ from typing import Any, ClassVar, Literal, Self
 
 from pydantic import Field, ValidationError
 
-from planish.analyze.agreement import Agreement
-from planish.analyze.beside import Partial
-from planish.analyze.correlation import Correlation
-from planish.analyze.correlograms import CorrelogramProfiles
-from planish.analyze.cross_fit import RefinementR
-from planish.analyze.curve import Curvature, KubelkaMunk
-from planish.analyze.curve_of_sizes import SizeRow
+from planish.analyze.compare import ComparisonRow, CorrelationRow
+from planish.analyze.diagnostics import EvidenceFacts
+from planish.analyze.image_values import ImageFacts
 from planish.analyze.lag import LagNumbers
-from planish.analyze.light_spread import LightSpread
-from planish.analyze.mottle import Mottle
-from planish.analyze.octaves import Band
-from planish.analyze.reliability import Reliability
-from planish.analyze.rings import RingCorrelation
-from planish.analyze.second_opinion import SecondOpinion
-from planish.analyze.thin_regions import RegionDifference
-from planish.analyze.variograms import VariogramCurve
+from planish.analyze.mottle import LayerMottle
+from planish.analyze.refinement import RefinementFacts
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import (
-    NULL,
-    AtPoints,
-    Facts,
-    HoleTiltFacts,
-    InputFile,
-    Interval,
-    Number,
-    OfLayer,
-    OfMap,
-    Pair,
-    SheetNumbers,
-    Side,
-    Trust,
-    Value,
-)
+from planish.core.facts import Facts, HoleTiltFacts, InputFile, Number, Pair, SheetNumbers, Side, Trust
 from planish.core.sources import is_this_code
 from planish.flatten import FlatteningQuality
 
@@ -210,34 +185,6 @@ class RegistrationFacts(Facts):
     lag: LagNumbers | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
 
 
-class ImageFacts(Facts):
-    """What the values of an image are that is compared."""
-
-    quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")
-    dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
-    white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
-    screen_um: Number = Field(
-        default=None, description="Period of the print screen that was taken off, if it was given."
-    )
-    sigma_um: Number = Field(default=None, description="Standard deviation of the Gaussian that took it off.")
-    reach_um: Number = Field(default=None, description="How far it reaches: so much more around holes is not valid.")
-
-    @property
-    def sentence(self) -> str:
-        """What a reader has to know of the values."""
-        if self.quantity == "reflectance":
-            text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
-        else:
-            text = "relative grey, as stored: no dark and white reference was given"
-        if self.screen_um is not None:
-            text += (
-                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma "
-                f"{self.sigma_um:.3g} um) before anything was compared, and {self.reach_um:.3g} um more around "
-                "holes are left out"
-            )
-        return text
-
-
 class LayerFacts(Facts):
     """One layer: a sheet or an image."""
 
@@ -249,153 +196,6 @@ class LayerFacts(Facts):
     registration: RegistrationFacts | None = Field(default=None, description="None for the reference.")
     sheet: SheetFacts | None = Field(default=None, description="None for an image.")
     image: ImageFacts | None = Field(default=None, description="None for a sheet.")
-
-
-class _Judged(Correlation):
-    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-
-
-_NUMBERS_OF_R = (
-    "r", "r2", "rho", "slope", "intercept", "slope_x_on_y", "mean_a", "mean_b", "n_eff", "p", "interval",
-    "n_eff_interval",
-)  # fmt: skip
-
-
-class CorrelationRow(_Judged):
-    """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
-
-    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
-
-    a: str = Field(description="First layer.")
-    a_map: str = Field(description="Its map.")
-    b: str = Field(description="Second layer.")
-    b_map: str = Field(description="Its map.")
-    p_of_table: Value = Field(
-        default=NULL, description="p after Holm, put right for the number of rows at this point size."
-    )
-    same_quantity: bool = Field(
-        default=False, description="Whether both maps are of one quantity, so that their difference means something."
-    )
-    difference_mean: Value = Field(default=NULL, description="Mean of b less a, for equal quantities.")
-    difference_sd: Value = Field(default=NULL, description="Standard deviation of that difference.")
-    limits: Interval = Field(default=NULL, description="Limits of agreement: where 95 % of the differences lie.")
-    units: str | None = Field(default=None, description="Unit of the difference.")
-
-
-class ComparisonRow(_Judged):
-    """The headline correlation by one registration, as the paper compares them, all on the same pixels."""
-
-    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
-
-    registration: str = Field(description="How the map was laid on the image.")
-    property: str = Field(description="The map.")
-    marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
-    difference: Value = Field(default=NULL, description="r of the run's own registration minus this r.")
-    difference_interval: Interval = Field(default=NULL, description="In which the difference lies with 95 %.")
-
-
-class _OverPoints(Facts):
-    point_um: float = Field(description="Edge of the points.")
-
-
-class ImageCurve(Curvature, _OverPoints):
-    """Whether an image bends over a property: a parabola beside the straight line, at the larger points."""
-
-
-class CoatingCurve(KubelkaMunk, AtPoints):
-    """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
-
-    silence: str | None = Field(default=None, description="Why there is no curve.")
-
-
-class LayerMottle(Mottle, OfLayer):
-    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
-
-    silence: str | None = Field(default=None, description="Why there is none.")
-
-
-class _ThinnerThan(Facts):
-    thinner_than_um: float = Field(description="Limit of the coating's thickness.")
-
-
-class ThinRegion(RegionDifference, _ThinnerThan):
-    """Mean of the image where the coating is thinner than a limit, minus that elsewhere."""
-
-
-class MapReliability(Reliability, OfMap):
-    """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
-
-    shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
-    silence: str | None = Field(default=None, description="Why there is none.")
-
-
-class MapVariogram(VariogramCurve, OfMap):
-    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
-
-
-class _WithPoint(Facts):
-    point_um: Value = Field(default=NULL, description="Edge of a point.")
-
-
-class Twice(Agreement, _WithPoint, RingCorrelation):
-    """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
-
-    units: str = Field(default="1", description="Of the values.")
-    error_ratio: Value = Field(default=NULL, description="Variance of the errors of b over that of a, as it was given.")
-    error_slope: Value = Field(default=NULL, description="Slope of b over a where both have such errors (Deming).")
-    error_intercept: Value = Field(default=NULL, description="Of the line by the ratio of errors.")
-    error_interval: Interval = Field(default=NULL, description="In which that slope lies with 95 %.")
-
-
-class EvidenceFacts(Facts):
-    """What stands beside the correlation of the maps that stand for two layers."""
-
-    a: str = Field(description="First layer.")
-    a_map: str = Field(description="Its map.")
-    b: str = Field(description="Second layer.")
-    b_map: str = Field(description="Its map.")
-    declared: bool = Field(description="Whether the study named the map before r was looked at.")
-    sizes: tuple[SizeRow, ...] = Field(default=(), description="r over points of growing size.")
-    bands: tuple[Band, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
-    resolution_per_um: Number = Field(
-        default=None, description="Waves closer in frequency than this are not distinguished."
-    )
-    origins: tuple[float, float, float] | None = Field(
-        default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
-    )
-    curve: ImageCurve | None = Field(default=None, description="Whether the relation is straight or bent.")
-    kubelka_munk: CoatingCurve | None = Field(default=None, description="Where the study asks for it.")
-    light_spread: LightSpread | None = Field(default=None, description="Where the study states how far light spreads.")
-    density_g_cm3: Number = Field(
-        default=None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
-    )
-    thin: tuple[ThinRegion, ...] = Field(default=(), description="The image where the coating is thin.")
-    short_waves: SizeRow | None = Field(default=None, description="Without waves above short_waves_um.")
-    short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
-    ceiling: Number = Field(
-        default=None, description="The r that a perfect relation would show, by misplacement alone."
-    )
-    ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
-    reliability: tuple[MapReliability, ...] = Field(
-        default=(), description="Of the maps of sheets among the two, at the larger points."
-    )
-    ceiling_noise: Number = Field(
-        default=None,
-        description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound.",
-    )
-    ceiling_both: Number = Field(default=None, description="The same by noise and misplacement together.")
-    second_opinion: SecondOpinion | None = Field(
-        default=None, description="An interval from what single points add to r."
-    )
-    variograms: tuple[MapVariogram, ...] = Field(default=(), description="How each map varies with distance.")
-    correlogram: CorrelogramProfiles | None = Field(default=None, description="r at every shift of one map.")
-    twice: Twice | None = Field(default=None, description="Where both maps are of the same quantity.")
-    partial: Partial | None = Field(default=None, description="Where the study names maps that stand beside.")
-    commonality: dict[str, float] | None = Field(
-        None,
-        description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
-        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does.",
-    )
 
 
 class LinkedArea(Facts):
@@ -423,23 +223,6 @@ class RegionsFacts(Facts):
     count: int = Field(description="Number of regions.")
     share: float = Field(description="Share of the reference's pixels that lie in a region.")
     regions: tuple[RegionFacts, ...] = Field(description="Each of them.")
-
-
-class RefinementFacts(Facts):
-    """A registration refined by the maps themselves."""
-
-    model: str = Field(description="affine or bspline.")
-    metric: str = Field(description="What was made as large as possible.")
-    property: str = Field(description="The map that was refined.")
-    moved_rms_um: float = Field(description="Displacement, rms over the pixels.")
-    moved_most_um: float = Field(description="Largest displacement.")
-    share_of_expected_error: float = Field(description="Largest ratio of displacement to expected error.")
-    area: tuple[float, ...] = Field(description="Least and largest local change of area.")
-    strain: float = Field(description="Largest local strain, without its sign.")
-    warnings: tuple[str, ...] = Field(description="What to be careful about.")
-    sentence: str = Field(description="The same in words.")
-    longest_wave_um: float = Field(description="Longer waves were taken off both maps first.")
-    correlation: RefinementR = Field(description="r that the refinement did not maximise.")
 
 
 class Results(Facts):

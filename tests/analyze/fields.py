@@ -3,7 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy import fft
+import xarray as xr
+from scipy import fft, ndimage
+
+from planish.analyze import CorrelateParams
+from planish.analyze.covariance import Lags
+from planish.analyze.diagnostics import ComparedMaps
+from planish.analyze.ncc import MaskedNcc
+from planish.core.grid import Grid
 
 
 def gaussian_maps(rng, shape, length, *, kind="exp"):
@@ -38,3 +45,30 @@ def exact_n_eff(shape, length, *, known=None, kind="exp"):
     matrix = np.exp(-h) if kind == "exp" else np.exp(-h * h)
     matrix = matrix - matrix.mean(axis=0) - matrix.mean(axis=1)[:, None] + matrix.mean()
     return 1 + np.trace(matrix) ** 2 / np.sum(matrix * matrix)
+
+
+def compared(maps, lags, *, a=("sheet", "coating_top"), b=("image", "image"), units=("um", "1"), **more):
+    """Two maps as ``correlation_diagnostics`` hands them to its questions."""
+    grid = Grid.regular(lags.is_valid.shape, lags.pixel_um)
+    layers = tuple(xr.Dataset({name: (("y", "x"), m)}) for (_, name), m in zip((a, b), maps, strict=True))
+    options = {"params": CorrelateParams(), "layers": layers, "grid": grid} | more
+    return ComparedMaps(a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options)
+
+
+def lags_of(values, cell_um):
+    """Lags of the cells of a map that are known."""
+    return Lags(np.isfinite(values), cell_um)
+
+
+def by_shift(b, reach, *, sign=0):
+    """Tune by the whole shift, up to so many pixels, at which r with map b is largest; ``|r|`` for sign 0."""
+    is_known = np.isfinite(b)
+
+    def tune(a, look):
+        use = look & np.isfinite(a)
+        ncc = MaskedNcc(np.where(use, a, 0.0), a_valid=use, b_valid=is_known, reach=(reach, reach))
+        r = np.nan_to_num(ncc(np.where(is_known, b, 0.0)))
+        row, col = np.unravel_index(np.argmax(sign * r if sign else np.abs(r)), r.shape)
+        return ndimage.shift(b, (reach - row, reach - col), order=0, cval=np.nan)
+
+    return tune

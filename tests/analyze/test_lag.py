@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 from scipy import fft, ndimage
 
-from planish.analyze import Registration, by_shift, cross_fitted, in_band, searched_null, texture_lag, textures
-from planish.analyze.ncc import MaskedNcc
-from planish.analyze.peak import MARGIN, find_peak, within
+from analyze.fields import by_shift
+from planish.analyze import Registration, cross_fitted, in_band, searched_null, texture_lag, textures
+from planish.analyze.ncc import MARGIN, MaskedNcc, find_peak, within
 from planish.core.errors import CannotMeasure, SizeError
 
 PAD = 16
@@ -193,9 +193,9 @@ def test_what_does_not_fit_is_refused():
     with pytest.raises(SizeError, match="Tiles of 60 um"):
         lag_of(a, b, valid, tiles_um=60.0)
     with pytest.raises(CannotMeasure, match="too small for its texture"):
-        cross_fitted(a, b, by_shift(b, pixel_um=(1.0, 1.0), reach_um=5), pixel_um=(1.0, 1.0), tile_um=80.0)
+        cross_fitted(a, b, by_shift(b, 5), pixel_um=(1.0, 1.0), tile_um=80.0)
     with pytest.raises(CannotMeasure, match="not be independent"):
-        cross_fitted(a, b, by_shift(b, pixel_um=(1.0, 1.0), reach_um=5), pixel_um=(1.0, 1.0), guard_um=1.0)
+        cross_fitted(a, b, by_shift(b, 5), pixel_um=(1.0, 1.0), guard_um=1.0)
 
 
 @pytest.mark.study
@@ -204,7 +204,7 @@ def test_a_searched_correlation_of_independent_maps_is_inflated_and_a_cross_fitt
     for seed in range(40):
         rng = np.random.default_rng(700 + seed)
         a, b = (cut(texture((104, 120), 1.5, rng)) for _ in range(2))
-        tune = by_shift(b, pixel_um=(1.0, 1.0), reach_um=12.0, sign=1)
+        tune = by_shift(b, 12, sign=1)
         placed = tune(a, np.isfinite(a))
         both = np.isfinite(placed)
         naive.append(np.corrcoef(a[both], placed[both])[0, 1])
@@ -225,7 +225,7 @@ def test_a_searched_correlation_of_independent_maps_is_inflated_and_a_cross_fitt
 def test_a_cross_fitted_correlation_of_related_maps_is_theirs():
     a, b, _ = pair(0.6, (3.0, -2.0), 21, shape=(150, 170), sigma=1.5)
     a[np.isnan(a)], b[b > 10] = 0.0, np.nan
-    tune = by_shift(b, pixel_um=(1.0, 1.0), reach_um=9.0)
+    tune = by_shift(b, 9)
     found = cross_fitted(a, b, tune, pixel_um=(1.0, 1.0))
     assert found.r == pytest.approx(0.6, abs=0.06)
     assert 0.2 < found.share < 0.6

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planish.analyze import screen_left, without_screen
+from planish.analyze import without_screen
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
 PIXEL_UM = 10.0
@@ -44,8 +44,6 @@ def test_of_a_drawn_screen_three_percent_are_left(angle_deg):
         inside = interior(image.shape)
         left = amplitude(after, phase, inside) / amplitude(image, phase, inside)
         assert left == pytest.approx(0.031, abs=0.004)
-        # Pixels cut the kernel at 210 um sharp; the edges of the dots alias a little.
-        assert left == pytest.approx(screen_left(60.0, angle_deg=angle_deg), abs=0.002)
 
 
 def test_masked_pixels_count_nowhere():
@@ -103,21 +101,6 @@ def test_pictures_stay_in_single_precision():
     assert after == pytest.approx(without_screen(eight_bits.astype(float), pixel_um=PIXEL_UM), rel=1e-5)
 
 
-def test_what_is_left_of_a_screen():
-    assert screen_left(60.0) == pytest.approx(0.031, abs=0.004)
-    assert screen_left(60.0, angle_deg=135.0) == pytest.approx(screen_left(60.0))
-    assert screen_left(1e-3) == pytest.approx(1.0, abs=1e-6)
-    assert screen_left(30.0) > screen_left(40.0) > screen_left(60.0)
-    # Sum over a fine kernel: the integral that the closed form is.
-    t = np.linspace(-3, 3, 20001)
-    g = np.exp(-t * t / 2)
-    wave = 2 * np.pi * 60e-4 * 70.0
-    for angle in (0.0, 20.0, 45.0):
-        sums = [np.trapezoid(g * np.cos(wave * f * t), t) / np.trapezoid(g, t)
-                for f in (np.cos(np.deg2rad(angle)), np.sin(np.deg2rad(angle)))]  # fmt: skip
-        assert screen_left(60.0, angle_deg=angle) == pytest.approx(abs(np.prod(sums)), abs=1e-8)
-
-
 @pytest.mark.parametrize(
     ("image", "options", "error", "message"),
     [
@@ -136,9 +119,3 @@ def test_what_is_left_of_a_screen():
 def test_what_cannot_be_averaged_is_refused(image, options, error, message):
     with pytest.raises(error, match=message):
         without_screen(image, **({"pixel_um": PIXEL_UM} | options))
-
-
-@pytest.mark.parametrize("arguments", [{"frequency_per_cm": 0.0}, {"frequency_per_cm": 60.0, "sigma_um": -1.0}])
-def test_a_screen_without_lines_is_refused(arguments):
-    with pytest.raises(SizeError, match="Give a frequency and a sigma above 0"):
-        screen_left(**arguments)

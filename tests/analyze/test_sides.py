@@ -35,7 +35,7 @@ def sheet(*, sign=1.0, shown="top", base=0):
 @pytest.mark.parametrize(("shown", "state"), [("top", "pass"), ("bottom", "fail")])
 def test_the_side_that_the_image_shows_is_told_whatever_the_sign(shown, state, sign):
     found = image_of_sheet(
-        prepared(**sheet(sign=sign, shown=shown)), coated=("top", "bottom"), side="top", given=True, image="photo"
+        prepared(**sheet(sign=sign, shown=shown)), coated=("top", "bottom"), side="top", is_given=True, image="photo"
     )
     check = found.check
     assert (check.state, found.side) == (state, shown)
@@ -53,7 +53,7 @@ def test_what_cannot_be_told_is_said():
 
     def judged(coated=("top", "bottom"), given=True, **changes):
         textured = prepared(**(maps | changes))
-        return image_of_sheet(textured, coated=coated, side="top", given=given, image="image").check
+        return image_of_sheet(textured, coated=coated, side="top", is_given=given, image="image").check
 
     foreign = judged(image=other)
     assert foreign.state == "look"
@@ -73,10 +73,10 @@ def test_light_from_one_side_tells_the_side_where_the_coating_does_not():
     maps = sheet()
     top, bottom = field(30, 4.0), field(31, 4.0)
     lit = {"topography_top": top, "topography_bottom": 0.5 * bottom - 0.3 * top, "image": np.gradient(top, axis=1)}
-    found = image_of_sheet(prepared(**(maps | lit)), coated=("top", "bottom"), side="top", given=True, image="image")
+    found = image_of_sheet(prepared(**(maps | lit)), coated=("top", "bottom"), side="top", is_given=True, image="image")
     assert found.check.state == "pass"
     assert "slopes of the top face" in found.check.sentence
-    turned = image_of_sheet(prepared(**(maps | lit)), coated=(), side="bottom", given=True, image="image").check
+    turned = image_of_sheet(prepared(**(maps | lit)), coated=(), side="bottom", is_given=True, image="image").check
     assert turned.state == "look"
     assert turned.advice.startswith("Top and bottom are exchanged")
 

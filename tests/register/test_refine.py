@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from planish.analyze import by_shift, cross_fitted
+from analyze.fields import by_shift
+from planish.analyze import cross_fitted
 from planish.core.errors import CannotRegister, SizeError
 from planish.register import fit_transform
 from planish.register.refinement import FreeForm, RefineOptions, refine
@@ -169,5 +170,5 @@ def test_a_refined_correlation_is_cross_fitted():
 
     found = cross_fitted(linked, image, tune, valid=valid, pixel_um=(PIXEL, PIXEL))
     assert found.r == pytest.approx(-0.9, abs=0.06)
-    coarse = by_shift(image, pixel_um=(PIXEL, PIXEL), reach_um=40.0)
+    coarse = by_shift(image, 4)
     assert cross_fitted(linked, image, coarse, valid=valid, pixel_um=(PIXEL, PIXEL)).r < -0.75

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from planish.report.first import surer
+from planish.report.first import recommendations
 from planish.report.maps import draw_maps
 from planish.results import PropertyFacts, Results
 from report.pages import Page
@@ -147,7 +147,7 @@ def test_what_would_make_it_surer_follows_from_the_results(
     for row in run["results"]["correlations"]:
         row["interval"] = interval
     run["results"]["evidence"] = evidence(**given)
-    found = surer(Results.model_validate(run["results"]))
+    found = recommendations(Results.model_validate(run["results"]))
     assert 1 <= len(found) <= 2
     assert says in " ".join(found)
     assert says_not not in " ".join(found)

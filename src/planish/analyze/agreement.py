@@ -1,19 +1,29 @@
-"""Whether two measurements of one quantity give the same value: bias, scatter and limits of agreement."""
+"""Two measurements of one quantity: bias, scatter and limits of agreement, the line between both, waves in common."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.chance import student_quantile
-from planish.analyze.correlation import LEAST_CLAIMED, PairSums, on_one_grid
+from planish.analyze.correlation import LEAST_CLAIMED, Correlation, PairSums, correlate, on_one_grid, valid_in_both
 from planish.analyze.covariance import Lags, PairCovariances, covariance_of
-from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, Facts, Interval, Unsaved, Value
+from planish.analyze.curve import independent_points
+from planish.analyze.distributions import student_quantile
+from planish.analyze.rings import RingCorrelation, ring_correlation
+from planish.core.area import area_mean
+from planish.core.errors import CannotMeasure, InputError, PlanishError
+from planish.core.facts import NULL, Facts, Interval, Unsaved, Value, is_known
+from planish.core.numbers import count, fixed, number, plain, unit
+from planish.core.typing import Bools, Floats
+
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
 _CHANCE = 0.95
 _LEAST = 3
@@ -21,7 +31,6 @@ _LIMIT = 1.96  # standard deviations, as Bland and Altman write it
 # How well the variance of a mean is known from one map, as degrees of freedom: it scatters by two thirds of itself
 # however large the field (8 to 30 lengths across; measured), as lags are summed to a zero that scatters.
 _MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
-_UNKNOWN = (math.nan, math.nan)
 
 
 class Agreement(Facts):
@@ -48,7 +57,7 @@ class Agreement(Facts):
 
 
 def bland_altman(
-    a: NDArray[Any], b: NDArray[Any], *, mask: NDArray[np.bool_] | None = None, pixel_um: float | tuple[float, float]
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float]
 ) -> Agreement:
     """Compare two measurements of one quantity.
 
@@ -86,25 +95,23 @@ def bland_altman(
     Bland and Altman (1986), Lancet 327, 307, doi:10.1016/S0140-6736(86)90837-8.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
-    known = np.isfinite(a) & np.isfinite(b)
-    if mask is not None:
-        known &= mask
-    n = int(np.count_nonzero(known))
+    is_valid = valid_in_both(a, b, mask)
+    n = int(np.count_nonzero(is_valid))
     if n < _LEAST:
         raise CannotMeasure(f"{n} pixels are valid in both maps, {_LEAST} are needed. Look at the masks.")
-    x, y = (np.where(known, m, 0.0).astype(np.float64) for m in (a, b))
+    x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
     sums = PairSums()
-    sums.add(x[known], y[known])
+    sums.add(x[is_valid], y[is_valid])
     slope, _, other = sums.lines
     off = y - x
-    bias = float(off[known].mean())
-    if float(np.ptp(off[known])) <= 1e-12 * max(float(np.abs(x[known]).max()), float(np.abs(y[known]).max())):
+    bias = float(off[is_valid].mean())
+    if float(np.ptp(off[is_valid])) <= 1e-12 * max(float(np.abs(x[is_valid]).max()), float(np.abs(y[is_valid]).max())):
         same = (bias, bias)
         return Agreement(
             n=n, bias=bias, sd=0.0, limits=same, bias_interval=same, sd_interval=(0.0, 0.0), n_eff=float(n),
             n_eff_sd=float(n), limit_intervals=(same, same), slope=slope, slope_x_on_y=other,
         )  # fmt: skip
-    lags = Lags(known, pixel)
+    lags = Lags(is_valid, pixel)
     covariance, of_mean = covariance_of(off, lags)
     square = float(covariance[0, 0])  # with what the removal of the mean took put back
     sd = sums.difference[1]
@@ -112,20 +119,284 @@ def bland_altman(
     # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
     ratio = PairCovariances(off, off, lags).variance_of_r()
     n_eff_sd = min(1 + 1 / ratio, float(n)) if ratio > 0 else math.nan
-    limits = (bias - _LIMIT * sd, bias + _LIMIT * sd)
-    of_bias = of_sd = of_low = of_high = _UNKNOWN
-    if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
-        free = min(n_eff / _POINTS_A_FREE, _MOST_FREE)
-        quantile = student_quantile((1 + _CHANCE) / 2, free)
-        spread = quantile * math.sqrt(square / n_eff)
-        of_bias = (bias - spread, bias + spread)
-        # sd of Gaussian values scatters by sd / sqrt(2 df).
-        share = quantile / math.sqrt(2 * (n_eff_sd - 1))
-        whole = math.sqrt(square)
-        of_sd = (whole * math.exp(-share), whole * math.exp(share))
-        wide = quantile * math.sqrt(square / n_eff + square * _LIMIT**2 / (2 * (n_eff_sd - 1)))
-        of_low, of_high = ((bias + s * _LIMIT * whole - wide, bias + s * _LIMIT * whole + wide) for s in (-1, 1))
+    intervals = _intervals(bias, square, n_eff, n_eff_sd) if min(n_eff, n_eff_sd) >= LEAST_CLAIMED else {}
     return Agreement(
-        n=n, bias=bias, sd=sd, limits=limits, bias_interval=of_bias, sd_interval=of_sd, n_eff=n_eff, n_eff_sd=n_eff_sd,
-        limit_intervals=(of_low, of_high), slope=slope, slope_x_on_y=other,
+        n=n, bias=bias, sd=sd, limits=(bias - _LIMIT * sd, bias + _LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd,
+        slope=slope, slope_x_on_y=other, **intervals,
+    )  # fmt: skip
+
+
+def _intervals(bias: float, square: float, n_eff: float, n_eff_sd: float) -> dict[str, Any]:
+    """The intervals of bias, standard deviation and both limits."""
+    quantile = student_quantile((1 + _CHANCE) / 2, min(n_eff / _POINTS_A_FREE, _MOST_FREE))
+    spread = quantile * math.sqrt(square / n_eff)
+    # sd of Gaussian values scatters by sd / sqrt(2 df).
+    share, whole = quantile / math.sqrt(2 * (n_eff_sd - 1)), math.sqrt(square)
+    wide = quantile * math.sqrt(square / n_eff + square * _LIMIT**2 / (2 * (n_eff_sd - 1)))
+    low, high = ((bias + s * _LIMIT * whole - wide, bias + s * _LIMIT * whole + wide) for s in (-1, 1))
+    return {
+        "bias_interval": (bias - spread, bias + spread), "limit_intervals": (low, high),
+        "sd_interval": (whole * math.exp(-share), whole * math.exp(share)),
+    }  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Deming:
+    """Line through two measured quantities that both have errors: ``y = slope x + intercept``.
+
+    Attributes
+    ----------
+    slope, intercept : float
+    interval : (float, float)
+        In which the slope lies with 95 %; (NaN, NaN) where n_eff is below 10 or any direction fits.
+    error_ratio : float
+        Variance of the errors of y over that of x, as given.
+    """
+
+    slope: float
+    intercept: float
+    interval: tuple[float, float]
+    error_ratio: float
+
+
+def deming(x: NDArray[Any], y: NDArray[Any], *, error_ratio: float | None, n_eff: float | None) -> Deming:
+    """Fit a line where both quantities have errors.
+
+    Parameters
+    ----------
+    x, y : ndarray, any one shape
+        NaN is missing.
+    error_ratio : float
+        Variance of the errors of y over that of x, in the units of both. It cannot be told from x and y.
+    n_eff : float
+        Independent points, as :func:`planish.analyze.independent_points` counts them; the number of all where they are
+        independent.
+
+    Raises
+    ------
+    InputError
+        If the ratio or n_eff is missing or not above 0, or x and y are not of one shape.
+    CannotMeasure
+        If fewer than 3 points are known, or x and y do not vary together: any slope fits.
+
+    Notes
+    -----
+    In units in which both errors are alike, this is the main axis of the cloud. The interval of its direction is
+    Creasy's (1956), with n_eff in place of n; the errors then count as independent where n_eff says so.
+
+    References
+    ----------
+    Deming (1943), Statistical Adjustment of Data, Wiley, New York.
+    Creasy (1956), J. R. Statist. Soc. B 18, 65.
+    """
+    if error_ratio is None or not 0 < error_ratio < math.inf:
+        raise InputError(
+            f"The ratio of the error variances, y over x, is {error_ratio}. Give a number above 0, from repeated "
+            "measurements of both: without it there is no slope between two quantities with errors."
+        )
+    if n_eff is None or not 0 < n_eff < math.inf:
+        raise InputError(
+            f"n_eff is {n_eff}. Give the number of independent points (planish.analyze.independent_points)."
+        )
+    if np.shape(x) != np.shape(y):
+        raise InputError(f"x has the shape {np.shape(x)}, y {np.shape(y)}. Bring both onto one grid first.")
+    is_valid = np.isfinite(x) & np.isfinite(y)
+    n = int(np.count_nonzero(is_valid))
+    if n < _LEAST:
+        raise CannotMeasure(f"{n} points are known in x and y. Give {_LEAST} or more.")
+    scale = math.sqrt(error_ratio)
+    a, b = np.asarray(x)[is_valid].astype(np.float64), np.asarray(y)[is_valid].astype(np.float64) / scale
+    xx, xy, yy = float(np.var(a)), float(np.mean((a - a.mean()) * (b - b.mean()))), float(np.var(b))
+    spread_apart = math.hypot(yy - xx, 2 * xy)
+    if xy == 0 or not min(xx, yy) > 0 or spread_apart < 1e-12 * (xx + yy):
+        raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
+    turn = math.atan2(2 * xy, xx - yy) / 2
+    slope = math.tan(turn) * scale
+    return Deming(
+        slope=slope, intercept=float(b.mean()) * scale - slope * float(a.mean()), error_ratio=error_ratio,
+        interval=_directions(turn, xx * yy - xy * xy, spread_apart, min(n_eff, n), scale),
+    )  # fmt: skip
+
+
+def _directions(turn: float, area: float, spread_apart: float, n_eff: float, scale: float) -> tuple[float, float]:
+    if n_eff < LEAST_CLAIMED:
+        return math.nan, math.nan
+    quantile = student_quantile((1 + _CHANCE) / 2, n_eff - 2)
+    sine = 2 * quantile * math.sqrt(max(area, 0.0) / (n_eff - 2)) / spread_apart
+    width = math.asin(sine) / 2 if sine < 1 else math.inf
+    low, high = turn - width, turn + width
+    # Beyond upright, the interval would go through infinity.
+    if not -math.pi / 2 < low <= high < math.pi / 2:
+        return math.nan, math.nan
+    return math.tan(low) * scale, math.tan(high) * scale
+
+
+class _WithPoint(Facts):
+    point_um: Value = Field(default=NULL, description="Edge of a point.")
+
+
+class Twice(Agreement, _WithPoint, RingCorrelation):
+    """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
+
+    units: str = Field(default="1", description="Of the values.")
+    error_ratio: Value = Field(default=NULL, description="Variance of the errors of b over that of a, as it was given.")
+    error_slope: Value = Field(default=NULL, description="Slope of b over a where both have such errors (Deming).")
+    error_intercept: Value = Field(default=NULL, description="Of the line by the ratio of errors.")
+    error_interval: Interval = Field(default=NULL, description="In which that slope lies with 95 %.")
+
+
+def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
+    """Of two sheets with one quantity: rings of waves over the cells, bias and limits over the larger points."""
+    if pair.repeated is None:
+        return {}
+    points, point_um, error_ratio, units = pair.repeated, pair.point_um, pair.params.error_ratio, pair.units[0]
+    try:
+        rings = ring_correlation(pair.x, pair.y, mask=pair.lags.is_valid, pixel_um=pair.cell_um)
+    except PlanishError as error:
+        rings = RingCorrelation(sentence=error.text)
+    try:
+        agreement = bland_altman(*points, pixel_um=point_um)
+    except PlanishError:
+        return {"twice": Twice.holding(rings, units=units)}
+    line: dict[str, Any] = {} if error_ratio is None else {"error_ratio": error_ratio}
+    if error_ratio is not None:
+        try:
+            n_eff = independent_points(*points, pixel_um=point_um).n_eff
+            fit = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
+        except PlanishError:
+            pass
+        else:
+            line |= {"error_slope": fit.slope, "error_intercept": fit.intercept, "error_interval": fit.interval}
+    return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line)}
+
+
+def say_twice(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+    """Down to which wavelength two measurements agree, and how far they differ."""
+    twice = evidence.twice
+    assert twice is not None
+    out = [twice.sentence.replace(" um", "\u202fµm")] if twice.sentence else []
+    if is_known(twice.bias) and is_known(twice.point_um):
+        units, size = unit(twice.units), plain(twice.point_um)
+        sure = _limits_text(twice.bias_interval)
+        text = (
+            f"{evidence.b} minus {evidence.a}, over {count(twice.n)} points of {size}: {fixed(twice.bias, 2)} {units} "
+            f"on average ({sure or 'no interval'})"
+        )
+        spread = _limits_text(twice.sd_interval, units)
+        out.append(f"{text}; standard deviation of a point within {spread}." if spread else f"{text}.")
+    if is_known(twice.error_ratio):
+        if not is_known(twice.error_slope):
+            out.append("No line between both: they do not vary together, or too few points are independent.")
+        else:
+            sure, ratio = _limits_text(twice.error_interval) or "no interval", number(twice.error_ratio)
+            out.append(
+                f"Line between both where each has errors (Deming, variances in a ratio of {ratio}, as declared): "
+                f"slope {number(twice.error_slope)} ({sure})."
+            )
+    yield from out
+
+
+def _limits_text(limits: tuple[float, float], units: str = "") -> str:
+    end = f" {units}" if units else ""
+    return f"95 %: {fixed(limits[0], 2)} to {fixed(limits[1], 2)}{end}" if is_known(limits) else ""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Instruments:
+    """Measurements a and b of one quantity on one field.
+
+    Attributes
+    ----------
+    point_um : float
+        Edge of the points that bias, limits and lines are of.
+    agreement : Agreement
+        Bias, limits of agreement and both lines of least squares, with intervals; b less a.
+    correlation : Correlation
+        Of both, over the same points.
+    rings : RingCorrelation or None
+        Of waves, at the pixel; None where ``notes`` says why.
+    shared_um : float or None
+        Both show the same in waves of this length and longer; None where the rings do not tell (``rings.sentence``).
+    line : Deming or None
+        Between two measurements that both have errors; None without ``error_ratio``, or where ``notes`` says why.
+    difference : ndarray, shape (rows, cols)
+        b less a at every pixel, NaN where one is missing.
+    notes : tuple of str
+        What could not be told, and why.
+    """
+
+    point_um: float
+    agreement: Agreement
+    correlation: Correlation
+    rings: RingCorrelation | None
+    shared_um: float | None
+    line: Deming | None
+    difference: Floats
+    notes: tuple[str, ...] = ()
+
+
+def compare_instruments(
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    point_um: float | None = None, error_ratio: float | None = None,
+) -> Instruments:  # fmt: skip
+    """Compare what two instruments measured of one quantity.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (rows, cols)
+        In one unit, on one grid; NaN is missing.
+    mask : ndarray of bool, shape (rows, cols), optional
+        Pixels that count.
+    pixel_um : float or (float, float)
+        Along y and x.
+    point_um : float, optional
+        Bias, limits and lines are of means over squares of this edge; of single pixels where not given. Means over
+        larger points agree better.
+    error_ratio : float, optional
+        Variance of the errors of b over that of a, from repeated measurements of both; gives ``line``.
+
+    Returns
+    -------
+    Instruments
+
+    Raises
+    ------
+    InputError, SizeError
+        As :func:`planish.correlate`.
+    CannotMeasure
+        If fewer than 3 points are valid in both.
+
+    See Also
+    --------
+    planish.analyze.bland_altman, planish.analyze.ring_correlation, planish.analyze.deming
+    """
+    pixel = on_one_grid(a, b, mask, pixel_um)
+    is_valid = valid_in_both(a, b, mask)
+    x, y = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
+    difference = y - x
+    correlation = correlate(x, y, pixel_um=pixel, point_um=point_um)
+    points, size = (x, y), pixel
+    if point_um is not None:
+        factor = (point_um / pixel[0], point_um / pixel[1])
+        points, size = (area_mean(x, factor), area_mean(y, factor)), (point_um, point_um)
+    agreement = bland_altman(*points, pixel_um=size)
+    notes: list[str] = []
+    rings: RingCorrelation | None = None
+    try:
+        rings = ring_correlation(x, y, pixel_um=pixel)
+    except CannotMeasure as error:
+        notes.append(error.text)
+    line: Deming | None = None
+    if error_ratio is not None:
+        try:
+            n_eff = independent_points(*points, pixel_um=size).n_eff
+            if math.isnan(n_eff):
+                notes.append("How many points of the line are independent cannot be told.")
+            else:
+                line = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
+        except CannotMeasure as error:
+            notes.append(error.text)
+    return Instruments(
+        point_um=correlation.support_um, agreement=agreement, correlation=correlation, rings=rings,
+        shared_um=rings.resolution_um if rings else None, line=line, difference=difference, notes=tuple(notes),
     )  # fmt: skip

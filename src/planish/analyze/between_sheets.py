@@ -10,8 +10,8 @@ from typing import Literal
 import numpy as np
 from scipy import optimize
 
-from planish.analyze.chance import shifted_student_tail, student_quantile, student_tail
 from planish.analyze.differences import holm
+from planish.analyze.distributions import shifted_student_tail, student_quantile, student_tail
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 
@@ -96,29 +96,29 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     k = len(rows)
     if k == 0:
         return SheetDifference(kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner")
-    one, two = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
-    change = two - one
+    old, new = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
+    change = new - old
     spread = spread_of(change)
-    if spread <= 1e-12 * float(np.abs([one, two]).max()):
+    if spread <= 1e-12 * float(np.abs([old, new]).max()):
         spread = 0.0
-    found = SheetDifference(
-        kind="paired", sheets=(k, k), means=(float(one.mean()), float(two.mean())), difference=float(change.mean()),
+    difference = SheetDifference(
+        kind="paired", sheets=(k, k), means=(float(old.mean()), float(new.mean())), difference=float(change.mean()),
         sd=spread, standard_error=spread / math.sqrt(k) if k > 1 else math.nan, unpaired=unpaired,
         reason=too_few(k) or ("" if spread > 0 else "all sheets have the same difference"),
     )  # fmt: skip
-    return found if found.reason else _with_interval(found, k - 1.0)
+    return difference if difference.reason else _with_interval(difference, k - 1.0)
 
 
 def _pairs(before: Fields, after: Fields) -> Iterator[tuple[str, float, float]]:
     """Each sheet with its means before and after, over the fields that count."""
     if before.names and after.names:
-        one, two = (
+        earlier, later = (
             {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
             for m in (before, after)
         )
-        both = [key for key in one if key in two]
-        one, two = ([(sheet, m[sheet, f]) for sheet, f in both] for m in (one, two))
-        before, after = (Fields([v for _, v in m], [s for s, _ in m]) for m in (one, two))
+        shared = [key for key in earlier if key in later]
+        earlier, later = ([(sheet, m[sheet, f]) for sheet, f in shared] for m in (earlier, later))
+        before, after = (Fields([v for _, v in m], [s for s, _ in m]) for m in (earlier, later))
     first, second = before.by_sheet, after.by_sheet
     for sheet, values in first.items():
         if sheet in second:
@@ -143,20 +143,20 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     mean = (float(means[0].mean()), float(means[1].mean()))
     parts = [spread_of(m) ** 2 / m.size for m in means]
     error = math.sqrt(sum(parts))
-    found = SheetDifference(
+    difference = SheetDifference(
         kind="two groups", sheets=k, means=mean, difference=mean[1] - mean[0], standard_error=error,
         reason=too_few(*k) or all_alike(error),
     )  # fmt: skip
-    if found.reason:
-        return found
-    return _with_interval(found, sum(parts) ** 2 / sum(v * v / (n - 1) for v, n in zip(parts, k, strict=True)))
+    if difference.reason:
+        return difference
+    return _with_interval(difference, sum(parts) ** 2 / sum(v * v / (n - 1) for v, n in zip(parts, k, strict=True)))
 
 
-def _with_interval(found: SheetDifference, free: float) -> SheetDifference:
-    width = student_quantile((1 + _CHANCE) / 2, free) * found.standard_error
+def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
+    width = student_quantile((1 + _CHANCE) / 2, free) * difference.standard_error
     return replace(
-        found, free=free, interval=(found.difference - width, found.difference + width),
-        p=2 * student_tail(abs(found.difference) / found.standard_error, free),
+        difference, free=free, interval=(difference.difference - width, difference.difference + width),
+        p=2 * student_tail(abs(difference.difference) / difference.standard_error, free),
     )  # fmt: skip
 
 
@@ -189,12 +189,12 @@ class Equivalence:
     verdict: Literal["equivalent", "larger", "undecided", "unknown"] = "unknown"
 
 
-def equivalence(found: SheetDifference, *, margin: float) -> Equivalence:
+def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     """Test whether a difference is smaller than a margin, by two one-sided tests at 5 %.
 
     Parameters
     ----------
-    found : SheetDifference
+    shift : SheetDifference
     margin : float
         In the unit of the property; chosen for what matters, before the values are looked at.
 
@@ -213,11 +213,11 @@ def equivalence(found: SheetDifference, *, margin: float) -> Equivalence:
     """
     if not 0 < margin < math.inf:
         raise InputError(f"The margin is {margin}. Give the largest difference that does not matter, above 0.")
-    if found.reason:
+    if shift.reason:
         return Equivalence(margin=margin)
-    width = student_quantile(_CHANCE, found.free) * found.standard_error
-    low, high = found.difference - width, found.difference + width
-    p = max(student_tail((margin + s * found.difference) / found.standard_error, found.free) for s in (-1, 1))
+    width = student_quantile(_CHANCE, shift.free) * shift.standard_error
+    low, high = shift.difference - width, shift.difference + width
+    p = max(student_tail((margin + s * shift.difference) / shift.standard_error, shift.free) for s in (-1, 1))
     inside, beyond = -margin < low and high < margin, low > margin or high < -margin
     return Equivalence(
         margin=margin, interval=(low, high), p=p,

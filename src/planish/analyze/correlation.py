@@ -11,16 +11,15 @@ import xarray as xr
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.chance import normal_quantile, ranks, student_quantile, student_tail
 from planish.analyze.covariance import Lags, PairCovariances
-from planish.analyze.trend import shared_trend
+from planish.analyze.detrend import shared_trend
+from planish.analyze.distributions import normal_quantile, ranks, student_quantile, student_tail
 from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import InputError, SizeError
 from planish.core.facts import NULL, Facts, Interval, Value
-
-Array = NDArray[np.float64]
+from planish.core.typing import Bools, Floats
 
 LEAST_CLAIMED = 10.0
 """Independent points below which nothing is claimed: no p and no interval."""
@@ -87,12 +86,12 @@ class PairSums:
 
     def add(self, x: NDArray[Any], y: NDArray[Any]) -> None:
         """Add the places where both are finite."""
-        both = np.isfinite(x) & np.isfinite(y)
-        n = int(np.count_nonzero(both))
+        is_valid = np.isfinite(x) & np.isfinite(y)
+        n = int(np.count_nonzero(is_valid))
         if n == 0:
             return
         parts = np.empty((3, n))
-        parts[0], parts[1] = x[both], y[both]
+        parts[0], parts[1] = x[is_valid], y[is_valid]
         np.subtract(parts[1], parts[0], out=parts[2])
         mean = parts.mean(axis=1)
         parts -= mean[:, None]
@@ -219,15 +218,15 @@ def _pitch_of(maps: Rows) -> tuple[float, ...]:
 
 def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[float, ...]) -> tuple[float, float]:
     """Return the pixel along y and x, or raise InputError or SizeError where two maps are not on one grid."""
-    given = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
+    sizes = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
     try:
-        pixel = tuple(float(v) for v in given)
+        pixel = tuple(float(v) for v in sizes)
     except (TypeError, ValueError):
         pixel = ()
     if len(pixel) != 2 or not all(0 < v < math.inf for v in pixel):
         raise SizeError(f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x.")
-    given_maps: list[tuple[str, Any]] = [("a", a), ("b", b)]
-    for name, values in given_maps if mask is None else [*given_maps, ("mask", mask)]:
+    named: list[tuple[str, Any]] = [("a", a), ("b", b)]
+    for name, values in named if mask is None else [*named, ("mask", mask)]:
         if not isinstance(values, (np.ndarray, xr.DataArray)) or len(values.shape) != 2:
             raise InputError(f"{name} is no array of two dimensions. Give maps (rows, cols).")
         if values.dtype.kind not in ("b" if name == "mask" else "fiub"):
@@ -242,6 +241,12 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[flo
         ):
             raise InputError("The maps have other places. Bring both onto one grid first (planish.resample_maps).")
     return pixel[0], pixel[1]
+
+
+def valid_in_both(a: NDArray[Any], b: NDArray[Any], mask: Bools | None) -> Bools:
+    """Where two maps have a value, and count."""
+    is_valid = np.isfinite(a) & np.isfinite(b)
+    return is_valid if mask is None else is_valid & mask
 
 
 class PairAtSizes:
@@ -261,20 +266,20 @@ class PairAtSizes:
         self._factor = max(1, math.ceil(math.sqrt(math.prod(shape) / most_cells))) if most_cells else 0
         self._cells = AreaMeans(shape, (self._factor, self._factor)) if self._factor else None
         self._sums = PairSums()
-        self._ranked: list[Array] = []
+        self._ranked: list[Floats] = []
 
     def add(self, begin: int, x: NDArray[Any], y: NDArray[Any]) -> None:
         """Add the rows from ``begin`` on of both maps; NaN is missing."""
-        known = np.isfinite(x) & np.isfinite(y)
+        is_valid = np.isfinite(x) & np.isfinite(y)
         for means in (self._cells, self._points):
             if means is not None:
-                means.add(begin, known, x, y)
+                means.add(begin, is_valid, x, y)
         if not self._factor:
             return
         self._sums.add(x, y)
         k = self._factor
-        some = [m[-begin % k :: k, ::k].astype(np.float64) for m in (x, y)]
-        self._ranked.append(np.stack([m[known[-begin % k :: k, ::k]] for m in some]))
+        thinned_maps = [m[-begin % k :: k, ::k].astype(np.float64) for m in (x, y)]
+        self._ranked.append(np.stack([m[is_valid[-begin % k :: k, ::k]] for m in thinned_maps]))
 
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
@@ -287,33 +292,33 @@ class PairAtSizes:
         """The correlation of the larger points; of none where they would be smaller than a pixel."""
         sums, points = self._of_points()
         size = self._point_um or math.nan
-        known = np.isfinite(points[0]) & np.isfinite(points[1])
-        return _stated(sums, [*points], np.stack([m[known] for m in points]), pitch_um=(size, size), support_um=size)
+        is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
+        return _stated(sums, [*points], np.stack([m[is_valid] for m in points]), pitch_um=(size, size), support_um=size)
 
     def sizes(self) -> Iterator[tuple[Correlation, PairSums]]:
         """The correlation per pixel, and of the larger points, each with its sums."""
         yield self.at_pixel(), self._sums
         yield self.at_points(), self._of_points()[0]
 
-    def cells(self) -> tuple[list[Array], tuple[float, float]]:
+    def cells(self) -> tuple[list[Floats], tuple[float, float]]:
         """The means of both maps over the cells that stand for the pixels, and the size of a cell."""
         assert self._cells is not None
         return self._cells.means(), (self._factor * self._pixel_um[0], self._factor * self._pixel_um[1])
 
-    def points(self) -> tuple[Array, Array]:
+    def points(self) -> tuple[Floats, Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
-        found = self._points.means() if self._points is not None else []
-        x, y = found or [np.full((0, 0), np.nan)] * 2
+        means = self._points.means() if self._points is not None else []
+        x, y = means or [np.full((0, 0), np.nan)] * 2
         return x, y
 
-    def _of_points(self) -> tuple[PairSums, tuple[Array, Array]]:
+    def _of_points(self) -> tuple[PairSums, tuple[Floats, Floats]]:
         sums, points = PairSums(), self.points()
         sums.add(*points)
         return sums, points
 
 
 def _stated(
-    sums: PairSums, cells: list[Array], ranked: Array, *, pitch_um: tuple[float, float], support_um: float
+    sums: PairSums, cells: list[Floats], ranked: Floats, *, pitch_um: tuple[float, float], support_um: float
 ) -> Correlation:
     """Say how sure the correlation is that stands in the sums; ``cells`` are both maps, as they are or averaged."""
     r = sums.r
@@ -326,8 +331,9 @@ def _stated(
         )  # fmt: skip
     slope, intercept, other = sums.lines
     n_eff, p, width, warnings = _certainty(r, sums, cells, pitch_um)
+    rho = pearson(ranks(ranked[0]), ranks(ranked[1])) if ranked.size else math.nan
     return Correlation(
-        point_um=support_um, n=sums.n, r=r, r2=r * r, rho=spearman(*ranked), slope=slope, intercept=intercept,
+        point_um=support_um, n=sums.n, r=r, r2=r * r, rho=rho, slope=slope, intercept=intercept,
         slope_x_on_y=other, mean_a=sums.means[0], mean_b=sums.means[1], n_eff=n_eff, p=p, interval=_interval(r, width),
         n_eff_interval=(normal_quantile((1 + _CHANCE) / 2) / width) ** 2 + 3 if width > 0 else math.nan,
         warnings=(*_nearly_constant(ranked), *warnings),
@@ -335,14 +341,14 @@ def _stated(
 
 
 def _certainty(
-    r: float, sums: PairSums, cells: list[Array], pitch_um: tuple[float, float]
+    r: float, sums: PairSums, cells: list[Floats], pitch_um: tuple[float, float]
 ) -> tuple[float, float, float, list[str]]:
     """Give n_eff, p, half of the width of the interval of z, and what to be careful about."""
-    known = np.isfinite(cells[0]) & np.isfinite(cells[1])
-    if np.count_nonzero(known) < _LEAST:
+    is_valid = np.isfinite(cells[0]) & np.isfinite(cells[1])
+    if np.count_nonzero(is_valid) < _LEAST:
         return math.nan, math.nan, math.nan, ["The maps are too small to tell how many points are independent."]
-    x, y = (np.where(known, m, 0.0) for m in cells)
-    pair = PairCovariances(x, y, Lags(known, pitch_um))
+    x, y = (np.where(is_valid, m, 0.0) for m in cells)
+    pair = PairCovariances(x, y, Lags(is_valid, pitch_um))
     variance = pair.variance_of_r(sums.variances)
     n_eff = min(1 + 1 / variance, float(sums.n)) if variance > 0 else math.nan
     if not n_eff >= LEAST_CLAIMED:
@@ -353,11 +359,11 @@ def _certainty(
         return n_eff, 0.0, 0.0, warnings
     p = 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2)
     within = PairSums()
-    within.add(x[known], y[known])
+    within.add(x[is_valid], y[is_valid])
     ratio = 1.0
     if 1 - within.r**2 > 1e-14:
-        reach = BANDWIDTH * min(k * p for k, p in zip(known.shape, pitch_um, strict=True))
-        ratio = max(pair.unevenness(within.r, reach), 1.0)
+        reach = BANDWIDTH * min(k * p for k, p in zip(is_valid.shape, pitch_um, strict=True))
+        ratio = max(pair.spatial_error(within.r, reach)[1], 1.0)
     if ratio > _UNEQUAL:
         warnings.append(
             f"The maps do not vary alike everywhere, which makes the interval {ratio:.1f} times as wide. Look at them, "
@@ -368,9 +374,8 @@ def _certainty(
     width = normal_quantile(quantile) / math.sqrt(n_eff - 3)
     if 0 < of_z < 1 / _LEAST:
         width = max(width, student_quantile(quantile, 1 / of_z - 2) * math.sqrt(of_z))
-    trend = shared_trend(x, y, known)
-    if trend is not None:
-        warnings.append(trend.sentence)
+    if trend := shared_trend(x, y, is_valid):
+        warnings.append(trend)
     return n_eff, p, width, warnings
 
 
@@ -381,12 +386,7 @@ def _interval(r: float, width: float) -> tuple[float, float]:
     return math.tanh(z - width), math.tanh(z + width)
 
 
-def spearman(x: Array, y: Array) -> float:
-    """Spearman's rank correlation of two arrays without missing values; ties have their mean rank."""
-    return pearson(ranks(x), ranks(y)) if x.size else math.nan
-
-
-def _nearly_constant(ranked: Array) -> Iterator[str]:
+def _nearly_constant(ranked: Floats) -> Iterator[str]:
     for name, values in zip("ab", ranked, strict=True):
         share = float(np.mean(values == np.median(values))) if values.size else 0.0
         if share > _SAME:

@@ -3,25 +3,32 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
-from planish.analyze.chance import normal_tail
 from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances
+from planish.analyze.distributions import normal_tail
 from planish.analyze.ncc import MaskedNcc
-from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Facts, Interval, Pair, Value
+from planish.core.errors import CannotMeasure, PlanishError, SizeError
+from planish.core.facts import Facts, Interval, Pair, Value, is_known
+from planish.core.numbers import fixed, plain
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+
 
 _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
+REACH_UM = 500.0
+"""Along either axis."""
+
 _RAYS = 72
 _STEP = 0.25  # pixels, along a ray
 _NODES = 65
@@ -87,9 +94,9 @@ class Correlogram:
         Limit that they exceed at any of all lags looked at with 1 %.
     """
 
-    r: Array
-    lag_y_um: Array
-    lag_x_um: Array
+    r: Floats
+    lag_y_um: Floats
+    lag_x_um: Floats
     lag_um: tuple[float, float]
     peak_r: float
     sign: int
@@ -97,8 +104,8 @@ class Correlogram:
     widths_um: tuple[float, float]
     angle_deg: float
     n_eff: float
-    band_99: Array
-    band_99_of_any: Array
+    band_99: Floats
+    band_99_of_any: Floats
 
     @property
     def anisotropy(self) -> float:
@@ -122,7 +129,7 @@ class Correlogram:
             along_x=self._profile(self.lag_x_um, np.s_[row, :]), along_y=self._profile(self.lag_y_um, np.s_[:, col]),
         )  # fmt: skip
 
-    def _profile(self, lags_um: Array, axis: tuple[int | slice, int | slice]) -> LagProfile:
+    def _profile(self, lags_um: Floats, axis: tuple[int | slice, int | slice]) -> LagProfile:
         """What lies along one axis, at lag 0 and at most so many lags to either side."""
         step = math.ceil((lags_um.size // 2) / _MOST_LAGS)
         every = slice(lags_um.size // 2 % step, None, step)
@@ -131,7 +138,7 @@ class Correlogram:
 
 
 def cross_correlogram(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float],
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
     reach_um: float = 500.0,
 ) -> Correlogram:  # fmt: skip
     """Correlate two maps at every lag up to a reach along either axis.
@@ -181,12 +188,12 @@ def cross_correlogram(
 
 
 def correlogram_of(
-    maps: tuple[NDArray[Any], NDArray[Any]], valid: tuple[Mask, Mask], lags: Lags, *, reach_um: float = 500.0
+    maps: tuple[NDArray[Any], NDArray[Any]], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float = 500.0
 ) -> Correlogram:  # fmt: skip
     """The same of maps with the pixels that count in each, and the lags of those that count in both."""
     (a, b), pixel, n = maps, lags.pixel_um, lags.n
-    for name, m, own in zip("ab", (a, b), valid, strict=True):
-        if n < 3 or not np.ptp(m[own]) > 0:
+    for name, m, is_counted in zip("ab", (a, b), valid, strict=True):
+        if n < 3 or not np.ptp(m[is_counted]) > 0:
             raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
     reach = tuple(max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True))
     ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=(reach[0], reach[1]))
@@ -194,17 +201,17 @@ def correlogram_of(
     if not np.isfinite(r).any():
         raise CannotMeasure("At no lag are there enough pairs that differ. Give a larger map or a smaller mask.")
     moved = [(np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)]
-    at, peak_r, inner = _summit(r)
-    widths, angle = _widths(r / peak_r, at, pixel) if inner else ((math.nan, math.nan), math.nan)
+    top, peak_r, inner = _summit(r)
+    widths, angle = _widths(r / peak_r, top, pixel) if inner else ((math.nan, math.nan), math.nan)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
     return Correlogram(
         r=r, lag_y_um=moved[0], lag_x_um=moved[1], peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
-        lag_um=((at[0] - reach[0]) * pixel[0], (at[1] - reach[1]) * pixel[1]), widths_um=widths, angle_deg=angle,
+        lag_um=((top[0] - reach[0]) * pixel[0], (top[1] - reach[1]) * pixel[1]), widths_um=widths, angle_deg=angle,
         n_eff=n_eff, band_99=band, band_99_of_any=of_any,
     )  # fmt: skip
 
 
-def _summit(r: Array) -> tuple[tuple[float, float], float, bool]:
+def _summit(r: Floats) -> tuple[tuple[float, float], float, bool]:
     """Place of the largest ``|r|`` in rows and columns, r there, and whether it is a summit."""
     row, col = np.unravel_index(int(np.nanargmax(np.abs(r))), r.shape)
     highest = float(r[row, col])
@@ -225,7 +232,7 @@ def _summit(r: Array) -> tuple[tuple[float, float], float, bool]:
     return (float(row + move[0]), float(col + move[1])), r_there, True
 
 
-def _widths(height: Array, at: tuple[float, float], pixel: tuple[float, float]) -> tuple[tuple[float, float], float]:
+def _widths(height: Floats, top: tuple[float, float], pixel: tuple[float, float]) -> tuple[tuple[float, float], float]:
     """Full widths at half height along the main axes of what lies above it, and the direction of the longer one.
 
     The border is looked for along rays; of an ellipse the second moments over the area are a quarter of the squared
@@ -234,14 +241,14 @@ def _widths(height: Array, at: tuple[float, float], pixel: tuple[float, float]) 
     turn = np.arange(_RAYS) * (2 * math.pi / _RAYS)
     ahead = np.stack([np.sin(turn), np.cos(turn)])  # along y and x, in um
     steps = np.arange(1, int(math.hypot(*height.shape) / _STEP)) * _STEP * min(pixel)
-    places = [at[k] + ahead[k][:, None] * steps / pixel[k] for k in (0, 1)]
-    seen = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
-    seen = np.concatenate([np.ones((_RAYS, 1)), seen], axis=1)
+    places = [top[k] + ahead[k][:, None] * steps / pixel[k] for k in (0, 1)]
+    along_rays = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
+    along_rays = np.concatenate([np.ones((_RAYS, 1)), along_rays], axis=1)
     steps = np.concatenate([[0.0], steps])
-    below = ~(seen > 0.5)
+    below = ~(along_rays > 0.5)
     first = np.argmax(below, axis=1)
     rays = np.arange(_RAYS)
-    inner, outer = seen[rays, first - 1], seen[rays, first]
+    inner, outer = along_rays[rays, first - 1], along_rays[rays, first]
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
     far = steps[first - 1] + (inner - 0.5) / (inner - outer) * (steps[first] - steps[first - 1])
@@ -253,9 +260,9 @@ def _widths(height: Array, at: tuple[float, float], pixel: tuple[float, float]) 
     return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
 
 
-def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Array, looked_at: Mask) -> tuple[float, Array, Array]:
+def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Floats, looked_at: Bools) -> tuple[float, Floats, Floats]:
     """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
-    x, y = (np.where(lags.known, m, 0.0).astype(np.float64) for m in maps)
+    x, y = (np.where(lags.is_valid, m, 0.0).astype(np.float64) for m in maps)
     pair = PairCovariances(x, y, lags)
     variance = pair.variance_of_r()
     n_eff = min(1 + 1 / variance, float(lags.n)) if variance > 0 else math.nan
@@ -263,7 +270,7 @@ def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Array, looked_at: Mask)
     if not n_eff >= LEAST_CLAIMED:
         return n_eff, unknown, unknown
     # Fewer pairs hold as many fewer independent ones.
-    left = np.maximum(n_eff * np.minimum(pairs / lags.n, 1.0), 3.0)
+    n_eff_of_lag = np.maximum(n_eff * np.minimum(pairs / lags.n, 1.0), 3.0)
     over = [np.asarray(fft.rfft2(m)) for m in (pair.xx, pair.yy)]
     together = np.asarray(fft.irfft2(over[0] * over[1], pair.xx.shape))
     smooth = [2 * max(1 - float(v / together[0, 0]), 0.0) for v in (together[1, 0], together[0, 1])]
@@ -279,9 +286,43 @@ def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Array, looked_at: Mask)
 
     u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
     # Over the inverse of the points, limits are all but straight: a quantile for each lag would take longest of all.
-    nodes = np.linspace(1 / float(left.max()), 1 / float(left.min()), _NODES)
+    nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), _NODES)
     alone, anywhere = (
-        np.where(looked_at, np.interp(1 / left, nodes, t / np.sqrt(t * t + 1 / nodes - 2)), math.nan)
+        np.where(looked_at, np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2)), math.nan)
         for t in (np.asarray(-special.stdtrit(1 / nodes - 2, tail)) for tail in (_CHANCE / 2, normal_tail(u)))
     )
     return n_eff, alone, anywhere
+
+
+def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
+    """The correlogram with its profiles through lag 0; nothing where there are too few lags."""
+    is_valid = pair.lags.is_valid
+    try:
+        whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=REACH_UM)
+    except PlanishError:
+        return {}
+    return {"correlogram": whole.profiles(pair.cell_um)}
+
+
+def say_correlogram(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+    """Where both maps agree best, and what unrelated maps reach."""
+    profiles = evidence.correlogram
+    assert profiles is not None
+    limit = f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated maps"
+    if not is_known(profiles.limit_of_any):
+        limit = "fewer than 10 independent points: what unrelated maps reach is not known"
+    elif not profiles.beyond_chance:
+        limit += ", and no lag reaches that"
+    if not profiles.inner:
+        reach = plain(round(profiles.reach_um))
+        yield f"Moved against each other, the maps have no summit of r within {reach}; {limit}."
+        return
+    down, across = (fixed(v, 0 if abs(v) >= 10 else 1) for v in profiles.lag_um)
+    wide = ""
+    if is_known(profiles.widths_um):
+        widths = " × ".join(fixed(v, 0) for v in profiles.widths_um)
+        wide = f" (width at half height {widths} µm)"
+    yield (
+        f"Moved against each other, the maps agree best at a lag of {across} µm along x and {down} µm along y, with "
+        f"r = {fixed(profiles.peak_r, 2)}{wide}; {limit}."
+    )

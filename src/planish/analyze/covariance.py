@@ -14,8 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 _FIELD = 0.5  # of the field, along either axis: longer lags have too few pairs of points
 
@@ -25,15 +24,15 @@ class Lags:
 
     Parameters
     ----------
-    known : ndarray of bool, shape (rows, cols)
+    is_valid : ndarray of bool, shape (rows, cols)
     pixel_um : (float, float)
         Along y and x.
     """
 
-    def __init__(self, known: Mask, pixel_um: tuple[float, float]) -> None:
-        self.known, self.pixel_um, self.n = known, pixel_um, int(np.count_nonzero(known))
-        reach = [int(_FIELD * k) for k in known.shape]
-        self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(known.shape, reach, strict=True)]
+    def __init__(self, is_valid: Bools, pixel_um: tuple[float, float]) -> None:
+        self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
+        reach = [int(_FIELD * k) for k in is_valid.shape]
+        self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)]
         self.lag_um = [fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)]
         self.inside = np.logical_and.outer(*(
             np.abs(lag) <= m * p for lag, m, p in zip(self.lag_um, reach, pixel_um, strict=True)
@@ -41,24 +40,24 @@ class Lags:
         self.distance_um = np.hypot(self.lag_um[0][:, None], self.lag_um[1])
         # Rings one pixel wide; the numbers of pairs are whole.
         self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
-        self._mask = self.transform(known.astype(np.float64))
+        self._mask = self.transform(is_valid.astype(np.float64))
         self.pairs = np.rint(self._back(np.abs(self._mask) ** 2)) * self.inside
 
-    def transform(self, values: Array) -> NDArray[np.complex128]:
+    def transform(self, values: Floats) -> NDArray[np.complex128]:
         """Fourier transform of a map that is 0 where it is not known."""
         return np.asarray(fft.rfft2(values, self._size))
 
-    def products(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Array:
+    def products(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Floats:
         """Sums of a at a point times b at a lag from it, for every lag (wrapped, as ``pairs``)."""
         return self._back(np.conj(a) * b) * self.inside
 
-    def until_zero(self, products: Array) -> Mask:
+    def until_zero(self, products: Floats) -> Bools:
         """Lags up to the first distance at which the mean product, over all directions, changes its sign."""
         rings = np.bincount(self._ring[self.inside], weights=products[self.inside])
         turned = np.flatnonzero(rings * (1.0 if rings[0] >= 0 else -1.0) <= 0.0)
         return self.inside & (self._ring < turned[0]) if turned.size else self.inside
 
-    def covariance(self, products: Array, used: Mask) -> Array:
+    def covariance(self, products: Floats, used: Bools) -> Floats:
         """Covariance at the lags that are used, 0 at others.
 
         Taking off a map's own mean takes the variance of that mean off every covariance; it is put back, with the
@@ -69,26 +68,22 @@ class Lags:
         mean = float(products[used].sum()) / rest if rest > 0 else 0.0
         return np.where(pairs > 0, products / np.maximum(pairs, 1.0) + mean, 0.0)
 
-    def sums(self, covariance: Array) -> Array:
+    def sums(self, covariance: Floats) -> Floats:
         """Sum of the covariances of each known point with all known points: shape of the mask, 0 outside of it."""
-        rows, cols = self.known.shape
-        found = self._back(self.transform_lags(covariance) * self._mask)[:rows, :cols]
-        return np.where(self.known, found, 0.0)
+        rows, cols = self.is_valid.shape
+        summed = self._back(np.asarray(fft.rfft2(covariance)) * self._mask)[:rows, :cols]
+        return np.where(self.is_valid, summed, 0.0)
 
-    def transform_lags(self, values: Array) -> NDArray[np.complex128]:
-        """Fourier transform of an array over lags."""
-        return np.asarray(fft.rfft2(values))
-
-    def _back(self, values: NDArray[np.complex128]) -> Array:
+    def _back(self, values: NDArray[np.complex128]) -> Floats:
         return np.asarray(fft.irfft2(values, self._size))
 
 
-def covariance_of(values: Array, lags: Lags) -> tuple[Array, float]:
+def covariance_of(values: Floats, lags: Lags) -> tuple[Floats, float]:
     """Covariance of a map with itself by lag, up to its first zero, and the variance of the map's mean.
 
     ``values``, shape (rows, cols), do not count outside of the mask of ``lags``.
     """
-    moved = lags.transform(np.where(lags.known, values - values[lags.known].mean(), 0.0))
+    moved = lags.transform(np.where(lags.is_valid, values - values[lags.is_valid].mean(), 0.0))
     products = lags.products(moved, moved)
     covariance = lags.covariance(products, lags.until_zero(products))
     return covariance, float(np.sum(lags.pairs * covariance)) / lags.n**2
@@ -105,18 +100,17 @@ class PairCovariances:
         Of their mask.
     """
 
-    def __init__(self, x: Array, y: Array, lags: Lags) -> None:
+    def __init__(self, x: Floats, y: Floats, lags: Lags) -> None:
         self.lags = lags
-        self._maps = [np.where(lags.known, m - m[lags.known].mean(), 0.0) for m in (x, y)]
+        self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
-        own = [lags.products(m, m) for m in (a, b)]
-        both = lags.products(a, b)
-        self.used = [lags.until_zero(p) for p in own]
-        self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(own, self.used, strict=True))
+        auto, cross = [lags.products(m, m) for m in (a, b)], lags.products(a, b)
+        self.used = [lags.until_zero(p) for p in auto]
+        self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(auto, self.used, strict=True))
         # For the interval all are cut alike: where r is large they nearly cancel each other.
         used = self.used[0] | self.used[1]
-        self._together = [lags.covariance(p, used) for p in (*own, both)]
-        self.variances = tuple(float(p[0, 0]) / lags.n for p in own)
+        self._together = [lags.covariance(p, used) for p in (*auto, cross)]
+        self.variances = tuple(float(p[0, 0]) / lags.n for p in auto)
 
     def variance_of_r(self, variances: tuple[float, float] | None = None) -> float:
         """Variance of r of two maps with these covariances that are unrelated (Dutilleul 1993).
@@ -126,21 +120,17 @@ class PairCovariances:
         n, (xx, yy) = self.lags.n, (self.xx, self.yy)
         row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
         sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
-        both = float(np.sum(self.lags.pairs * xx * yy)) - 2.0 / n * float(np.sum(row_x * row_y)) + sum_x * sum_y / n**2
-        own = self.variances if variances is None else variances
+        trace = float(np.sum(self.lags.pairs * xx * yy)) - 2.0 / n * float(np.sum(row_x * row_y)) + sum_x * sum_y / n**2
+        of_points = self.variances if variances is None else variances
         # What is put back into the covariances belongs to the variances, too.
         traces = [n * v + (float(c[0, 0]) - w) * n - s / n
-                  for v, w, c, s in zip(own, self.variances, (xx, yy), (sum_x, sum_y), strict=True)]  # fmt: skip
+                  for v, w, c, s in zip(of_points, self.variances, (xx, yy), (sum_x, sum_y), strict=True)]  # fmt: skip
         product = traces[0] * traces[1]
-        return both / product if product > 0 else math.nan
+        return trace / product if product > 0 else math.nan
 
     def variance_of_z(self, r: float, variances: tuple[float, float] | None = None) -> float:
         """Variance of Fisher's z of r of two jointly Gaussian maps with these covariances (Bartlett's formula)."""
         return float(self._influence(r, variances).sum()) / self.lags.n**2
-
-    def unevenness(self, r: float, bandwidth_um: float) -> float:
-        """Standard error of z from what the points add to r, over that of the model; 1 where the spread is even."""
-        return self.spatial_error(r, bandwidth_um)[1]
 
     def spatial_error(self, r: float, bandwidth_um: float) -> tuple[float, float]:
         """Standard error of z from what the points add to r, and the same over that of the model.
@@ -149,28 +139,28 @@ class PairCovariances:
         would add, and what the mean of a map takes off, are the same in both.
         """
         x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
-        parts = np.where(self.lags.known, x * y - r / 2 * (x * x + y * y), 0.0)
+        parts = np.where(self.lags.is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
         moved = self.lags.transform(parts)
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
         expected = float(np.sum(weight * model))
         expected -= float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
-        found = float(np.sum(weight * self.lags.products(moved, moved))) / (1 - r * r) ** 2
-        error = math.sqrt(max(found, 0.0))
+        observed = float(np.sum(weight * self.lags.products(moved, moved))) / (1 - r * r) ** 2
+        error = math.sqrt(max(observed, 0.0))
         return error / self.lags.n, error / math.sqrt(expected) if expected > 0 else 1.0
 
-    def _influence(self, r: float, variances: tuple[float, float] | None) -> Array:
+    def _influence(self, r: float, variances: tuple[float, float] | None) -> Floats:
         """Sums, by lag, of the covariances of what single points add to z."""
-        own = self.variances if variances is None else variances
+        of_points = self.variances if variances is None else variances
         put_back = [float(c[0, 0]) - w for c, w in zip((self.xx, self.yy), self.variances, strict=True)]
-        sd = [math.sqrt(v + p) for v, p in zip(own, put_back, strict=True)]
+        sd = [math.sqrt(v + p) for v, p in zip(of_points, put_back, strict=True)]
         xx, yy, xy = (c / s for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True))
         yx = _reversed(xy)
         terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)
         return self.lags.pairs * terms / (1 - r * r) ** 2
 
 
-def variance_of_products(maps: Sequence[Array], terms: Sequence[tuple[int, int, float]], lags: Lags) -> float:
+def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int, float]], lags: Lags) -> float:
     """Variance of the mean of a sum of products of jointly Gaussian maps, from their covariances by lag.
 
     Parameters
@@ -181,22 +171,22 @@ def variance_of_products(maps: Sequence[Array], terms: Sequence[tuple[int, int, 
         Numbers of two maps and the weight of their product.
     """
     moved = [lags.transform(m) for m in maps]
-    found: dict[tuple[int, int], Array] = {}
+    covariances: dict[tuple[int, int], Floats] = {}
     for i in range(len(maps)):
         for j in range(i, len(maps)):
             products = lags.products(moved[i], moved[j])
-            found[i, j] = lags.covariance(products, lags.until_zero(products + _reversed(products)))
-            found[j, i] = _reversed(found[i, j])
-    own = [math.sqrt(float(found[i, i][0, 0])) for i in range(len(maps))]
+            covariances[i, j] = lags.covariance(products, lags.until_zero(products + _reversed(products)))
+            covariances[j, i] = _reversed(covariances[i, j])
+    sd = [math.sqrt(float(covariances[i, i][0, 0])) for i in range(len(maps))]
     total = np.zeros_like(lags.pairs)
     for i, j, v in terms:
         for k, m, w in terms:
             # Isserlis: of Gaussian maps the covariance of products is one of pairs.
-            both = found[i, k] * found[j, m] + found[i, m] * found[j, k]
-            total += v * w / (own[i] * own[j] * own[k] * own[m]) * both
+            paired = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
+            total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * paired
     return float(np.sum(lags.pairs * total)) / lags.n**2
 
 
-def _reversed(values: Array) -> Array:
+def _reversed(values: Floats) -> Floats:
     """Turn an array over wrapped lags: the value at minus each lag."""
     return np.roll(values[::-1, ::-1], (1, 1), (0, 1))

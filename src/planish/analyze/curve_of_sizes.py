@@ -5,18 +5,21 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import Correlation, correlate, on_one_grid
+from planish.analyze.correlation import Correlation, correlate, on_one_grid, valid_in_both
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
 from planish.core.facts import NULL, Facts, Interval, Pair, Value
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps
+
 
 _LEAST_POINTS = 8  # along the shorter side
 _SEED = 20090502
@@ -56,11 +59,6 @@ class SizeCurve:
     rows: tuple[Correlation, ...]
     band: tuple[tuple[float, float], ...]
 
-    @property
-    def saved(self) -> tuple[SizeRow, ...]:
-        """What stands in the results of a run."""
-        return tuple(SizeRow.of(row, band) for row, band in zip(self.rows, self.band, strict=True))
-
 
 def usual_sizes(shape: tuple[int, int], pixel_um: tuple[float, float]) -> list[float]:
     """Sizes from the pixel up by factors of the square root of 2, as far as the field holds 8 points across."""
@@ -70,7 +68,7 @@ def usual_sizes(shape: tuple[int, int], pixel_um: tuple[float, float]) -> list[f
 
 
 def size_curve(
-    a: NDArray[Any], b: NDArray[Any], *, mask: NDArray[np.bool_] | None = None,
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None,
     pixel_um: float | tuple[float, float], sizes_um: Sequence[float] | None = None,
 ) -> SizeCurve:  # fmt: skip
     """Correlate two maps over points of several sizes.
@@ -104,14 +102,12 @@ def size_curve(
     sizes = sorted(usual_sizes((a.shape[0], a.shape[1]), pixel) if sizes_um is None else map(float, sizes_um))
     if not sizes or sizes[0] < max(pixel) * (1 - 1e-9):
         raise SizeError(f"A point of {min(sizes, default=0):g} um is smaller than a pixel of {max(pixel):g} um.")
-    known = np.isfinite(a) & np.isfinite(b)
-    if mask is not None:
-        known &= mask
-    x, y = (np.where(known, m, np.nan) for m in (a, b))
-    rows, parts = list[Correlation](), list[Array]()
+    is_valid = valid_in_both(a, b, mask)
+    x, y = (np.where(is_valid, m, np.nan) for m in (a, b))
+    rows, parts = list[Correlation](), list[Floats]()
     for size in sizes:
-        means = AreaMeans((known.shape[0], known.shape[1]), (size / pixel[0], size / pixel[1]))
-        means.add(0, known, x, y)
+        means = AreaMeans((is_valid.shape[0], is_valid.shape[1]), (size / pixel[0], size / pixel[1]))
+        means.add(0, is_valid, x, y)
         points = means.means()
         rows.append(correlate(points[0], points[1], pixel_um=size))
         parts.append(_by_tiles(points, rows[-1].r))
@@ -124,21 +120,21 @@ def size_curve(
     return SizeCurve(rows=tuple(rows), band=tuple(band))
 
 
-def _by_tiles(points: list[Array], r: float) -> Array:
+def _by_tiles(points: list[Floats], r: float) -> Floats:
     """Sum what the points of each tile of the field add to r."""
-    known = np.isfinite(points[0]) & np.isfinite(points[1])
-    if np.count_nonzero(known) < 3 or math.isnan(r):
+    is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
+    if np.count_nonzero(is_valid) < 3 or math.isnan(r):
         return np.zeros(0)
-    x, y = ((m - m[known].mean()) / max(float(m[known].std()), 1e-300) for m in points)
-    added = np.where(known, x * y - r / 2 * (x * x + y * y), 0.0)
-    side = min(known.shape) / _TILES
-    for axis, n in enumerate(known.shape):
+    x, y = ((m - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for m in points)
+    added = np.where(is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
+    side = min(is_valid.shape) / _TILES
+    for axis, n in enumerate(is_valid.shape):
         count = max(round(n / side), 1)
         added = np.add.reduceat(added, [round(k * n / count) for k in range(count)], axis=axis)
     return added.ravel()
 
 
-def _wider(parts: list[Array]) -> float:
+def _wider(parts: list[Floats]) -> float:
     """By what factor intervals of each size are widened to hold all sizes together."""
     if len(parts) < 2:
         return 1.0
@@ -149,3 +145,9 @@ def _wider(parts: list[Array]) -> float:
     drawn = rng.normal(size=(_DRAWS, len(parts))) @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
     most = np.quantile(np.abs(drawn).max(axis=1), _CHANCE)
     return float(most / 1.959963984540054)
+
+
+def answer_sizes(pair: ComparedMaps) -> dict[str, Any]:
+    """R over points of growing size."""
+    curve = size_curve(pair.x, pair.y, pixel_um=pair.cell_um)
+    return {"sizes": tuple(SizeRow.of(row, band) for row, band in zip(curve.rows, curve.band, strict=True))}

@@ -6,15 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from planish.analyze.between_sheets import power_of_shift
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.analyze.sheets import LEAST_SHEETS
 from planish.core.errors import InputError, SizeError
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 _PARTS = 8  # of the edge of a point, over which its mean is taken
 _MOST_POINTS = 2_000_000
@@ -91,14 +89,14 @@ def power_of_study(
     """
     _check(r2, sheets, fields, n_eff, between_sheets, change_between_sheets, shared)
     slopes = [1 - v for v in r2]  # of r over z
-    own = 1 / (n_eff - 3) / fields
+    scatter_of_field = 1 / (n_eff - 3) / fields
     if paired:
-        one, two = slopes
-        scatter = (one * one + two * two - 2 * shared * one * two) * own
-        variance = ((two - one) * between_sheets) ** 2 + (two * change_between_sheets) ** 2 + scatter
+        before, after = slopes
+        scatter = (before * before + after * after - 2 * shared * before * after) * scatter_of_field
+        variance = ((after - before) * between_sheets) ** 2 + (after * change_between_sheets) ** 2 + scatter
         error, free = math.sqrt(variance / sheets), sheets - 1.0
     else:
-        parts = [s * s * (between_sheets**2 + own) / sheets for s in slopes]
+        parts = [s * s * (between_sheets**2 + scatter_of_field) / sheets for s in slopes]
         error, free = math.sqrt(sum(parts)), sum(parts) ** 2 / sum(v * v / (sheets - 1) for v in parts)
     return StudyDesign(
         sheets=sheets, fields=fields, n_eff=n_eff, r2=(float(r2[0]), float(r2[1])), paired=paired, standard_error=error,
@@ -201,26 +199,26 @@ def expected_n_eff(field_um: tuple[float, float], *, length_um: float | tuple[fl
     n = math.prod(shape)
     if not 3 <= n <= _MOST_POINTS:
         raise SizeError(f"The field holds {n} points of {point_um:g} um. Give one with 3 to {_MOST_POINTS}.")
-    own = [_of_means(shape, length / point_um) for length in lengths]
+    covariances = [_of_means(shape, length / point_um) for length in lengths]
     size = [2 * k - 1 for k in shape]
-    at = [np.abs(fft.fftfreq(k, 1 / k)).astype(np.intp) for k in size]
-    x, y = (m[np.ix_(*at)] for m in own)
-    pairs = np.outer(*(k - a for k, a in zip(shape, at, strict=True))).astype(np.float64)
+    lags = [np.abs(fft.fftfreq(k, 1 / k)).astype(np.intp) for k in size]
+    x, y = (m[np.ix_(*lags)] for m in covariances)
+    pairs = np.outer(*(k - a for k, a in zip(shape, lags, strict=True))).astype(np.float64)
     ones = np.asarray(fft.rfft2(np.ones(shape), size))
     rows = [np.asarray(fft.irfft2(fft.rfft2(m) * ones, size))[: shape[0], : shape[1]] for m in (x, y)]
     whole = [float(m.sum()) for m in rows]
     product = math.prod(n * float(m[0, 0]) - s / n for m, s in zip((x, y), whole, strict=True))
-    both = float(np.sum(pairs * x * y)) - 2 / n * float(np.sum(rows[0] * rows[1])) + math.prod(whole) / n**2
-    return min(1 + product / both, float(n))
+    trace = float(np.sum(pairs * x * y)) - 2 / n * float(np.sum(rows[0] * rows[1])) + math.prod(whole) / n**2
+    return min(1 + product / trace, float(n))
 
 
-def _of_means(shape: list[int], length: float) -> Array:
+def _of_means(shape: list[int], length: float) -> Floats:
     """Covariance of means over points, by lag from 0 on; the length is in points."""
     off = np.arange(1 - _PARTS, _PARTS)
     weight = (_PARTS - np.abs(off)) / _PARTS**2
     down, across = (np.abs(np.add.outer(np.arange(k), off / _PARTS)) for k in shape)
-    found = np.zeros(shape)
+    total = np.zeros(shape)
     for i, w in enumerate(weight):
         for j, v in enumerate(weight):
-            found += w * v * np.exp(-np.hypot(down[:, i, None], across[None, :, j]) / length)
-    return found
+            total += w * v * np.exp(-np.hypot(down[:, i, None], across[None, :, j]) / length)
+    return total

@@ -10,10 +10,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.analyze.chance import student_quantile
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.covariance import Lags, variance_of_products
+from planish.analyze.distributions import student_quantile
 from planish.core.errors import InputError
+from planish.core.typing import Bools, Floats
 
 _QUANTILE = 0.975
 
@@ -45,13 +46,13 @@ class Difference:
     @property
     def words(self) -> str:
         """What may be said."""
-        known = self.distinguishable
-        return "unknown" if known is None else "distinguishable" if known else "not distinguishable"
+        verdict = self.distinguishable
+        return "unknown" if verdict is None else "distinguishable" if verdict else "not distinguishable"
 
 
 def paired_difference(
     first: tuple[NDArray[Any], NDArray[Any]], second: tuple[NDArray[Any], NDArray[Any]], *,
-    mask: NDArray[np.bool_] | None = None, pixel_um: float | tuple[float, float],
+    mask: Bools | None = None, pixel_um: float | tuple[float, float],
 ) -> Difference:  # fmt: skip
     """Compare the correlations of two pairs of maps on one grid, over the pixels that are valid in all.
 
@@ -77,22 +78,22 @@ def paired_difference(
     pixel = on_one_grid(maps[0], maps[1], mask, pixel_um)
     for m in maps[2:]:
         on_one_grid(maps[0], m, mask, pixel_um)
-    known = np.logical_and.reduce([np.isfinite(m) for m in maps])
+    is_valid = np.logical_and.reduce([np.isfinite(m) for m in maps])
     if mask is not None:
-        known &= mask
-    values = [np.where(known, m, np.nan) for m in maps]
+        is_valid &= mask
+    values = [np.where(is_valid, m, np.nan) for m in maps]
     r = pearson(*values[:2]), pearson(*values[2:])
     if any(math.isnan(v) or 1 - v * v < 1e-14 for v in r):
         return Difference(r=r, difference=r[1] - r[0])
     a, b, c, d = values
-    parts = _influence(c, d, r[1], known) - _influence(a, b, r[0], known)
-    lags = Lags(known, pixel)
-    moved = lags.transform(np.where(known, parts - parts[known].mean(), 0.0))
+    parts = _influence(c, d, r[1], is_valid) - _influence(a, b, r[0], is_valid)
+    lags = Lags(is_valid, pixel)
+    moved = lags.transform(np.where(is_valid, parts - parts[is_valid].mean(), 0.0))
     products = lags.products(moved, moved)
     if not products[0, 0] > 0:  # the same pair twice
         return Difference(r=r, difference=r[1] - r[0], interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))
-    variance = max(float(np.sum(lags.pairs * covariance)) / lags.n**2, _of_gaussian_maps(values, r, known, lags))
+    variance = max(float(np.sum(lags.pairs * covariance)) / lags.n**2, _of_gaussian_maps(values, r, is_valid, lags))
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
     if n_eff < LEAST_CLAIMED:
         return Difference(r=r, difference=r[1] - r[0])
@@ -123,27 +124,25 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
 def _difference(r: tuple[float, float], width: float) -> Difference:
     """Turn an interval of the difference of z into one of r, about the mean of both z."""
     z = [math.atanh(v) for v in r]
-    middle, apart = sum(z) / 2, z[1] - z[0]
-    low, high = (math.tanh(middle + d / 2) - math.tanh(middle - d / 2) for d in (apart - width, apart + width))
+    middle, change = sum(z) / 2, z[1] - z[0]
+    low, high = (math.tanh(middle + d / 2) - math.tanh(middle - d / 2) for d in (change - width, change + width))
     return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
 
 
-def _of_gaussian_maps(
-    values: list[NDArray[np.float64]], r: tuple[float, float], known: NDArray[np.bool_], lags: Lags
-) -> float:
+def _of_gaussian_maps(values: list[Floats], r: tuple[float, float], is_valid: Bools, lags: Lags) -> float:
     """Variance of the difference of z of jointly Gaussian maps."""
-    maps = [np.where(known, (m - m[known].mean()) / m[known].std(), 0.0) for m in values]
+    maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
     terms: list[tuple[int, int, float]] = []
-    for sign, own, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
-        scale = sign / (1 - own * own)
-        terms += [(a, b, scale), (a, a, -scale * own / 2), (b, b, -scale * own / 2)]
+    for sign, r_of_pair, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
+        scale = sign / (1 - r_of_pair * r_of_pair)
+        terms += [(a, b, scale), (a, a, -scale * r_of_pair / 2), (b, b, -scale * r_of_pair / 2)]
     return variance_of_products(maps, terms, lags)
 
 
-def _influence(a: NDArray[Any], b: NDArray[Any], r: float, known: NDArray[np.bool_]) -> NDArray[np.float64]:
+def _influence(a: NDArray[Any], b: NDArray[Any], r: float, is_valid: Bools) -> Floats:
     """What each pixel adds to Fisher's z, times their number; 0 where it is not known."""
-    x, y = ((m - m[known].mean()) / m[known].std() for m in (a, b))
-    return np.where(known, (x * y - r / 2 * (x * x + y * y)) / (1 - r * r), 0.0)
+    x, y = ((m - m[is_valid].mean()) / m[is_valid].std() for m in (a, b))
+    return np.where(is_valid, (x * y - r / 2 * (x * x + y * y)) / (1 - r * r), 0.0)
 
 
 def holm(p: Sequence[float]) -> list[float]:

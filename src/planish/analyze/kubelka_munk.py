@@ -1,4 +1,4 @@
-"""Brightness that a coating of known weight should have: Kubelka and Munk's theory of scattering layers.
+"""Brightness that a coating of known weight should have: Kubelka and Munk's theory of scattering layers, and its fit.
 
 Light goes straight down and up in it; what scatters sideways is left out. A map of points below some 0.2 mm is blurred
 by that, and its brightness follows the coating less than the theory says.
@@ -6,16 +6,34 @@ by that, and its brightness follows the coating less than the theory says.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+import math
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import xarray as xr
+from numpy.typing import ArrayLike
+from pydantic import Field
+from scipy import optimize
 
-from planish.core.errors import InputError
+from planish.analyze.curve import independent_points, known_points
+from planish.analyze.distributions import student_quantile
+from planish.core.errors import CannotMeasure, InputError, PlanishError
+from planish.core.facts import NULL, AtPoints, Facts, Interval, Pair, Value, is_known
 from planish.core.light import layer_over
+from planish.core.numbers import number
+from planish.core.typing import Floats
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+
+_QUANTILE = 0.975
+_EXACT = 1e-9  # rms of what the curve leaves, of a reflectance, below which the fit has no error
+_ENDLESS = 1e6  # S times the mean of x, where a layer hides everything
+_BRACKET = 1e-6
+_EVEN = 1e-3  # of a ratio of two maps, up to which it counts as one number
+_KG_PER_G, _G_PER_KG = 1e-3, 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -35,7 +53,7 @@ class Layer:
     absorption: ArrayLike = 0.0
 
 
-def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLike = 0.0, backing: ArrayLike) -> Array:
+def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLike = 0.0, backing: ArrayLike) -> Floats:
     """Reflectance of a layer over a backing.
 
     Parameters
@@ -83,7 +101,7 @@ def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLi
     return layer_over(below, values["scattering"], values["absorption"], values["weight"])
 
 
-def stack(layers: Sequence[Layer], backing: ArrayLike) -> Array:
+def stack(layers: Sequence[Layer], backing: ArrayLike) -> Floats:
     """Reflectance of layers over a backing, from the bottom to the top; without layers that of the backing.
 
     Raises
@@ -97,7 +115,7 @@ def stack(layers: Sequence[Layer], backing: ArrayLike) -> Array:
     return below
 
 
-def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Array:
+def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Floats:
     """Reflectance of a pile that nothing shines through, ``1 + k/s - sqrt((k/s)^2 + 2 k/s)``; 1 without absorption.
 
     Raises
@@ -112,9 +130,9 @@ def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Array:
     return s / (s + k + np.sqrt(k * (k + 2 * s)))  # a - b as 1 / (a + b): nothing cancels
 
 
-def _at_least_0(**given: ArrayLike) -> dict[str, Array]:
+def _at_least_0(**arguments: ArrayLike) -> dict[str, Floats]:
     """Turn what is given into arrays; every fault is reported at once."""
-    values = {name: np.asarray(v, dtype=np.float64) for name, v in given.items()}
+    values = {name: np.asarray(v, dtype=np.float64) for name, v in arguments.items()}
     wrong = {name: int(np.count_nonzero((v < 0) | np.isinf(v))) for name, v in values.items()}
     faults = [f"{name} has {n} of {values[name].size} values" for name, n in wrong.items() if n]
     if faults:
@@ -122,6 +140,296 @@ def _at_least_0(**given: ArrayLike) -> dict[str, Array]:
     return values
 
 
-def _furthest(values: Array) -> float:
+def _furthest(values: Floats) -> float:
     """The value that lies furthest from the middle between 0 and 1."""
     return float(values.flat[int(np.nanargmax(np.abs(values - 0.5)))])
+
+
+class KubelkaMunk(Facts):
+    """Kubelka and Munk's curve through points; called with x, it gives y."""
+
+    ratio: float = Field(description="Absorption over scattering, as it was given.")
+    n: int | None = Field(default=None, description="Points that are valid in both maps.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
+    weight: bool = Field(
+        default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
+    )
+    scattering: Value = Field(default=NULL, description="Coefficient S of the coating.")
+    scattering_interval: Interval = Field(
+        default=NULL, description="In which S lies with 95 %; none where it has no end."
+    )
+    backing: Value = Field(default=NULL, description="Reflectance below the coating, extrapolated.")
+    backing_interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
+    backing_at_ends: Interval = Field(
+        default=NULL, description="Backing that fits best with each end of the interval of S."
+    )
+    rms: Value = Field(default=NULL, description="Of what the curve leaves of the reflectance.")
+
+    def __call__(self, x: ArrayLike) -> Floats:
+        """Reflectance of the layer at thicknesses or weights x."""
+        return self.reflectance(x, self.scattering, self.backing)
+
+    def reflectance(self, x: ArrayLike, scattering: float, backing: float) -> Floats:
+        """Reflectance of a layer with the same K / S, over thicknesses in um or weights in g/m2."""
+        per_x = scattering * _KG_PER_G if self.weight else scattering
+        return layer_over(backing, per_x, per_x * self.ratio, x)
+
+    @property
+    def absorption_over_scattering(self) -> float:
+        """K / S, as it was given."""
+        return self.ratio
+
+
+class CoatingCurve(KubelkaMunk, AtPoints):
+    """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
+
+    silence: str | None = Field(default=None, description="Why there is no curve.")
+
+
+def fit_kubelka_munk(
+    x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_level: float | None = None,
+    absorption_over_scattering: float = 0.0, weight: bool = False,
+) -> KubelkaMunk:  # fmt: skip
+    """Fit a scattering layer over a backing to the reflectance of points: a curve beside the straight line.
+
+    Parameters
+    ----------
+    x : array_like
+        Thickness or weight of points, not negative; NaN is missing.
+    y : array_like, shape of x
+        Relative reflectance of the same points, 0 to 1: grey less the dark level, over that of a white reference.
+    n_eff : float
+        Independent points, as for :func:`straight_or_curved`.
+    n_eff_level : float, optional
+        Independent points of the mean of y, of :func:`planish.analyze.independent_points`; ``n_eff`` without it, which
+        makes the intervals too narrow where the rest of the brightness has long waves.
+    absorption_over_scattering : float
+        K / S of the layer, which one field cannot tell from S; some 0.002 for a white coating.
+    weight : bool
+        Whether x is in g/m2: S is in m2/kg then, and per unit of x otherwise.
+
+    Returns
+    -------
+    KubelkaMunk
+
+    Raises
+    ------
+    InputError
+        If the arrays differ in shape, x is negative somewhere, y is not within 0 to 1, or a number means nothing.
+    CannotMeasure
+        If fewer than 10 points are independent, x has fewer than 3 values, or no layer fits better than none.
+
+    Notes
+    -----
+    Least squares for S and the backing. The intervals are profiles: all values of the one for which the other can be
+    chosen so that the sum of squares stays below its least times ``1 + t^2 / (n_eff - 2)``, t being Student's; the
+    square of the mean that is left counts ``n_eff_level / n_eff`` in it. They need no symmetry, and end at what is
+    possible. The ratio K / S is taken as exact: of a coating with K / S = 0.002
+    over a base of 0.79, S is found 16 % too low with 0. So is x: an error of x lowers S, as it lowers the slope of a
+    line.
+
+    References
+    ----------
+    Bates and Watts (1988), Nonlinear Regression Analysis and Its Applications, chapter 6, doi:10.1002/9780470316757.
+    """
+    coat, values, count = known_points(x, y, n_eff)
+    ratio = float(absorption_over_scattering)
+    if not 0 <= ratio < math.inf:
+        raise InputError(f"absorption_over_scattering is {ratio:g}. Give K / S, 0 or above; 0 takes no absorption.")
+    if coat.min() < 0:
+        raise InputError(
+            f"{np.count_nonzero(coat < 0)} of {coat.size} thicknesses or weights are below 0, down to "
+            f"{coat.min():.3g}. Mask them, or check the side and the units."
+        )
+    beyond = int(np.count_nonzero((values < 0) | (values > 1)))
+    if beyond:
+        raise InputError(
+            f"{beyond} of {values.size} greys are not within 0 and 1 ({values.min():.5g} to {values.max():.5g}). The "
+            "curve needs relative reflectance, for which a dark and a white reference are needed: correct the image by "
+            "both first, and mask glare."
+        )
+    level = count if n_eff_level is None else float(n_eff_level)
+    if not 0 < level < math.inf:
+        raise InputError(f"n_eff_level is {level:g}. Give a number above 0, or none where it is not known.")
+    mean = float(coat.mean())
+    fit = _Fit(
+        coat / mean, values, ratio, math.sqrt(min(level / count, 1.0))
+    )  # S times the mean of x is about 1, as the backing is
+    best = fit.best()
+    squares = fit.squares(best)
+    rms = math.sqrt(squares / coat.size)
+    nothing = float(np.sum((values - values.mean()) ** 2))
+    if best[0] <= _BRACKET or squares >= nothing * (1 - 1e-9):
+        raise CannotMeasure(
+            f"No scattering layer of K/S = {ratio:g} fits: over {coat.size} points the grey does not rise with x as it "
+            "would. Look at the straight line; give absorption_over_scattering where the layer darkens what it covers."
+        )
+    ends: tuple[Pair, Pair] = ((best[0], best[0]), (best[1], best[1]))
+    if rms > _EXACT:
+        t = student_quantile(_QUANTILE, count - 2)
+        limit = squares * (1 + t * t / (count - 2))
+        ends = fit.interval(0, best, limit), fit.interval(1, best, limit)
+    backing_at_ends = [fit.backing(s, best[1]) if s < math.inf else math.nan for s in ends[0]]
+    scattering, low, high = (s / mean * (_G_PER_KG if weight else 1.0) for s in (best[0], *ends[0]))
+    return KubelkaMunk(
+        ratio=ratio, n=coat.size, n_eff=count, weight=weight, scattering=scattering, scattering_interval=(low, high),
+        backing=best[1], backing_interval=ends[1], backing_at_ends=(backing_at_ends[0], backing_at_ends[1]), rms=rms,
+    )  # fmt: skip
+
+
+class _Fit:
+    """Least squares of S (times the mean of x) and the backing, in this order, within what is possible.
+
+    The mean of what is left is multiplied by ``level``. Two parameters can meet mean and slope, so the best fit is
+    hardly changed by that; how far they may be off it is.
+    """
+
+    _low, _high = (0.0, 0.0), (_ENDLESS, 1.0)
+
+    def __init__(self, x: Floats, y: Floats, ratio: float, level: float) -> None:
+        self._x, self._y, self._ratio, self._level = x, y, ratio, level
+
+    def squares(self, parameters: tuple[float, float]) -> float:
+        """Sum of what is left, squared."""
+        return float(np.sum(self._residuals(*parameters) ** 2))
+
+    def best(self) -> tuple[float, float]:
+        """Both free, from the straight line on: dR/dW of a layer is S [(1 - R)^2 - 2 R K/S]."""
+        x, y = self._x, self._y
+        slope = float(np.cov(x, y)[0, 1] / x.var(ddof=1))
+        middle = float(y.mean())
+        steep = (1 - middle) ** 2 - 2 * middle * self._ratio
+        s = slope / steep if abs(steep) > 1e-3 else 1.0
+        start = float(np.clip(s, 0.01, 100.0)), float(np.clip(middle - slope, 0.01, 0.99))
+        solution = self._solve(lambda v: self._residuals(v[0], v[1]), start, self._low, self._high)
+        return float(solution[0]), float(solution[1])
+
+    def backing(self, s: float, start: float) -> float:
+        """The backing that fits best with a given S."""
+        solution = self._solve(lambda v: self._residuals(s, v[0]), (start,), self._low[1:], self._high[1:])
+        return float(solution[0])
+
+    def interval(self, which: int, best: tuple[float, float], limit: float) -> Pair:
+        """Values of one parameter for which the other can keep the sum of squares below a limit."""
+        free = 1 - which
+
+        def beyond(value: float) -> float:
+            def residuals(v: Floats) -> Floats:
+                return self._residuals(value, v[0]) if which == 0 else self._residuals(v[0], value)
+
+            inner = self._solve(residuals, (best[free],), (self._low[free],), (self._high[free],))
+            return float(np.sum(residuals(inner) ** 2)) - limit
+
+        return (
+            _crossing(beyond, best[which], self._low[which], self._low[which]),
+            _crossing(beyond, best[which], self._high[which], math.inf if which == 0 else self._high[which]),
+        )
+
+    def _residuals(self, s: float, backing: float) -> Floats:
+        residuals = layer_over(backing, s, s * self._ratio, self._x) - self._y
+        return residuals - (1.0 - self._level) * float(residuals.mean())
+
+    def _solve(
+        self,
+        residuals: Callable[[Floats], Floats],
+        start: tuple[float, ...],
+        low: tuple[float, ...],
+        high: tuple[float, ...],
+    ) -> Floats:
+        inside = np.clip(start, [v + 1e-9 for v in low], [v - 1e-9 for v in high])
+        done = optimize.least_squares(
+            residuals, inside, bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-14, gtol=1e-14
+        )
+        return np.asarray(done.x, dtype=np.float64)
+
+
+def _crossing(beyond: Callable[[float], float], inside: float, end: float, without: float) -> float:
+    """Where a function turns positive between ``inside`` and ``end``; ``without`` where it does not.
+
+    The steps from ``inside`` double, so that a far end costs little and the crossing nearest to it is found.
+    """
+    near, step = inside, 0.05 * max(abs(inside), 0.1)
+    while near != end:
+        far = min(near + step, end) if end > inside else max(near - step, end)
+        if beyond(far) > 0:
+            return float(optimize.brentq(beyond, near, far, xtol=1e-9, rtol=1e-7))
+        near, step = far, 2 * step
+    return without
+
+
+def density_of(measured: xr.Dataset, name: str) -> float | None:
+    """Density in g/cm3 that turns a coating into its weight: as named, or as weighed; None where the run has neither.
+
+    1 um of 1 g/cm3 is 1 g/m2, so it is the ratio of two maps of the sheet.
+    """
+    other = name.replace("coating_", "coat_weight_")
+    if other == name or other not in measured or name not in measured:
+        return None
+    coating, weight = measured[name].values, measured[other].values
+    is_valid = np.isfinite(coating) & np.isfinite(weight) & (coating > 0)
+    if not is_valid.any():
+        return None
+    ratio = weight[is_valid].astype(np.float64) / coating[is_valid]
+    middle = float(np.median(ratio))
+    # A weight by absorption is another measurement: no one number leads to it.
+    return float(f"{middle:.6g}") if np.percentile(np.abs(ratio - middle), 99) < _EVEN * middle else None
+
+
+def kubelka_munk_of(
+    points: tuple[Floats, Floats], *, point_um: float, ratio: float, density: float | None
+) -> CoatingCurve:  # fmt: skip
+    """Fit the curve to reflectance over a coating at the larger points, or say why there is none.
+
+    ``density`` (g/cm3) turns the coating from um into g/m2, 1 where it is a weight already; None for lengths.
+    """
+    weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
+    try:
+        count = independent_points(x, y, pixel_um=point_um)
+        curve = fit_kubelka_munk(
+            x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio, weight=weight
+        )
+    except PlanishError as error:
+        return CoatingCurve(point_um=point_um, ratio=ratio, weight=weight, silence=error.text)
+    return CoatingCurve.holding(curve, point_um=point_um)
+
+
+def answer_density(pair: ComparedMaps) -> dict[str, Any]:
+    """Density of a coating under an image, where the run knows it."""
+    sheet = pair.columns.get(pair.a[0])
+    if sheet is None or not pair.is_coat_on_image:
+        return {}
+    return {"density_g_cm3": density_of(sheet.measured, pair.a[1])}
+
+
+def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
+    """The curve of a coating under an image, in g/m2 where the run knows the density."""
+    point_um, ratio = pair.point_um, pair.params.kubelka_munk
+    if ratio is None or not pair.is_coat_on_image:
+        return {}
+    if pair.why_no_points:
+        return {"kubelka_munk": CoatingCurve(point_um=point_um, ratio=ratio, silence=pair.why_no_points)}
+    density = 1.0 if pair.units[0] == "g/m2" else answer_density(pair).get("density_g_cm3")
+    return {"kubelka_munk": kubelka_munk_of(pair.points, point_um=point_um, ratio=ratio, density=density)}
+
+
+def say_kubelka_munk(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+    """S and the backing with their intervals."""
+    curve = evidence.kubelka_munk
+    assert curve is not None
+    name = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
+    if curve.silence is not None:
+        yield f"{name}: none. {curve.silence}"
+        return
+    per = "m²/kg" if curve.weight else "per µm"
+    sure = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
+    below = _limits_text(curve.backing_interval)
+    density = "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
+    yield (
+        f"{name}: the coating scatters with S = {number(curve.scattering)} {per} ({sure}){density}, over a backing of "
+        f"{number(curve.backing)} ({below}). S takes all that follows the thickness for the light of the coating; "
+        "errors of the thickness lower it, as they lower a slope."
+    )
+
+
+def _limits_text(limits: Pair) -> str:
+    return f"95 %: {number(limits[0])} to {number(limits[1])}" if is_known(limits) else ""

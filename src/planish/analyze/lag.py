@@ -9,19 +9,18 @@ from functools import partial
 from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.lag_field import LagField, MapPair, lag_field
+from planish.analyze.detrend import PhaseSurrogate
+from planish.analyze.lag_field import LagField, lag_field
 from planish.analyze.lag_search import LagSearch
-from planish.analyze.peak import MARGIN, find_peak, rival_r, within
-from planish.analyze.surrogates import Unrelated
+from planish.analyze.ncc import MARGIN, find_peak, rival_r, within
 from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
 from planish.core.facts import NULL, Facts, Interval, Pair, Value
+from planish.core.typing import Floats
 
-Array = NDArray[np.float64]
 Silence = Literal["few", "texture", "border", "rival", "light"]
 
 # 95 % of errors that are normal with the same spread along x and y lie within this many rms lengths.
@@ -113,7 +112,7 @@ class Lag:
     n: int
     silence: Silence | None
     lag_um: tuple[float, float] = (math.nan, math.nan)
-    covariance_um2: Array = field(default_factory=lambda: np.full((2, 2), np.nan))
+    covariance_um2: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))
     r: float = math.nan
     r_at_zero: float = math.nan
     limit_r: float = math.nan
@@ -168,27 +167,27 @@ class Lag:
         if self.silence is not None:
             sentence = f"Image-based check: inconclusive, because {_SILENCE[self.silence]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
-        found = (
+        offset = (
             f"by their texture the maps lie {self.length_um:.1f} ± {self.length_se_um:.1f} um apart "
             f"(x {self.lag_um[0]:.1f}, y {self.lag_um[1]:.1f} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
-            sentence = f"Image-based check: inconclusive, because the marks give no expected error; {found}."
+            sentence = f"Image-based check: inconclusive, because the marks give no expected error; {offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=self.length_um, units="um")
         limit, expected = self.allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        made = partial(Check, name=NAME, value=self.length_um, limit=limit, units="um", figures=(POSITION, CORRELATION))
+        make = partial(Check, name=NAME, value=self.length_um, limit=limit, units="um", figures=(POSITION, CORRELATION))
         if self.length_um <= limit:
             vague = math.hypot(*self.se_um) > max(expected_error_um, max(self.pixel_um))
             end = "agrees, but is less certain than the marks" if vague else "agrees"
-            return made(state="pass", sentence=f"B{found[1:]}, {expected}: {end}.")
+            return make(state="pass", sentence=f"B{offset[1:]}, {expected}: {end}.")
         if self.length_um <= _SURE * self.length_se_um:
             sentence = (
-                f"Image-based check: inconclusive, because {found}, which is more than the marks allow ({expected}) "
+                f"Image-based check: inconclusive, because {offset}, which is more than the marks allow ({expected}) "
                 "but within 3 standard errors."
             )
-            return made(state="unknown", sentence=sentence)
-        return made(
-            state="look", sentence=f"B{found[1:]}, more than the marks allow ({expected}). Such a shift of all "
+            return make(state="unknown", sentence=sentence)
+        return make(
+            state="look", sentence=f"B{offset[1:]}, more than the marks allow ({expected}). Such a shift of all "
             "marks together shows nowhere else.", advice="Compare the outlines of maps and image; if it is "
             "real, take it off, or use marks at the face that the image shows.",
         )  # fmt: skip
@@ -214,14 +213,14 @@ class Lag:
 
 
 def texture_lag(
-    found: Textures, first: Sequence[str], last: str, *, reach_um: float, tiles_um: float | None = None,
+    texture: Textures, first: Sequence[str], last: str, *, reach_um: float, tiles_um: float | None = None,
     slopes: int = 0,
 ) -> Lag:  # fmt: skip
     """Find the lag between some maps and another one, and whether it is conclusive.
 
     Parameters
     ----------
-    found : Textures
+    texture : Textures
         Of :func:`textures`.
     first : sequence of str
         Maps that the last one may follow, with either sign and together: a coating and, for light from one side, the
@@ -253,24 +252,23 @@ def texture_lag(
     ----------
     Worsley (1994), Adv. Appl. Probab. 26, 13, doi:10.2307/1427576.
     """
-    pixel = found.pixel_um
-    reach = _reach(found.known.shape, pixel, reach_um)
-    made = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=found.n)
-    if found.n < _LEAST_PIXELS or not all(k in found.maps and found.maps[k].any() for k in (*first, last)):
-        return made(silence="few")
-    halves = [found.halves(k) for k in first]
-    x, y = np.stack([m for two in halves for m in two]), found.maps[last]
-    plain = sum(len(two) for two in halves[: len(first) - slopes])
-    search = LagSearch(x, y, found.known, (reach[0] + MARGIN, reach[1] + MARGIN))
+    pixel = texture.pixel_um
+    reach = _reach(texture.known.shape, pixel, reach_um)
+    build = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)
+    if texture.n < _LEAST_PIXELS or not all(k in texture.maps and texture.maps[k].any() for k in (*first, last)):
+        return build(silence="few")
+    halves = [texture.halves(k) for k in first]
+    x, y = np.stack([m for two in halves for m in two]), texture.maps[last]
+    search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed, limit = within(reach), search.limit(reach)
     above = allowed & (search.height > limit)
     peak = find_peak(search.share, above if above.any() else allowed, 1)
-    middle = search.share.shape[0] // 2, search.share.shape[1] // 2
-    lag = made(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(search.share[middle], 0)))
+    at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
+    lag = build(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(at_zero, 0)))
     if peak is None:
         return lag
     model = search.weights(peak.pixel)
-    sign = float(np.vdot(np.tensordot(model[: len(halves[0])], x[: len(halves[0])], 1), found.maps[first[0]]))
+    sign = float(np.vdot(np.tensordot(model[: len(halves[0])], x[: len(halves[0])], 1), texture.maps[first[0]]))
     lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
     if not above.any():
         return lag
@@ -282,7 +280,8 @@ def texture_lag(
     spread = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
     spread += (_FLOOR_PIXELS * max(pixel)) ** 2 * np.eye(2)
     if slopes:
-        lag = replace(lag, light=1.0 - search.share_of(slice(0, plain), peak.pixel) / peak.r)
+        without_slopes = slice(0, sum(map(len, halves[: len(first) - slopes])))
+        lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.pixel) / peak.r)
     if not math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) < _VAGUE * reach_um:
         return replace(lag, silence="light" if slopes else "texture")
     lag = replace(
@@ -290,10 +289,10 @@ def texture_lag(
     )
     if tiles_um is None:
         return lag
-    pair = MapPair(a=np.tensordot(model, x, 1), b=y, known_a=found.known, known_b=found.known, pixel_um=pixel)
-    rng, unrelated = np.random.default_rng(_SEED), Unrelated(y, found.known)
-    draws = [unrelated.draw(rng) for _ in range(19)]
-    return replace(lag, field=lag_field(pair, reach=reach, tile_um=tiles_um, sign=1, unrelated=draws))
+    return replace(lag, field=lag_field(
+        np.tensordot(model, x, 1), y, texture.known, pixel, reach=reach, tile_um=tiles_um,
+        unrelated=[*PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(_SEED))],
+    ))  # fmt: skip
 
 
 def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: float) -> tuple[int, int]:

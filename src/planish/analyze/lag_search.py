@@ -8,12 +8,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft, special
 
-from planish.analyze.ncc import LEAST_PAIRS, cropped
-from planish.analyze.peak import Peak, overlap
+from planish.analyze.ncc import LEAST_PAIRS, Peak, cropped, overlap
 from planish.analyze.texture import tile_sums
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 _CHANCE = 0.001  # that unrelated textures give a lag; of those that are not alike everywhere, more do
 _TILE_UM = 150.0
@@ -26,30 +23,30 @@ class LagSearch:
     are fewer, as it is compared with chance.
     """
 
-    def __init__(self, x: Array, y: Array, known: Mask, wide: tuple[int, int]) -> None:
-        self._x, self._y, self._known, self._wide = x, y, known, wide
+    def __init__(self, x: Floats, y: Floats, is_valid: Bools, wide: tuple[int, int]) -> None:
+        self._x, self._y, self._is_valid, self._wide = x, y, is_valid, wide
         self._size = [fft.next_fast_len(n + m, real=True) for n, m in zip(y.shape, wide, strict=True)]
-        mask, self._y_hat = self._transform(known.astype(np.float64)), self._transform(y)
+        mask, self._y_hat = self._transform(is_valid.astype(np.float64)), self._transform(y)
         self._x_hat = np.stack([self._transform(m) for m in x])
         pairs = np.rint(self._lags(np.abs(mask) ** 2))
         self._pairs = np.maximum(pairs, 1.0)
         enough = pairs >= LEAST_PAIRS * pairs.max()
         self._g = np.stack([self._lags(np.conj(m) * self._y_hat) / self._pairs for m in self._x_hat])
-        n = int(np.count_nonzero(known))
+        n = int(np.count_nonzero(is_valid))
         self._inner = np.tensordot(x, x, ((1, 2), (1, 2))) / n
         self._inverse = np.linalg.pinv(self._inner, rcond=1e-6, hermitian=True)
         share = np.einsum("iyx,ij,jyx->yx", self._g, self._inverse, self._g)
-        self.share: Array = np.where(enough, share, np.nan)
-        self.height: Array = np.where(enough, share * pairs / max(n, 1), 0.0)
+        self.share: Floats = np.where(enough, share, np.nan)
+        self.height: Floats = np.where(enough, share * pairs / max(n, 1), 0.0)
 
-    def weights(self, pixel: tuple[int, int]) -> Array:
+    def weights(self, pixel: tuple[int, int]) -> Floats:
         """Weights of the maps at a lag, (k,)."""
-        return self._inverse @ self._at(pixel)
+        return self._inverse @ self._products_at(pixel)
 
-    def share_of(self, some: slice, pixel: tuple[int, int]) -> float:
+    def share_of(self, subset: slice, pixel: tuple[int, int]) -> float:
         """R² at a lag with some of the maps only."""
-        g = self._at(pixel)[some]
-        return float(g @ np.linalg.pinv(self._inner[some, some], rcond=1e-6, hermitian=True) @ g)
+        g = self._products_at(pixel)[subset]
+        return float(g @ np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True) @ g)
 
     def limit(self, reach: tuple[int, int]) -> float:
         """Height that unrelated textures exceed within reach in 1 of 1000 cases."""
@@ -57,7 +54,7 @@ class LagSearch:
         values, vectors = np.linalg.eigh(self._inner)
         use = values > 1e-6 * values[-1]
         across = (vectors[:, use] / np.sqrt(values[use])).T
-        n = float(np.count_nonzero(self._known))
+        n = float(np.count_nonzero(self._is_valid))
         twice = np.full(self._size[1] // 2 + 1, 2.0)
         twice[0] = 1.0
         power_y = np.abs(self._y_hat) ** 2 * twice
@@ -74,34 +71,34 @@ class LagSearch:
         root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
         return variance * _chi2_limit(int(use.sum()), reach, root)
 
-    def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Array:
+    def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Floats:
         """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
 
         The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels, with the fitted map
         m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x and y: the second part is what the
         weights of the maps, which are fitted as well, add.
         """
-        here, there = overlap(self._y.shape, peak.pixel)
-        both = self._known[here] & self._known[there]
-        x, y = self._x[:, here[0], here[1]], self._y[there]
-        slopes = np.stack([np.where(both, np.gradient(self._y, axis=k)[there], 0.0) for k in (0, 1)])
-        n = int(np.count_nonzero(both))
+        fixed, moved = overlap(self._y.shape, peak.pixel)
+        is_valid = self._is_valid[fixed] & self._is_valid[moved]
+        x, y = self._x[:, fixed[0], fixed[1]], self._y[moved]
+        slopes = np.stack([np.where(is_valid, np.gradient(self._y, axis=k)[moved], 0.0) for k in (0, 1)])
+        n = int(np.count_nonzero(is_valid))
         fitted = np.tensordot(self.weights(peak.pixel), x, 1)
-        rest = np.where(both, y - fitted, 0.0)
+        rest = np.where(is_valid, y - fitted, 0.0)
         w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
         scores = (fitted - peak.r * y) * slopes + rest * np.tensordot(w, x, 1)
-        scores = np.where(both, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
+        scores = np.where(is_valid, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
         parts = tile_sums(scores, pixel_um, _TILE_UM).reshape(2, -1)
         back = np.linalg.inv(-0.5 * peak.curvature)
         return back @ (parts @ parts.T / n**2) @ back
 
-    def _at(self, pixel: tuple[int, int]) -> Array:
+    def _products_at(self, pixel: tuple[int, int]) -> Floats:
         return self._g[:, pixel[0] + self._wide[0], pixel[1] + self._wide[1]]
 
-    def _transform(self, values: Array) -> NDArray[np.complex128]:
+    def _transform(self, values: Floats) -> NDArray[np.complex128]:
         return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)
 
-    def _lags(self, spectrum: NDArray[np.complex128] | Array) -> Array:
+    def _lags(self, spectrum: NDArray[np.complex128] | Floats) -> Floats:
         return cropped(np.asarray(fft.irfft2(spectrum, self._size), dtype=np.float64), self._wide)
 
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,9 +15,13 @@ from planish.analyze.correlation import correlate, on_one_grid
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import NULL, Facts, Interval, Value
+from planish.core.facts import NULL, Facts, Interval, Value, is_known
+from planish.core.numbers import count, fixed, plain
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+
 
 _FAR = 10.0  # widths by which the field is padded: what wraps around has fallen to 5e-5
 
@@ -39,8 +44,8 @@ class LightSpread(Facts):
 
 def spread_light(
     values: NDArray[Any], *, pixel_um: float | tuple[float, float], width_um: float,
-    mask: NDArray[np.bool_] | None = None,
-) -> Array:  # fmt: skip
+    mask: Bools | None = None,
+) -> Floats:  # fmt: skip
     """Blur a map as light is that spreads in the paper, over the pixels that are known.
 
     Parameters
@@ -81,8 +86,8 @@ def spread_light(
         raise SizeError(
             f"Light would spread over {width_um:g} um; the map is {side:g} um wide. Give a width above 0, below that."
         )
-    known = np.isfinite(values) if mask is None else np.isfinite(values) & mask
-    if not known.any():
+    is_valid = np.isfinite(values) if mask is None else np.isfinite(values) & mask
+    if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
     shape = [
         fft.next_fast_len(n + min(math.ceil(_FAR * width_um / p), n), real=True)
@@ -90,31 +95,55 @@ def spread_light(
     ]
     square = fft.fftfreq(shape[0], pixel[0])[:, None] ** 2 + fft.rfftfreq(shape[1], pixel[1]) ** 2
     transfer = (1.0 + (2 * math.pi * width_um) ** 2 * square) ** -1.5
-    mean = float(np.mean(values[known], dtype=np.float64))
+    mean = float(np.mean(values[is_valid], dtype=np.float64))
     rows, cols = values.shape
     moved, weight = (
         np.asarray(fft.irfft2(np.asarray(fft.rfft2(m, shape)) * transfer, shape))[:rows, :cols]
-        for m in (np.where(known, values - mean, 0.0), known.astype(np.float64))
+        for m in (np.where(is_valid, values - mean, 0.0), is_valid.astype(np.float64))
     )
-    return np.where(known, mean + moved / np.where(known, weight, 1.0), np.nan)
+    return np.where(is_valid, mean + moved / np.where(is_valid, weight, 1.0), np.nan)
 
 
-def correlate_spread(
-    x: Array, y: Array, *, cell_um: tuple[float, float], point_um: float, width_um: float
-) -> LightSpread:  # fmt: skip
-    """Correlate an image with a coating blurred as light is, beside the coating as it is, at the same points."""
-    known = np.isfinite(x) & np.isfinite(y)
-    factor = point_um / cell_um[0], point_um / cell_um[1]
+def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
+    """An image correlated with a coating blurred as light is, beside the coating as it is, at the same points."""
+    width_um, point_um, cell_um = pair.params.light_spread_um, pair.point_um, pair.cell_um
+    if width_um is None or not pair.is_coat_on_image:
+        return {}
+    if pair.why_no_points:
+        return {"light_spread": LightSpread(width_um=width_um, point_um=point_um, silence=pair.why_no_points)}
     try:
-        blurred = spread_light(x, pixel_um=cell_um, width_um=width_um, mask=known)
-        plain, spread, image = (area_mean(np.where(known, m, np.nan), factor) for m in (x, blurred, y))
+        blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um, mask=pair.lags.is_valid)
+        spread = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
+        plain_map, image = pair.points
         row = correlate(spread, image, pixel_um=point_um)
-        apart = paired_difference((plain, image), (spread, image), pixel_um=point_um)
+        change = paired_difference((plain_map, image), (spread, image), pixel_um=point_um)
     except PlanishError as error:
-        return LightSpread(width_um=width_um, point_um=point_um, silence=error.text)
+        return {"light_spread": LightSpread(width_um=width_um, point_um=point_um, silence=error.text)}
     if math.isnan(row.r):
-        return LightSpread(width_um=width_um, point_um=point_um, n=row.n, silence=" ".join(row.warnings))
-    return LightSpread(
+        why = " ".join(row.warnings)
+        return {"light_spread": LightSpread(width_um=width_um, point_um=point_um, n=row.n, silence=why)}
+    return {"light_spread": LightSpread(
         width_um=width_um, point_um=point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval,
-        difference=apart.difference, difference_interval=apart.interval,
-    )  # fmt: skip
+        difference=change.difference, difference_interval=change.interval,
+    )}  # fmt: skip
+
+
+def say_light_spread(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+    """R with the coating blurred, and whether it differs from that of the coating as it is."""
+    spread = evidence.light_spread
+    assert spread is not None
+    width = f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
+    if not is_known(spread.r):
+        yield f"{width}, there is no r. {spread.silence or ''}".strip()
+        return
+    text = f"{width}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
+    if is_known(spread.interval):
+        low, high = (fixed(v, 2) for v in spread.interval)
+        text += f" (95 %: {low} to {high}; {count(round(spread.n_eff))} independent points)"
+    if not is_known(spread.difference_interval):
+        yield f"{text}."
+        return
+    low, high = spread.difference_interval
+    verdict = "not distinguishable from" if low <= 0 <= high else "distinguishable from"
+    change = f"r changes by {fixed(spread.difference, 3)}, 95 %: {fixed(low, 3)} to {fixed(high, 3)}"
+    yield f"{text}: {verdict} that of the coating as it is ({change})."

@@ -9,18 +9,24 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+import xarray as xr
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-from planish.analyze.screen import known_of, pixel_of, smooth
-from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import NULL, Facts, Value
+from planish.analyze.image_values import known_of, pixel_of, smooth
+from planish.core.area import AreaMeans
+from planish.core.bands import band_of, bands
+from planish.core.errors import CannotMeasure, PlanishError, SizeError
+from planish.core.facts import NULL, Facts, OfLayer, Value
+from planish.core.grid import Grid
+from planish.core.typing import Bools
 
 _LEAST_PX = 4.0  # of the shortest wave: shorter ones are no waves on a grid
 _FIELD = 0.2  # of the shorter side: of longer waves a field has too few
 _HALF = math.sqrt(math.log(2.0) / 2) / math.pi  # sigma of the Gaussian that halves a wave, over its length
 _OCTAVE = math.sqrt(math.log2(25 / 16) / 2)  # rms that a band keeps of waves that are alike in every octave
 _CUT = 4.0
+_CELL_UM = 15.0  # means over up to so much keep 0.99 of the shortest waves of the mottle
 
 
 class MottleBand(Facts):
@@ -40,9 +46,15 @@ class Mottle(Facts):
     measured: str | None = Field(default=None, description="What the values are of.")
 
 
+class LayerMottle(Mottle, OfLayer):
+    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
+
+    silence: str | None = Field(default=None, description="Why there is none.")
+
+
 def print_mottle(
     reflectance: ArrayLike, *, pixel_um: float | tuple[float, float], shortest_um: float = 250.0,
-    longest_um: float | None = None, mask: NDArray[np.bool_] | None = None, quantity: str = "reflectance",
+    longest_um: float | None = None, mask: Bools | None = None, quantity: str = "reflectance",
 ) -> Mottle:  # fmt: skip
     """Coefficient of variation of the reflectance in octaves of wavelength.
 
@@ -90,19 +102,19 @@ def print_mottle(
     >>> [(b.shortest_um, b.longest_um) for b in print_mottle(image, pixel_um=40.0).bands]
     [(250.0, 500.0), (500.0, 1000.0)]
     """
-    given = np.asarray(reflectance)
-    pixel = pixel_of(given, pixel_um)
-    edges = _edges(given.shape, pixel, shortest_um, longest_um)
-    known = known_of(given, mask)
-    mean = float(given[known].mean(dtype=np.float64))
+    image = np.asarray(reflectance)
+    pixel = pixel_of(image, pixel_um)
+    edges = _edges(image.shape, pixel, shortest_um, longest_um)
+    valid = known_of(image, mask)
+    mean = float(image[valid].mean(dtype=np.float64))
     if not mean > 0:
         raise CannotMeasure(
             f"The mean of the image is {mean:.3g}; variation relative to it needs one above 0. Give reflectance, not "
             "its difference from a mean."
         )
-    values = np.where(known, given - mean, 0.0)  # first, so that rounding is that of the variation
-    weight = known.astype(np.float64)
-    means = (smooth(values, weight, known, [_HALF * edge / p for p in pixel], truncate=_CUT)[known] for edge in edges)
+    values = np.where(valid, image - mean, 0.0)  # first, so that rounding is that of the variation
+    weight = valid.astype(np.float64)
+    means = (smooth(values, weight, valid, [_HALF * edge / p for p in pixel], truncate=_CUT)[valid] for edge in edges)
     bands: list[MottleBand] = []
     before, fine = edges[0], next(means)
     for edge, coarse in zip(edges[1:], means, strict=True):
@@ -111,10 +123,10 @@ def print_mottle(
         before, fine = edge, coarse
     measured = (
         f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g} um, as differences "
-        f"of Gaussian means over {np.count_nonzero(known)} pixels; after ISO/IEC 24790 and ISO 15311, conforming to "
+        f"of Gaussian means over {np.count_nonzero(valid)} pixels; after ISO/IEC 24790 and ISO 15311, conforming to "
         "neither."
     )
-    return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(known)), measured=measured)
+    return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(valid)), measured=measured)
 
 
 def _edges(
@@ -132,3 +144,19 @@ def _edges(
         )
     octaves = math.floor(math.log2(longest / shortest_um) + 1e-9)
     return [shortest_um * 2.0**k for k in range(octaves + 1)]
+
+
+def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> LayerMottle:
+    """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
+    grid = Grid.of(data)
+    factor = max(1, int(_CELL_UM / max(grid.pixel_um)))
+    means = AreaMeans(grid.shape, (factor, factor))
+    for rows in bands(grid.shape[0]):
+        image = band_of(data["image"], rows)
+        means.add(rows.start, band_of(data["valid"], rows) & np.isfinite(image), image)
+    cell_um = grid.pixel_um[0] * factor, grid.pixel_um[1] * factor
+    try:
+        mottle = print_mottle(means.means()[0], pixel_um=cell_um, quantity=quantity)
+    except PlanishError as error:
+        return LayerMottle(layer=name, silence=error.text)
+    return LayerMottle.holding(mottle, layer=name)

@@ -1,17 +1,22 @@
-"""Pearson's r of two maps with missing places at every lag, from a few Fourier transforms."""
+"""Pearson's r of two maps with missing places at every lag, and its peak: where between the pixels, how well known."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
+from scipy.interpolate import RectBivariateSpline
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
 _LEAST_VARIANCE = 1e-9
+MARGIN = 4  # pixels of r that have to be known around the lags that are searched
+_STEPS = 20
+_FROM_PIXEL = 2.0  # on a ridge, the summit is not within the pixel that is highest
 
 
 class MaskedNcc:
@@ -28,7 +33,7 @@ class MaskedNcc:
     Padfield (2012), IEEE Trans. Image Process. 21, 2706, doi:10.1109/TIP.2011.2181402.
     """
 
-    def __init__(self, a: Array, *, a_valid: Mask, b_valid: Mask, reach: tuple[int, int]) -> None:
+    def __init__(self, a: Floats, *, a_valid: Bools, b_valid: Bools, reach: tuple[int, int]) -> None:
         self._reach = reach
         self._shape = tuple(fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True))
         self._b_valid = b_valid
@@ -37,13 +42,13 @@ class MaskedNcc:
         self._mask_a = np.conj(self._transform(a_valid.astype(np.float64)))
         self._a = np.conj(self._transform(standard))
         mask_b = self._transform(b_valid.astype(np.float64))
-        self.pairs: Array = np.rint(self._lags(self._mask_a * mask_b))
+        self.pairs: Floats = np.rint(self._lags(self._mask_a * mask_b))
         enough = self.pairs >= max(LEAST_PAIRS * float(self.pairs.max()), 3.0)
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
         self._var_a = self._lags(np.conj(self._transform(standard**2)) * mask_b) - self._sum_a**2 / self._n
 
-    def __call__(self, b: Array) -> Array:
+    def __call__(self, b: Floats) -> Floats:
         """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle; NaN where few pairs are left."""
         mean, sd = _mean_and_sd(b, self._b_valid)
         standard = np.where(self._b_valid, (b - mean) / sd, 0.0)
@@ -52,26 +57,168 @@ class MaskedNcc:
         var_b = self._lags(self._mask_a * self._transform(standard**2)) - sum_b**2 / self._n
         product = self._lags(self._a * b_hat) - self._sum_a * sum_b / self._n
         least = _LEAST_VARIANCE * self._n
-        known = (self._var_a > least) & (var_b > least)
-        spread = np.sqrt(np.where(known, self._var_a, 1.0) * np.where(known, var_b, 1.0))
-        return np.where(known, np.clip(product / spread, -1.0, 1.0), np.nan)
+        is_valid = (self._var_a > least) & (var_b > least)
+        spread = np.sqrt(np.where(is_valid, self._var_a, 1.0) * np.where(is_valid, var_b, 1.0))
+        return np.where(is_valid, np.clip(product / spread, -1.0, 1.0), np.nan)
 
-    def _transform(self, values: Array) -> NDArray[np.complex128]:
+    def _transform(self, values: Floats) -> NDArray[np.complex128]:
         return np.asarray(fft.rfft2(values, self._shape), dtype=np.complex128)
 
-    def _lags(self, spectrum: NDArray[np.complex128]) -> Array:
+    def _lags(self, spectrum: NDArray[np.complex128]) -> Floats:
         return cropped(np.asarray(fft.irfft2(spectrum, self._shape), dtype=np.float64), self._reach)
 
 
-def cropped(circular: Array, reach: tuple[int, int]) -> Array:
+def cropped(circular: Floats, reach: tuple[int, int]) -> Floats:
     """Lags ``-reach ... reach`` of a circular correlation whose lag 0 is the first element."""
     rows, cols = (np.arange(-r, r + 1) for r in reach)
     return circular[np.ix_(rows % circular.shape[0], cols % circular.shape[1])]
 
 
-def _mean_and_sd(values: Array, valid: Mask) -> tuple[float, float]:
-    known = values[valid]
-    if known.size == 0:
+def _mean_and_sd(values: Floats, valid: Bools) -> tuple[float, float]:
+    inside = values[valid]
+    if inside.size == 0:
         return 0.0, 1.0
-    sd = float(known.std())
-    return float(known.mean()), sd if sd > 0 else 1.0
+    sd = float(inside.std())
+    return float(inside.mean()), sd if sd > 0 else 1.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Peak:
+    """The largest correlation, in pixels (rows, columns)."""
+
+    pixel: tuple[int, int]  # whole lag
+    at: Floats  # (2,): lag between the pixels
+    r: float  # correlation there, with its sign
+    curvature: Floats  # (2, 2): second derivatives of ``|r|``, negative definite
+    inner: bool  # whether it is a summit, not a slope that goes on beyond the lags searched
+
+
+def within(reach: tuple[int, int], margin: int = MARGIN) -> Bools:
+    """Lags inside the ellipse of half axes ``reach``, in an array that is ``margin`` larger on every side."""
+    rows, cols = (np.arange(-n - margin, n + margin + 1) / n for n in reach)
+    return rows[:, None] ** 2 + cols[None, :] ** 2 <= 1.0 + 1e-12
+
+
+def find_peak(r: Floats, allowed: Bools, sign: int) -> Peak | None:
+    """Find the largest ``sign * r``, or ``|r|`` for ``sign`` 0, where allowed; None where nothing is known.
+
+    Between pixels a cubic spline through r is climbed.
+    """
+    height = np.where(allowed & np.isfinite(r), np.abs(r) if sign == 0 else sign * r, -np.inf)
+    where = int(np.argmax(height))
+    row, col = divmod(where, r.shape[1])
+    if not np.isfinite(height[row, col]):
+        return None
+    middle = r.shape[0] // 2, r.shape[1] // 2
+    pixel = (row - middle[0], col - middle[1])
+    sign_r = 1.0 if r[row, col] >= 0 else -1.0
+    around = sign_r * r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
+    flat = Peak(
+        pixel=pixel,
+        at=np.array(pixel, dtype=np.float64),
+        r=float(r[row, col]),
+        curvature=np.full((2, 2), np.nan),
+        inner=False,
+    )
+    full = 2 * MARGIN + 1
+    if around.shape != (full, full) or not np.isfinite(around).all():
+        return flat
+    near = around[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2]
+    if near.max() > near[1, 1]:
+        return flat
+    axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
+    spline = RectBivariateSpline(axis, axis, around, kx=3, ky=3, s=0)
+    spot = np.zeros(2)
+    for _ in range(_STEPS):
+        slope, curvature = _derivatives(spline, spot)
+        if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
+            return flat
+        step = np.clip(-np.linalg.solve(curvature, slope), -0.5, 0.5)
+        spot = spot + step
+        if np.abs(spot).max() > _FROM_PIXEL:
+            return flat
+        if np.abs(step).max() < 1e-10:
+            break
+    _, curvature = _derivatives(spline, spot)
+    if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
+        return flat
+    return Peak(
+        pixel=pixel, at=flat.at + spot, r=sign_r * float(spline.ev(spot[0], spot[1])), curvature=curvature, inner=True
+    )  # fmt: skip
+
+
+def _derivatives(spline: RectBivariateSpline, place: Floats) -> tuple[Floats, Floats]:
+    d = {(i, j): float(spline.ev(place[0], place[1], dx=i, dy=j)) for i, j in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))}
+    return np.array([d[1, 0], d[0, 1]]), np.array([[d[2, 0], d[1, 1]], [d[1, 1], d[0, 2]]])
+
+
+def rival_r(r: Floats, peak: Peak, allowed: Bools) -> float:
+    """Correlation, with its sign, of the extreme that most puts the peak in doubt; 0 where there is none.
+
+    The peak reaches as far as r stays above half its height. Outside it, an extreme of the other sign counts with its
+    full height (a map that follows the slope of the other has a peak on either side of the true lag, one positive, one
+    negative), one of the same sign only above 0.8 of the peak (a pattern that repeats itself).
+    """
+    sign_r = 1.0 if peak.r >= 0 else -1.0
+    height = np.where(allowed & np.isfinite(r), sign_r * r, 0.0)
+    parts, _ = ndimage.label(height > 0.5 * abs(peak.r))
+    peak_part = parts[r.shape[0] // 2 + peak.pixel[0], r.shape[1] // 2 + peak.pixel[1]]
+    rivals = np.where(parts == peak_part, 0.0, height)
+    same, opposite = float(rivals.max()), float(-rivals.min())
+    if same > 0.8 * abs(peak.r) and same > opposite:
+        return sign_r * same
+    return -sign_r * opposite
+
+
+def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
+    """Covariance of the peak's place, (2, 2) in pixels squared, from the textures of what the maps do not share.
+
+    Notes
+    -----
+    At the peak the slope of r is the mean of ``u v`` over the pairs, with ``u = a - r b`` and ``v`` the gradient of
+    ``b`` (both maps standardised). For stationary Gaussian maps ``var(sum u v) = sum over h of R_u R_v / n +
+    R_uv(h) R_uv(-h) / n`` with the sums of products R at the lag h and the number n of their pairs. The peak moves by
+    the slope over the curvature of r.
+    """
+    fixed, moved = overlap(a.shape, peak.pixel)
+    # A cubic spline between the pixels, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
+    # coefficients.
+    spline = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
+    spline = np.pad(np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge")
+    steps = spline[2:, 1:-1] - spline[:-2, 1:-1], spline[1:-1, 2:] - spline[1:-1, :-2]
+    slopes = np.stack([0.5 * step[moved] for step in steps])
+    is_valid = a_valid[fixed] & b_valid[moved]
+    n = int(is_valid.sum())
+    u = np.where(is_valid, _standard(a[fixed], is_valid) - peak.r * _standard(b[moved], is_valid), 0.0)
+    v = np.where(is_valid, slopes / float(b[moved][is_valid].std()), 0.0)
+    v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
+    reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
+    shape = tuple(fft.next_fast_len(m + k, real=True) for m, k in zip(u.shape, reach, strict=True))
+    mask_hat, u_hat = fft.rfft2(is_valid.astype(np.float64), shape), fft.rfft2(u, shape)
+    v_hat = [fft.rfft2(s, shape) for s in v]
+
+    def lags(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Floats:
+        return cropped(np.asarray(fft.irfft2(np.conj(first) * second, shape), dtype=np.float64), reach)
+
+    pairs = np.maximum(np.rint(lags(mask_hat, mask_hat)), 1.0)
+    r_u = lags(u_hat, u_hat) / pairs
+    r_uv = [lags(u_hat, s) for s in v_hat]
+    spread = np.array([
+        [float(np.sum(r_u * lags(v_hat[i], v_hat[j]) + r_uv[i] * r_uv[j][::-1, ::-1] / pairs)) for j in (0, 1)]
+        for i in (0, 1)
+    ])  # fmt: skip
+    values, vectors = np.linalg.eigh(0.5 * (spread + spread.T) / n**2)
+    spread = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.linalg.inv(peak.curvature) @ spread @ np.linalg.inv(peak.curvature)
+
+
+def overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
+    """Return the pixels of a, and those of b that lie on them at a lag."""
+    fixed = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
+    moved = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
+    return (fixed[0], fixed[1]), (moved[0], moved[1])
+
+
+def _standard(values: Floats, is_valid: Bools) -> Floats:
+    inside = values[is_valid]
+    return np.where(is_valid, (values - inside.mean()) / inside.std(), 0.0)

@@ -5,20 +5,22 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy import fft, ndimage
 
-from planish.analyze.correlation import on_one_grid
-from planish.analyze.trend import without_trend
+from planish.analyze.correlation import on_one_grid, valid_in_both
+from planish.analyze.detrend import without_trend
 from planish.core.errors import CannotMeasure
 from planish.core.facts import NULL, Facts, Unsaved, Value
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps
+
 
 _BANDS = 5
 _EDGE = 0.2  # of the field, over which the window falls to 0 (Tukey)
@@ -52,7 +54,7 @@ class Coherence:
 
 
 def coherence(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float],
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
     bands: int = _BANDS,
 ) -> Coherence:  # fmt: skip
     """Squared coherence of two maps by octaves of wavelength.
@@ -84,37 +86,35 @@ def coherence(
     passed a test at 5 %). The number of independent waves is that of the modes, less what the window joins.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
-    known = np.isfinite(a) & np.isfinite(b)
-    if mask is not None:
-        known &= mask
-    shortest_side = min(n * p for n, p in zip(known.shape, pixel, strict=True))
+    is_valid = valid_in_both(a, b, mask)
+    shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     longest = _LONGEST * shortest_side
-    count = min(bands, int(math.log2(max(longest / (2 * max(pixel)), 1e-9)))) if known.any() else 0
+    count = min(bands, int(math.log2(max(longest / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
     if count < 1:
         raise CannotMeasure(
             f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to two pixels. Give a "
             "larger map."
         )
-    window = window_of(known)
+    window = window_of(is_valid)
     power = float(np.sum(window**2))
-    one, two = (spectrum_of(m, known, window) for m in (a, b))
-    frequency = frequencies(known.shape, pixel)
+    wave_a, wave_b = (spectrum_of(m, is_valid, window) for m in (a, b))
+    frequency = frequencies(is_valid.shape, pixel)
     # Width of the window in frequency: one over the field it leaves.
-    joined = known.size * float(np.sum(window**4)) / power**2
+    joined = is_valid.size * float(np.sum(window**4)) / power**2
     resolution = math.sqrt(joined) / shortest_side
     ring = np.rint(frequency / resolution).astype(np.intp)
-    white = [_whitened(m, ring) for m in (one, two)]
-    half = half_plane(known.shape) & np.logical_and.reduce([stands_out(m, ring) for m in (one, two)])
+    white = [_whitened(m, ring) for m in (wave_a, wave_b)]
+    half = half_plane(is_valid.shape) & np.logical_and.reduce([stands_out(m, ring) for m in (wave_a, wave_b)])
     edges = [longest / 2**k for k in range(count + 1)]
-    found = [
-        _band(one, two, white, half & (frequency > 1 / high) & (frequency <= 1 / low), joined, (low, high), count)
+    octaves = [
+        _band(wave_a, wave_b, white, half & (frequency > 1 / high) & (frequency <= 1 / low), joined, (low, high), count)
         for high, low in pairwise(edges)
     ]
-    return Coherence(bands=tuple(found), resolution_per_um=resolution)
+    return Coherence(bands=tuple(octaves), resolution_per_um=resolution)
 
 
 def _band(
-    one: NDArray[Any], two: NDArray[Any], white: list[NDArray[Any]], inside: Mask, joined: float,
+    wave_a: NDArray[Any], wave_b: NDArray[Any], white: list[NDArray[Any]], inside: Bools, joined: float,
     limits: tuple[float, float], count: int,
 ) -> Band:  # fmt: skip
     modes = float(np.count_nonzero(inside)) / joined
@@ -122,8 +122,8 @@ def _band(
     cross = complex(np.vdot(x, y))
     spread = math.sqrt(float(np.vdot(x, x).real) * float(np.vdot(y, y).real))
     share = abs(cross) ** 2 / spread**2 if spread > 0 else math.nan
-    whole = float(np.vdot(one[inside], one[inside]).real)
-    gain = complex(np.vdot(one[inside], two[inside]))
+    whole = float(np.vdot(wave_a[inside], wave_a[inside]).real)
+    gain = complex(np.vdot(wave_a[inside], wave_b[inside]))
     enough = modes >= _LEAST_MODES and not math.isnan(share)
     # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
     p = float((1 - share) ** (modes - 1)) if enough else math.nan
@@ -135,17 +135,17 @@ def _band(
     )  # fmt: skip
 
 
-def window_of(known: Mask) -> Array:
+def window_of(is_valid: Bools) -> Floats:
     """A window that is 1 inside and falls to 0 towards the edge of the field and of what is missing."""
-    width = max(_EDGE * min(known.shape) / 2, 1.0)
-    padded = np.pad(known, 1)
+    width = max(_EDGE * min(is_valid.shape) / 2, 1.0)
+    padded = np.pad(is_valid, 1)
     distance = np.asarray(ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
-    return np.where(known, np.sin(math.pi / 2 * np.minimum(distance / width, 1.0)) ** 2, 0.0)
+    return np.where(is_valid, np.sin(math.pi / 2 * np.minimum(distance / width, 1.0)) ** 2, 0.0)
 
 
-def spectrum_of(values: NDArray[Any], known: Mask, window: Array) -> NDArray[np.complex128]:
+def spectrum_of(values: NDArray[Any], is_valid: Bools, window: Floats) -> NDArray[np.complex128]:
     """Half of the Fourier transform (``rfft2``) of a map without its trend and mean under a window."""
-    flat = without_trend(np.where(known, values, 0.0).astype(np.float64), known)
+    flat = without_trend(np.where(is_valid, values, 0.0).astype(np.float64), is_valid)
     weighted = window * flat
     mean = weighted.sum() / max(window.sum(), 1e-300)
     return np.asarray(fft.rfft2(weighted - mean * window))
@@ -156,19 +156,25 @@ def _whitened(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> NDArray
     return values / np.sqrt(np.maximum(power, 1e-300))[ring]
 
 
-def stands_out(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> Mask:
+def stands_out(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> Bools:
     """Rings that are no mere leakage of stronger ones through the window."""
     power = np.bincount(ring.ravel(), weights=np.abs(values.ravel()) ** 2) / np.maximum(np.bincount(ring.ravel()), 1)
     return (power > _LEAST_POWER * power.max())[ring]
 
 
-def half_plane(shape: tuple[int, ...]) -> Mask:
+def half_plane(shape: tuple[int, ...]) -> Bools:
     """One of each two modes that a real map has twice, in half of a Fourier transform."""
     rows, cols = fft.fftfreq(shape[0], 1 / shape[0]), np.arange(shape[1] // 2 + 1)
     inner = (cols > 0) & (2 * cols < shape[1])
     return inner[None, :] | ((cols[None, :] == 0) & (rows[:, None] > 0))
 
 
-def frequencies(shape: tuple[int, ...], pixel_um: tuple[float, float]) -> Array:
+def frequencies(shape: tuple[int, ...], pixel_um: tuple[float, float]) -> Floats:
     """Length of the frequency of each mode of half of a Fourier transform, in waves a um."""
     return np.hypot(fft.fftfreq(shape[0], pixel_um[0])[:, None], fft.rfftfreq(shape[1], pixel_um[1]))
+
+
+def answer_octaves(pair: ComparedMaps) -> dict[str, Any]:
+    """Coherence by octaves of wavelength."""
+    waves = coherence(pair.x, pair.y, pixel_um=pair.cell_um)
+    return {"bands": waves.bands, "resolution_per_um": waves.resolution_per_um}

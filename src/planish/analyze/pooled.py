@@ -7,14 +7,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
-from planish.analyze.chance import chi_square_tail, student_quantile
+from planish.analyze.distributions import chi_square_tail, student_quantile
 from planish.analyze.sheets import Fields, over_sheets
 from planish.core.errors import InputError
-
-Array = NDArray[np.float64]
+from planish.core.typing import Floats
 
 _CHANCE = 0.95
 _UNKNOWN = (math.nan, math.nan)
@@ -54,7 +52,7 @@ class RandomEffects:
     i2: float
 
 
-def random_effects(effects: Sequence[float] | Array, variances: Sequence[float] | Array) -> RandomEffects:
+def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float] | Floats) -> RandomEffects:
     """Pool effects that differ from each other.
 
     Parameters
@@ -101,14 +99,14 @@ def random_effects(effects: Sequence[float] | Array, variances: Sequence[float] 
     )  # fmt: skip
 
 
-def _excess(between: float, y: Array, v: Array) -> tuple[float, float]:
+def _excess(between: float, y: Floats, v: Floats) -> tuple[float, float]:
     """The weighted sum of squares about the weighted mean, and how it falls with the variance between."""
     weight = 1 / (v + between)
     square = (y - np.sum(weight * y) / weight.sum()) ** 2
     return float(np.sum(weight * square)), float(np.sum(weight * weight * square))
 
 
-def _between(y: Array, v: Array) -> float:
+def _between(y: Floats, v: Floats) -> float:
     """The variance at which the weighted sum of squares is its expectation, by Newton's steps from 0.
 
     The sum falls and is convex, so that the steps never pass the solution but by rounding.
@@ -230,11 +228,11 @@ def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squar
     return compare(*(_in_r(m, at, squared) for m, at in zip(z, means, strict=True)))
 
 
-def _in_r(z: Fields, at: float, squared: bool) -> Fields:
+def _in_r(z: Fields, centre: float, squared: bool) -> Fields:
     """Values of r, or r², that are linear in z and right at one z."""
-    r = math.tanh(at)
+    r = math.tanh(centre)
     value, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
-    return replace(z, values=[value + slope * (k - at) for k in z.values])
+    return replace(z, values=[value + slope * (k - centre) for k in z.values])
 
 
 def _of_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, list[float]]:
@@ -247,7 +245,7 @@ def _of_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, list[float]
     variance: list[float] = []
     for k, value in enumerate(r.values):
         n = math.inf if n_eff is None else n_eff[k]
-        known = abs(value) < 1 and n > _MOST_SCATTERED
-        z.append(math.atanh(value) if known else math.nan)
-        variance.append(1 / (n - 3) if known and n_eff is not None else math.nan)
+        counts = abs(value) < 1 and n > _MOST_SCATTERED
+        z.append(math.atanh(value) if counts else math.nan)
+        variance.append(1 / (n - 3) if counts and n_eff is not None else math.nan)
     return replace(r, values=z), variance

@@ -9,12 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import on_one_grid
+from planish.analyze.correlation import on_one_grid, valid_in_both
 from planish.analyze.octaves import frequencies, half_plane, spectrum_of, stands_out, window_of
 from planish.core.errors import CannotMeasure
 from planish.core.facts import Facts
-
-Mask = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 _LEAST_RINGS = 3
 
@@ -45,7 +44,7 @@ class RingCorrelation(Facts):
 
 
 def ring_correlation(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float]
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float]
 ) -> RingCorrelation:
     """Correlate two measurements of one quantity ring by ring of frequency.
 
@@ -79,32 +78,29 @@ def ring_correlation(
     van Heel and Schatz (2005), J. Struct. Biol. 151, 250, doi:10.1016/j.jsb.2005.05.009.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
-    known = np.isfinite(a) & np.isfinite(b)
-    if mask is not None:
-        known &= mask
-    n = int(np.count_nonzero(known))
+    is_valid = valid_in_both(a, b, mask)
+    n = int(np.count_nonzero(is_valid))
     for name, m in zip("ab", (a, b), strict=True):
-        if n < 3 or not np.ptp(m[known]) > 0:
+        if n < 3 or not np.ptp(m[is_valid]) > 0:
             raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
-    window = window_of(known)
-    one, two = (spectrum_of(m, known, window) for m in (a, b))
-    frequency = frequencies(known.shape, pixel)
-    joined = known.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
-    width = math.sqrt(joined) / min(n * p for n, p in zip(known.shape, pixel, strict=True))
+    window = window_of(is_valid)
+    wave_a, wave_b = (spectrum_of(m, is_valid, window) for m in (a, b))
+    frequency = frequencies(is_valid.shape, pixel)
+    joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
+    width = math.sqrt(joined) / min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     number = np.rint(frequency / width).astype(np.intp)
     last = int(0.5 / max(pixel) / width - 0.5)  # rings that lie whole within the shorter Nyquist frequency
     if last < _LEAST_RINGS:
         raise CannotMeasure(f"The field holds {last} rings of frequency, {_LEAST_RINGS} are needed. Give a larger map.")
-    half = half_plane(known.shape)
-    strong = np.logical_and.reduce([stands_out(m, number) for m in (one, two)])
-    inside = half & (number >= 1) & (number <= last)
+    strong = np.logical_and.reduce([stands_out(m, number) for m in (wave_a, wave_b)])
+    inside = half_plane(is_valid.shape) & (number >= 1) & (number <= last)
 
-    def sums(values: NDArray[Any]) -> NDArray[np.float64]:
+    def sums(values: NDArray[Any]) -> Floats:
         return np.bincount(number[inside], weights=values[inside], minlength=last + 1)[1:].astype(np.float64)
 
     count = sums(np.ones(number.shape))
-    spread = np.sqrt(sums(np.abs(one) ** 2) * sums(np.abs(two) ** 2))
-    correlation = sums((np.conj(one) * two).real) / np.maximum(spread, 1e-300)
+    spread = np.sqrt(sums(np.abs(wave_a) ** 2) * sums(np.abs(wave_b) ** 2))
+    correlation = sums((np.conj(wave_a) * wave_b).real) / np.maximum(spread, 1e-300)
     weak = np.flatnonzero(sums(strong.astype(np.float64)) < count)
     middle = sums(frequency) / count
     rings = tuple(

@@ -7,23 +7,28 @@ first one is used.
 from __future__ import annotations
 
 import math
-from typing import Any
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.chance import student_quantile
-from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, correlate, on_one_grid, pearson
+from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, correlate, on_one_grid, pearson, valid_in_both
 from planish.analyze.covariance import Lags, PairCovariances
+from planish.analyze.distributions import student_quantile
 from planish.core.area import area_mean
-from planish.core.facts import NULL, Facts, Interval, Unsaved, Value
+from planish.core.facts import NULL, Facts, Interval, Unsaved, Value, is_known
+from planish.core.numbers import decimals_of_r, fixed, plain
+from planish.core.typing import Bools
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+
 
 _CHANCE = 0.95
 _UNKNOWN = (math.nan, math.nan)
+_UNEVEN = 1.4  # standard error over that of the covariances
 _MOST_CELLS = 400  # of a mask, from which its critical value is told
 
 
@@ -39,7 +44,7 @@ class SecondOpinion(Facts):
 
 
 def second_opinion(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float],
+    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
     point_um: float | None = None,
 ) -> SecondOpinion:  # fmt: skip
     """State the interval of r that a spatial standard error with critical values of its own gives.
@@ -75,29 +80,27 @@ def second_opinion(
     Satterthwaite (1946), Biometrics Bulletin 2, 110, doi:10.2307/3002019.
     """
     pixel = on_one_grid(a, b, mask, pixel_um)
-    known = np.isfinite(a) & np.isfinite(b)
-    if mask is not None:
-        known &= mask
+    is_valid = valid_in_both(a, b, mask)
     if point_um is not None:
         n_eff = correlate(a, b, mask=mask, pixel_um=pixel, point_um=point_um).n_eff
         factor = point_um / pixel[0], point_um / pixel[1]
-        a, b = (area_mean(np.where(known, m, np.nan), factor) for m in (a, b))
-        pixel, known = (point_um, point_um), np.isfinite(a)
+        a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
+        pixel, is_valid = (point_um, point_um), np.isfinite(a)
     else:
         n_eff = correlate(a, b, mask=mask, pixel_um=pixel).n_eff
-    x, y = (np.where(known, m, 0.0).astype(np.float64) for m in (a, b))
-    r, size = pearson(x[known], y[known]), math.sqrt(math.prod(pixel)) if point_um is None else point_um
+    x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
+    r, size = pearson(x[is_valid], y[is_valid]), math.sqrt(math.prod(pixel)) if point_um is None else point_um
     if not n_eff >= LEAST_CLAIMED or 1 - r * r < 1e-14:
         return SecondOpinion(
             point_um=size, r=r, interval=_UNKNOWN, standard_error=math.nan, critical=math.nan, ratio=math.nan
         )
-    reach = BANDWIDTH * min(n * p for n, p in zip(known.shape, pixel, strict=True))
-    error, ratio = PairCovariances(x, y, Lags(known, pixel)).spatial_error(r, reach)
+    reach = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
+    error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach)
     if not error > 0:
         return SecondOpinion(
             point_um=size, r=r, interval=_UNKNOWN, standard_error=math.nan, critical=math.nan, ratio=ratio
         )
-    critical = critical_value(known, pixel)
+    critical = critical_value(is_valid, pixel)
     z = math.atanh(r)
     return SecondOpinion(
         point_um=size, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
@@ -105,21 +108,41 @@ def second_opinion(
     )  # fmt: skip
 
 
-def critical_value(known: Mask, pixel_um: tuple[float, float]) -> float:
+def critical_value(is_valid: Bools, pixel_um: tuple[float, float]) -> float:
     """Standard errors within which the mean of independent values on a mask lies with 95 %, as they are estimated.
 
     The squared standard error is a quadratic form of the values about their mean, whose expectation and variance follow
     from the weights; its distribution is taken for that of a chi-square with the same two (Satterthwaite 1946).
     """
-    k = max(1, math.ceil(math.sqrt(np.count_nonzero(known) / _MOST_CELLS)))
-    shape = [n // k * k for n in known.shape]
-    cells = known[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k).mean(axis=(1, 3)) >= 0.5
-    at = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
-    side = min(n * p for n, p in zip(known.shape, pixel_um, strict=True))
-    distance = np.hypot(*(at[:, None, axis] - at[:, axis] for axis in (0, 1)))
+    k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / _MOST_CELLS)))
+    shape = [n // k * k for n in is_valid.shape]
+    cells = is_valid[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k).mean(axis=(1, 3)) >= 0.5
+    places = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
+    side = min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
+    distance = np.hypot(*(places[:, None, axis] - places[:, axis] for axis in (0, 1)))
     weight = np.maximum(1.0 - distance / (BANDWIDTH * side), 0.0)
     rows = weight.mean(axis=1)
     about = weight - rows - rows[:, None] + rows.mean()
     expected = float(np.trace(about))
     free = expected**2 / float(np.sum(about * about))
-    return student_quantile((1 + _CHANCE) / 2, free) * math.sqrt(at.shape[0] / expected)
+    return student_quantile((1 + _CHANCE) / 2, free) * math.sqrt(places.shape[0] / expected)
+
+
+def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
+    """The second opinion at the larger points."""
+    if not pair.has_points:
+        return {}
+    return {"second_opinion": second_opinion(pair.x, pair.y, pixel_um=pair.cell_um, point_um=pair.point_um)}
+
+
+def say_second_opinion(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+    """The second interval, where there is one."""
+    second = evidence.second_opinion
+    if second is not None and is_known(second.interval):
+        low, high = (fixed(v, decimals_of_r(second.interval)) for v in second.interval)
+        uneven = second.ratio > _UNEVEN
+        end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
+        yield (
+            f"Second opinion, from what single points of {plain(second.point_um)} add to r: 95 %: {low} to {high} "
+            f"({fixed(second.critical, 2)} standard errors after Conley); {end}."
+        )

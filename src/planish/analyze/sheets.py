@@ -11,10 +11,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planish.analyze.chance import f_quantile, f_tail, student_quantile
+from planish.analyze.distributions import f_quantile, f_tail, student_quantile
 from planish.core.errors import InputError
+from planish.core.typing import Floats
 
 LEAST_SHEETS = 3
 """Sheets below which there is no interval."""
@@ -57,19 +57,19 @@ class Fields:
             )
         if any(math.isinf(v) for v in self.values):
             raise InputError("The value of a field is infinite. Give numbers, or NaN where one is missing.")
-        both = list(zip(self.sheets, self.names, strict=False))
-        if len(set(both)) < len(both):
-            twice = next(pair for pair in both if both.count(pair) > 1)
+        pairs = list(zip(self.sheets, self.names, strict=False))
+        if len(set(pairs)) < len(pairs):
+            twice = next(pair for pair in pairs if pairs.count(pair) > 1)
             raise InputError(f"Sheet {twice[0]} has the field {twice[1]} twice. Give each field a name of its own.")
 
     @property
-    def by_sheet(self) -> dict[str, NDArray[np.float64]]:
+    def by_sheet(self) -> dict[str, Floats]:
         """The known values of each sheet that has any, sheets in the order in which they come."""
-        found: dict[str, list[float]] = {}
+        values_of: dict[str, list[float]] = {}
         for sheet, value in zip(self.sheets, self.values, strict=True):
             if not math.isnan(value):
-                found.setdefault(sheet, []).append(float(value))
-        return {sheet: np.array(values) for sheet, values in found.items()}
+                values_of.setdefault(sheet, []).append(float(value))
+        return {sheet: np.array(values) for sheet, values in values_of.items()}
 
     @property
     def known(self) -> int:
@@ -122,23 +122,23 @@ def over_sheets(fields: Fields) -> SheetMean:
     different numbers of fields, their means scatter differently, which the interval withstands (docs/series.md).
     """
     means = np.array([float(v.mean()) for v in fields.by_sheet.values()])
-    k, known = means.size, fields.known
-    found = SheetMean(sheets=k, fields=known, missing=len(fields.values) - known, reason=too_few(k))
+    k, n_fields = means.size, fields.known
+    summary = SheetMean(sheets=k, fields=n_fields, missing=len(fields.values) - n_fields, reason=too_few(k))
     if k == 0:
-        return found
+        return summary
     spread = spread_of(means)
     error = spread / math.sqrt(k) if k > 1 else math.nan
-    interval, reason = _UNKNOWN, found.reason or all_alike(spread)
+    interval, reason = _UNKNOWN, summary.reason or all_alike(spread)
     if not reason:
         width = student_quantile((1 + _CHANCE) / 2, k - 1) * error
         interval = (float(means.mean()) - width, float(means.mean()) + width)
     return SheetMean(
-        sheets=k, fields=known, missing=found.missing, mean=float(means.mean()), sd=spread, standard_error=error,
+        sheets=k, fields=n_fields, missing=summary.missing, mean=float(means.mean()), sd=spread, standard_error=error,
         interval=interval, reason=reason,
     )  # fmt: skip
 
 
-def spread_of(values: NDArray[np.float64]) -> float:
+def spread_of(values: Floats) -> float:
     """Standard deviation of a sample; exactly 0 where only rounding sets values apart, NaN of one value."""
     if values.size < 2:
         return math.nan
@@ -226,9 +226,9 @@ def variances_of(fields: Fields) -> SheetVariances:
     counts = np.array([v.size for v in sheets])
     k, n = len(sheets), int(counts.sum())
     if k < 2 or n == k:
-        one = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
+        why = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
         within = float(sheets[0].var(ddof=1)) if k == 1 and n > 1 else math.nan
-        return SheetVariances(sheets=k, fields=n, within=within, reason=one)
+        return SheetVariances(sheets=k, fields=n, within=within, reason=why)
     means = np.array([float(v.mean()) for v in sheets])
     inside = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
     within, spread = inside / (n - k), spread_of(means) ** 2

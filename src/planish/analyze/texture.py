@@ -7,15 +7,12 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage
 
 from planish.core.area import AreaMeans
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
-
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+from planish.core.typing import Bools, Floats
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 _MOST_PIXELS = 300_000
@@ -33,8 +30,8 @@ _TILE_UM = 250.0  # waves of the band say nothing of each other over this distan
 class Textures:
     """Band-passed maps (rows, cols) of mean 0 and standard deviation 1 over the pixels known in all; 0 elsewhere."""
 
-    maps: dict[str, Array]
-    known: Mask
+    maps: dict[str, Floats]
+    known: Bools
     pixel_um: tuple[float, float]
 
     @property
@@ -44,16 +41,16 @@ class Textures:
 
     def with_slopes(self, name: str) -> Textures:
         """Add the slopes of a map along x and y, ``name_x`` and ``name_y``: what light from one side shows of it."""
-        known = self.known.copy()
+        is_valid = self.known.copy()
         for axis in (0, 1):
             for step in (-1, 1):
-                known &= np.roll(self.known, step, axis)
-        known[[0, -1], :] = known[:, [0, -1]] = False
+                is_valid &= np.roll(self.known, step, axis)
+        is_valid[[0, -1], :] = is_valid[:, [0, -1]] = False
         slopes = {f"{name}_{way}": np.gradient(self.maps[name], axis=axis) for way, axis in (("x", 1), ("y", 0))}
-        maps = {k: standard(m, known) for k, m in (self.maps | slopes).items()}
-        return replace(self, maps=maps, known=known)
+        maps = {k: standard(m, is_valid) for k, m in (self.maps | slopes).items()}
+        return replace(self, maps=maps, known=is_valid)
 
-    def halves(self, name: str) -> list[Array]:
+    def halves(self, name: str) -> list[Floats]:
         """The waves of a map above and below 60 um, each of standard deviation 1; without one that is empty."""
         weight = low_pass(self.known.astype(np.float64), _SPLIT_UM, self.pixel_um)
         low = low_pass(self.maps[name], _SPLIT_UM, self.pixel_um) / np.maximum(weight, 1e-9)
@@ -84,7 +81,7 @@ class Relation:
         return f"r = {self.r:.2f}, z = {self.z:.1f}"
 
 
-def textures(maps: Mapping[str, Rows], valid: Mask, pixel_um: tuple[float, float]) -> Textures:
+def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: tuple[float, float]) -> Textures:
     """Keep the waves of 15 to 250 um of maps, with the same spread everywhere.
 
     Parameters
@@ -131,22 +128,22 @@ def textures(maps: Mapping[str, Rows], valid: Mask, pixel_um: tuple[float, float
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
     band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um)
-    return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.known, pixel_um=pixel_um)
+    return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um)
 
 
-def _means(data: Rows, valid: Mask, factor: int) -> Array:
+def _means(data: Rows, valid: Bools, factor: int) -> Floats:
     """Means of a map over so many valid pixels a side."""
     if factor == 1:
         return np.where(valid, data, np.nan).astype(np.float64)
-    found = AreaMeans((valid.shape[0], valid.shape[1]), (factor, factor))
+    means = AreaMeans((valid.shape[0], valid.shape[1]), (factor, factor))
     for rows in bands(valid.shape[0]):
         part = band_of(data, rows)
-        found.add(rows.start, valid[rows] & np.isfinite(part), part)
-    return found.means()[0]
+        means.add(rows.start, valid[rows] & np.isfinite(part), part)
+    return means.means()[0]
 
 
 def relate(
-    a: Array, b: Array, known: Mask, pixel_um: tuple[float, float], *, of: Array | None = None
+    a: Floats, b: Floats, is_valid: Bools, pixel_um: tuple[float, float], *, of: Floats | None = None
 ) -> Relation:  # fmt: skip
     """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
 
@@ -165,19 +162,19 @@ def relate(
     Clifford, Richardson and Hémon (1989), Biometrics 45, 123, doi:10.2307/2532039.
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
     """
-    n = int(np.count_nonzero(known))
+    n = int(np.count_nonzero(is_valid))
     if n == 0:
         return Relation(0.0, math.inf, 0.0, math.inf)
-    whole = float(np.std((b if of is None else of)[known]))
-    share = float(np.std(b[known])) / whole if whole > 0 else 0.0
-    a, b = standard(a, known), standard(b, known)
+    whole = float(np.std((b if of is None else of)[is_valid]))
+    share = float(np.std(b[is_valid])) / whole if whole > 0 else 0.0
+    a, b = standard(a, is_valid), standard(b, is_valid)
     r = float(np.vdot(a, b)) / n
     rest = math.sqrt(max(1.0 - r * r, 0.0))
-    sd, part_se = _scatter(a, b, r, n, pixel_um), _scatter(a, standard(b - r * a, known), 0.0, n, pixel_um)
+    sd, part_se = _scatter(a, b, r, n, pixel_um), _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um)
     return Relation(r, sd, share * r, share * rest * part_se)
 
 
-def _scatter(a: Array, b: Array, r: float, n: int, pixel_um: tuple[float, float]) -> float:
+def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: tuple[float, float]) -> float:
     """Standard deviation of r of unrelated textures like these two; 0 where they are not known."""
     size = [fft.next_fast_len(k, real=True) for k in a.shape]
     power = np.abs(np.asarray(fft.rfft2(a, size)) * np.asarray(fft.rfft2(b, size))) ** 2
@@ -187,28 +184,28 @@ def _scatter(a: Array, b: Array, r: float, n: int, pixel_um: tuple[float, float]
     return math.sqrt(max(alike, float(np.vdot(parts, parts)), 0.0)) / n
 
 
-def standard(values: Array, known: Mask) -> Array:
+def standard(values: Floats, is_valid: Bools) -> Floats:
     """Mean 0 and standard deviation 1 over the known pixels of a map (rows, cols); 0 elsewhere and of a constant."""
-    inside = values[known]
+    inside = values[is_valid]
     sd = float(inside.std()) if inside.size else 0.0
     if not sd > 0:
         return np.zeros(values.shape)
-    return np.where(known, (values - inside.mean()) / sd, 0.0)
+    return np.where(is_valid, (values - inside.mean()) / sd, 0.0)
 
 
-def apart(values: Array, other: Array) -> Array:
+def unexplained(values: Floats, other: Floats) -> Floats:
     """What a texture does not share with another one: the residual of least squares."""
     square = float(np.vdot(other, other))
     return values - float(np.vdot(values, other)) / square * other if square > 0 else values
 
 
-def low_pass(values: Array, half_um: float, pixel_um: tuple[float, float]) -> Array:
+def low_pass(values: Floats, half_um: float, pixel_um: tuple[float, float]) -> Floats:
     """Gaussian filter that halves a wave of a length; 0 beyond the borders."""
     sigma = [half_um * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um]
     return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.0)
 
 
-def tile_sums(values: Array, pixel_um: tuple[float, float], tile_um: float = _TILE_UM) -> Array:
+def tile_sums(values: Floats, pixel_um: tuple[float, float], tile_um: float = _TILE_UM) -> Floats:
     """Sums over square tiles of a map (..., rows, cols); the last ones may be incomplete."""
     for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
         side = max(round(tile_um / pixel), 1)
@@ -219,30 +216,30 @@ def tile_sums(values: Array, pixel_um: tuple[float, float], tile_um: float = _TI
 class _Band:
     """The band of maps with one mask; its filters' weights are computed once."""
 
-    def __init__(self, shown: Mask, pixel_um: tuple[float, float]) -> None:
+    def __init__(self, shown: Bools, pixel_um: tuple[float, float]) -> None:
         self._pixel_um = pixel_um
         self._local = [max(round(_LOCAL_UM / 2 / p), 1) for p in pixel_um]
         self._shown, self._fine = shown, self._smooth(shown.astype(np.float64), 0)
         # Single missing pixels are bridged.
-        self.known: Mask = self._fine >= _LEAST_FINE
-        self._weights = [np.maximum(self._smooth(self.known.astype(np.float64), k), 1e-9) for k in (1, 2)]
-        distance = ndimage.distance_transform_edt(self.known, sampling=pixel_um)
+        self.is_valid: Bools = self._fine >= _LEAST_FINE
+        self._weights = [np.maximum(self._smooth(self.is_valid.astype(np.float64), k), 1e-9) for k in (1, 2)]
+        distance = ndimage.distance_transform_edt(self.is_valid, sampling=pixel_um)
         ring = np.minimum(distance, _AROUND_UM) / max(_RING_UM, *pixel_um)
         self._ring = np.asarray(ring, dtype=np.intp)
-        self._in_ring = np.maximum(np.bincount(self._ring[self.known]), 1)
+        self._in_ring = np.maximum(np.bincount(self._ring[self.is_valid]), 1)
 
-    def __call__(self, values: Array) -> Array:
-        known = self.known
+    def __call__(self, values: Floats) -> Floats:
+        is_valid = self.is_valid
         out = self._smooth(standard(values, self._shown), 0)
-        out = standard(np.divide(out, self._fine, out=out, where=known), known)
-        out = standard(np.where(known, out - self._smooth(out, 1) / self._weights[0], 0.0), known)
+        out = standard(np.divide(out, self._fine, out=out, where=is_valid), is_valid)
+        out = standard(np.where(is_valid, out - self._smooth(out, 1) / self._weights[0], 0.0), is_valid)
         spread = np.sqrt(np.maximum(self._smooth(out * out, 2) / self._weights[1], _LEAST_LOCAL**2))
-        out = np.where(known, np.clip(out / spread, -_MOST, _MOST), 0.0)
+        out = np.where(is_valid, np.clip(out / spread, -_MOST, _MOST), 0.0)
         # What holes by one laser program do to their surroundings is no sign of one specimen.
-        ring_mean = np.bincount(self._ring[known], weights=out[known]) / self._in_ring
-        return standard(np.where(known, out - ring_mean[self._ring], 0.0), known)
+        ring_mean = np.bincount(self._ring[is_valid], weights=out[is_valid]) / self._in_ring
+        return standard(np.where(is_valid, out - ring_mean[self._ring], 0.0), is_valid)
 
-    def _smooth(self, values: Array, k: int) -> Array:
+    def _smooth(self, values: Floats, k: int) -> Floats:
         if k < 2:
             return low_pass(values, BAND_UM[k], self._pixel_um)
         twice = ndimage.uniform_filter(values, self._local, mode="constant")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,11 +14,14 @@ from scipy import optimize
 
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.covariance import Lags
-from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, Facts, Pair, Value
+from planish.core.errors import CannotMeasure, PlanishError
+from planish.core.facts import NULL, Facts, OfMap, Pair, Value, is_known
+from planish.core.numbers import in_words, number, percent, plain, unit
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+
 
 _SECTOR = 45.0  # deg
 _LEAST_RINGS = 4  # for a model of three numbers
@@ -45,6 +49,10 @@ class VariogramCurve(Facts):
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
 
 
+class MapVariogram(VariogramCurve, OfMap):
+    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
+
+
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Variogram:
     """Half of the mean square difference of two points of a map, by their distance.
@@ -65,9 +73,9 @@ class Variogram:
         The same in sectors of 45 deg about the machine direction and across it; NaN where it was not given.
     """
 
-    lags_um: Array
-    values: Array
-    pairs: Array
+    lags_um: Floats
+    values: Floats
+    pairs: Floats
     nugget: float
     sill: float
     range_um: float
@@ -77,8 +85,8 @@ class Variogram:
     @property
     def ratio(self) -> float:
         """Range along over range across the machine direction; NaN where one of them is not known."""
-        both = (self.range_along_um, self.range_across_um)
-        return both[0] / both[1] if all(map(math.isfinite, both)) else math.nan
+        ranges = (self.range_along_um, self.range_across_um)
+        return ranges[0] / ranges[1] if all(map(math.isfinite, ranges)) else math.nan
 
     def curve(self, *, units: str, cell_um: Pair, md_deg: float | None) -> VariogramCurve:
         """Return what stands in the results of a run: the values at up to 60 distances, closer for short ones."""
@@ -92,7 +100,7 @@ class Variogram:
 
 
 def variogram(
-    a: NDArray[Any], *, mask: Mask | None = None, pixel_um: float | tuple[float, float], md_deg: float | None = None
+    a: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float], md_deg: float | None = None
 ) -> Variogram:
     """Variogram of a map with nugget, sill and ranges.
 
@@ -130,10 +138,10 @@ def variogram(
 
 def variogram_of(a: NDArray[Any], lags: Lags, md_deg: float | None = None) -> Variogram:
     """The same from the lags of a mask of known pixels, which several maps may share."""
-    known = lags.known
-    if lags.n < 3 or not np.ptp(a[known]) > 0:
+    is_valid = lags.is_valid
+    if lags.n < 3 or not np.ptp(a[is_valid]) > 0:
         raise CannotMeasure(f"{lags.n} pixels are known, or all have one value: no variogram. Look at the mask.")
-    moved = lags.transform(np.where(known, a - a[known].mean(), 0.0))
+    moved = lags.transform(np.where(is_valid, a - a[is_valid].mean(), 0.0))
     products = lags.products(moved, moved)
     # What the mean took is known from the lags that are used, and put back at all lags.
     sill = float(lags.covariance(products, lags.until_zero(products))[0, 0])
@@ -158,21 +166,21 @@ def variogram_of(a: NDArray[Any], lags: Lags, md_deg: float | None = None) -> Va
     )  # fmt: skip
 
 
-def _by_ring(lags: Lags, products: Array, some: Mask) -> tuple[Array, Array, Array]:
+def _by_ring(lags: Lags, products: Floats, subset: Bools) -> tuple[Floats, Floats, Floats]:
     """Mean distance and covariance, and number of pairs, of rings one pixel wide; lag 0 is left out."""
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
-    side = min(n * p for n, p in zip(lags.known.shape, lags.pixel_um, strict=True))
-    use = some & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side / 2)
+    side = min(n * p for n, p in zip(lags.is_valid.shape, lags.pixel_um, strict=True))
+    use = subset & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side / 2)
     number = ring[use]
     pairs, total = (np.bincount(number, weights=m[use]) for m in (lags.pairs, products))
     far = np.bincount(number, weights=(lags.pairs * lags.distance_um)[use])
-    kept = pairs > 0
+    has_pairs = pairs > 0
     # Each pair of points stands at two lags, one the negative of the other.
-    return far[kept] / pairs[kept], total[kept] / pairs[kept], pairs[kept] / 2
+    return far[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs], pairs[has_pairs] / 2
 
 
-def _at_zero(distance: Array, covariance: Array, step: float) -> float:
+def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     """Covariance towards distance 0: the variance that neighbours share; 0 where they share nothing."""
     if covariance[0] <= 0:
         return 0.0
@@ -181,18 +189,18 @@ def _at_zero(distance: Array, covariance: Array, step: float) -> float:
     h, c = distance[:count], covariance[:count] / covariance[0]
     # Each ring counts the same: longer ones have more pairs but scatter more, as a field holds few long waves.
 
-    def off(p: Array) -> Array:
+    def off(p: Floats) -> Floats:
         return p[0] * np.exp(-((h / math.exp(p[1])) ** p[2])) - c
 
     start = max(float(h[-1]) / 2, step)
-    found = optimize.least_squares(
+    fit = optimize.least_squares(
         off, np.array([1.1, math.log(start), 1.3]),
         bounds=([0.0, math.log(step / 20), _EXPONENTS[0]], [np.inf, math.log(1e3 * float(h[-1])), _EXPONENTS[1]]),
     )  # fmt: skip
-    return float(found.x[0] * covariance[0])
+    return float(fit.x[0] * covariance[0])
 
 
-def _range(distance: Array, covariance: Array, shared: float) -> float:
+def _range(distance: Floats, covariance: Floats, shared: float) -> float:
     """Distance at which the covariance first falls below 1/e of what neighbours share."""
     if not shared > 0:
         return math.nan
@@ -203,3 +211,46 @@ def _range(distance: Array, covariance: Array, shared: float) -> float:
     k = int(below[0])
     part = (c[k - 1] - math.exp(-1)) / (c[k - 1] - c[k])
     return float(h[k - 1] + part * (h[k] - h[k - 1]))
+
+
+def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
+    """Variograms of both maps on their one mask; nothing of a map that the field is too small for."""
+    curves: list[MapVariogram] = []
+    for values, (layer, name), units in zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True):
+        try:
+            curve = variogram_of(values, pair.lags, pair.md_deg)
+        except PlanishError:
+            continue
+        saved = curve.curve(units=units, cell_um=pair.cell_um, md_deg=pair.md_deg)
+        curves.append(MapVariogram.holding(saved, layer=layer, map=name))
+    return {"variograms": tuple(curves)}
+
+
+def say_variograms(evidence: EvidenceFacts, words: PairWords) -> Iterator[str]:
+    """Nugget, range and direction of each map."""
+    for curve, title in zip(evidence.variograms, words.titles, strict=True):
+        share = curve.nugget / curve.sill if curve.sill > 0 else 1.0
+        nugget = f"nugget {number(curve.nugget, 2)} {squared_unit(curve, title)}"
+        if share > 0.999:
+            yield f"{title}: neighbours share nothing ({nugget}): noise, no texture."
+            continue
+        noise = f"{nugget}, {percent(share, 2)} of the sill" if share > 5e-4 else "no nugget"
+        far = plain(round(curve.distances_um[-1]))
+        if not is_known(curve.md_deg):
+            turned = "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
+        else:
+            ratio = f" ({number(curve.ratio, 2)} times as far)" if is_known(curve.ratio) else ""
+            turned = (
+                f"{_range_text(curve.range_along_um, far)} along and {_range_text(curve.range_across_um, far)} across "
+                f"the machine direction{ratio}"
+            )
+        yield f"{title}: {noise}; range {_range_text(curve.range_um, far)}; {turned}."
+
+
+def squared_unit(curve: MapVariogram, title: str) -> str:
+    """Unit of a variance; of what has no unit its name."""
+    return f"{unit(curve.units) or in_words(title.partition(',')[0])}²"
+
+
+def _range_text(value: float, far: str) -> str:
+    return plain(round(value, 0 if value >= 10 else 1)) if is_known(value) else f"beyond {far}"

@@ -14,6 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.analyze.compare import is_property
 from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_place
 from planish.app.strain import strains
 from planish.core.area import count_of, middles
@@ -25,7 +26,6 @@ from planish.io.image import across, channel_of
 from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
-from planish.pipeline.compare import is_property
 from planish.pipeline.gathering import LINKED
 from planish.pipeline.run import MAPS, is_run, open_results
 from planish.study import read_study

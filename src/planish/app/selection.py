@@ -13,13 +13,13 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import correlate
+from planish.analyze.compare import CELLS
 from planish.app.picture import Answer, PlanePicture, finite_or_none
 from planish.app.pictures import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError
 from planish.core.lazy import LazyArray, Where, held
 from planish.core.typing import Bools, Floats
-from planish.pipeline.evidence import CELLS
 
 MOST_SAMPLES = 2000
 """Pixels along a profile; a longer line is read from a coarser level."""

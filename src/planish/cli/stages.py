@@ -184,8 +184,8 @@ def resample(
     measured: Path, flat: Path, out: Path, reference: Path | None, registration: Path | None, **values: Any
 ) -> None:  # fmt: skip
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
+    from planish.analyze.image_values import compared_image
     from planish.pipeline import Registration, resample_maps
-    from planish.pipeline.compared import compared_image
 
     if (reference is None) != (registration is None):
         raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from pydantic import ValidationError
 
+from planish.analyze.compare import is_property
 from planish.compute import Compute, Progress, silent
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file, writing
@@ -24,7 +25,6 @@ from planish.exports.meshes import SURFACES, Surface, steps_of
 from planish.exports.source import IMAGE, STRAIGHTENED, ExportSource, checked_names
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
 from planish.io.store import write_store
-from planish.pipeline.compare import is_property
 from planish.pipeline.run import Run
 from planish.results import LayerFacts
 

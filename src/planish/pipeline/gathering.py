@@ -11,6 +11,12 @@ import numpy as np
 import xarray as xr
 
 from planish import __version__
+from planish.analyze.compare import comparison_rows, correlate_layers
+from planish.analyze.diagnostics import EvidenceFacts, correlation_diagnostics
+from planish.analyze.mottle import mottle_of
+from planish.analyze.refinement import refine_link
+from planish.analyze.sides import TextureFound, texture_of
+from planish.analyze.split_half import Columns
 from planish.checks import (
     DetectedHoles,
     HolesOnSheet,
@@ -28,20 +34,14 @@ from planish.core.facts import Side
 from planish.core.sources import hash_sources
 from planish.core.transform import Similarity
 from planish.io.map_store import HeldMaps, map_tiles
-from planish.pipeline.compare import comparison_rows, correlate_layers
-from planish.pipeline.evidence import evidence_of
-from planish.pipeline.halves import Columns
 from planish.pipeline.layers import Layer, LayerHoles
-from planish.pipeline.optics import mottle_of
 from planish.pipeline.overlay import ValidMask
-from planish.pipeline.refinement import refine_link
 from planish.pipeline.regions import region_facts
 from planish.pipeline.registration import Link
 from planish.pipeline.run import Run
 from planish.pipeline.summaries import layer_facts, linked_area, parameters, versions
-from planish.pipeline.texture import TextureFound, texture_of
 from planish.resample import SheetOnto
-from planish.results import EvidenceFacts, LayerFacts, Results
+from planish.results import LayerFacts, Results
 from planish.study import Study, changed
 
 LINKED = "linked"
@@ -92,7 +92,7 @@ def gather_link(linked: LinkedLayers) -> Run:
     textures: Textures = {
         (a.name, b.name): texture_of(
             maps[a.name], maps[b.name], (a.name, b.name), side=_side_of(a, b),
-            given=all(layer.side_given is not None for layer in (a, b) if layer.kind == "image"),
+            is_given=all(layer.side_given is not None for layer in (a, b) if layer.kind == "image"),
         ) for a, b in pairs if a.kind != b.kind or a.side == b.side
     }  # fmt: skip
     facts = tuple(_layer_facts(linked, layer, textures) for layer in layers)
@@ -159,9 +159,9 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
     md_deg = next((angle for angle in directions if angle is not None), None)
     for layer in facts[:-1]:
         if layer.headline in linked.maps[layer.name]:
-            evidence = evidence_of(
-                linked.maps, layer, facts[-1], point_um=wanted.point_um, declared=wanted.headline is not None,
-                beside=wanted.beside, columns=columns, md_deg=md_deg, params=wanted,
+            evidence = correlation_diagnostics(
+                linked.maps, (layer.name, layer.headline), (facts[-1].name, facts[-1].headline), params=wanted,
+                columns=columns, md_deg=md_deg,
             )  # fmt: skip
             if evidence is not None:
                 yield evidence

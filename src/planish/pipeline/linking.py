@@ -8,13 +8,13 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+from planish.analyze.image_values import compared_image, reach_um
 from planish.compute import Compute, Progress
 from planish.core.typing import Floats
 from planish.io import read_image
 from planish.io.map_store import HeldMaps
 from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks.regions import Regions
-from planish.pipeline.compared import compared_image, reach_um
 from planish.pipeline.gathering import LINKED, LinkedLayers, gather_link
 from planish.pipeline.layers import Layer, LayerHoles, MappedSheets
 from planish.pipeline.overlay import ValidMask, hole_circles, resample_layers

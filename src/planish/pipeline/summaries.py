@@ -11,6 +11,8 @@ import numpy as np
 import xarray as xr
 
 from planish.analyze import LagNumbers
+from planish.analyze.compare import headline_of, is_property
+from planish.analyze.image_values import image_facts
 from planish.core.bands import band_of, bands, thinned
 from planish.core.checks import Check, concerned
 from planish.core.facts import InputFile, Side, is_known
@@ -18,8 +20,6 @@ from planish.core.grid import Grid, pitch
 from planish.core.tables import table_text
 from planish.core.typing import Bools
 from planish.io import fingerprint
-from planish.pipeline.compare import headline_of, is_property
-from planish.pipeline.compared import image_facts
 from planish.pipeline.layers import Layer
 from planish.pipeline.position_error import error_shares
 from planish.pipeline.registration import Link

@@ -44,9 +44,9 @@ def draw_first(
     for data in (a, b):
         use &= data["valid"].values.astype(bool) if "valid" in data else True
     values = [np.where(use, m.values.astype(np.float64), np.nan) for m in (p, q)]
-    known = [v[use] for v in values]
+    inside = [v[use] for v in values]
     shown = [m.copy(data=v) for m, v in zip((p, q), values, strict=True)]
-    together = np.concatenate(known) if row.same_quantity else None
+    together = np.concatenate(inside) if row.same_quantity else None
     out = [
         _map(data, v, of=name, scaled=v[use] if together is None else together, without=without)
         for data, v, name in zip(shown, values, (row.a, row.b), strict=True)
@@ -87,28 +87,28 @@ def _map(data: xr.DataArray, values: Array, *, of: str, scaled: Array, without: 
     )
 
 
-def surer(results: Results) -> list[str]:
+def recommendations(results: Results) -> list[str]:
     """Say in one or two sentences what would make the results surer."""
-    return [text for text, _ in _surer(results)]
+    return [text for text, _ in _recommendations(results)]
 
 
-def advised(results: Results) -> list[Check]:
+def recommended_checks(results: Results) -> list[Check]:
     """Checks whose advice is part of what would make it surer."""
-    return [check for _, check in _surer(results) if check is not None]
+    return [check for _, check in _recommendations(results) if check is not None]
 
 
-def _surer(results: Results) -> list[tuple[str, Check | None]]:
-    found: list[tuple[str, Check | None]] = [
+def _recommendations(results: Results) -> list[tuple[str, Check | None]]:
+    advice: list[tuple[str, Check | None]] = [
         (f"{capital(check.name)}: {capital(typeset(check.advice))}", check)
         for check in (*results.checks_in("fail"), *results.checks_in("look")) if check.advice
     ]  # fmt: skip
     rows = lead_pair(results)
-    found += [(text, None) for text in (_of_field(rows), _of_place(results), _of_study(results)) if text]
-    if not found and results.is_link:
-        found = [("A second specimen would show whether the relation holds beyond this one.", None)]
-    if not found:
-        found = [("A second field of the sheet would show how much the maps vary from place to place.", None)]
-    return found[:2]
+    advice += [(text, None) for text in (_of_field(rows), _of_place(results), _of_study(results)) if text]
+    if not advice and results.is_link:
+        advice = [("A second specimen would show whether the relation holds beyond this one.", None)]
+    if not advice:
+        advice = [("A second field of the sheet would show how much the maps vary from place to place.", None)]
+    return advice[:2]
 
 
 def _of_field(rows: Sequence[CorrelationRow]) -> str:

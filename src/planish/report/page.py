@@ -14,19 +14,18 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.analyze.diagnostics import PairWords, Section, sentences
 from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.core.tables import table_text
 from planish.report import (
-    distance,
+    diagnostics,
     first,
     flattening,
-    light,
     maps,
     registration,
     relation,
-    scale,
     slices,
     statement,
     summary,
@@ -164,9 +163,10 @@ def _render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
         summary=summary, statement=statement, text=text, first=first, shown=shown, sheets=sheets, leading=leading,
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
-        pairs=_draw_pairs(pairs, results, data.titles), scales=_scales(results, data.titles), scale=scale,
+        pairs=_draw_pairs(pairs, results, data.titles), scales=_scales(results, data.titles),
+        sentences_of=partial(_sentences, section="scale", results=results, titles=data.titles),
         lights=[d for e in results.evidence if (d := _light(e, results, data.titles, pairs))],
-        distances=[d for e in results.evidence if (d := _distances(e, results, data.titles))], light=light,
+        distances=[d for e in results.evidence if (d := _distances(e, results, data.titles))], diagnostics=diagnostics,
     )  # fmt: skip
     return f"{page}\n", shown.pictures
 
@@ -308,45 +308,55 @@ def _draw_pairs(pairs: Mapping[summary.PairKey, _MapPair], results: Results, tit
 def _scales(results: Results, titles: summary.Titles) -> list[Picture]:
     """Draw at which scale the maps that stand for each layer and the reference go together."""
     return [
-        scale.draw_scale(e, names=summary.names_in_words(e, titles), regions=results.regions is not None)
+        diagnostics.draw_scale(e, names=summary.names_in_words(e, titles), regions=results.regions is not None)
         for e in results.evidence if e.sizes or e.bands
     ]  # fmt: skip
 
 
+def _titles(evidence: EvidenceFacts, titles: summary.Titles) -> tuple[str, ...]:
+    """The titles of both maps, with their layers where they are of one quantity."""
+    same = evidence.a_map == evidence.b_map
+    keys = [(curve.layer, curve.map) for curve in evidence.variograms]
+    return tuple(titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in keys)
+
+
+def _sentences(evidence: EvidenceFacts, section: Section, results: Results, titles: summary.Titles) -> list[str]:
+    """What a section says of the maps that stand for two layers."""
+    point_um = float(results.parameters["correlate"]["point_um"]) if section == "scale" else float("nan")
+    image = summary.names_in_words(evidence, titles)[1]
+    return [*sentences(evidence, section, PairWords(point_um, image, _titles(evidence, titles)))]
+
+
 def _distances(evidence: EvidenceFacts, results: Results, titles: summary.Titles) -> _Distances | None:
     """Draw how the maps of a pair vary with distance, and say what that means; None where there is nothing to show."""
-    keys, regions = [(v.layer, v.map) for v in evidence.variograms], results.regions is not None
-    same = evidence.a_map == evidence.b_map
-    named = [titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in keys]
+    same, regions = evidence.a_map == evidence.b_map, results.regions is not None
     names, layers = summary.names_in_words(evidence, titles), (evidence.a, evidence.b)
-    alone, twice, agreement = list[Picture](), list[Picture](), list[str]()
+    alone, twice, agreement = list[Picture](), list[Picture](), _sentences(evidence, "repeated", results, titles)
     if evidence.variograms:
-        alone.append(distance.draw_variograms(evidence, titles=named, regions=regions))
+        alone.append(diagnostics.draw_variograms(evidence, titles=_titles(evidence, titles), regions=regions))
     if evidence.correlogram is not None:
         pair = (f"{names[0]} of {evidence.a}", f"that of {evidence.b}") if same else names
-        alone.append(distance.draw_correlogram(evidence.correlogram, names=pair, regions=regions))
-    if evidence.twice is not None:
-        if evidence.twice.rings:
-            twice.append(distance.draw_rings(evidence.twice, name=names[0], layers=layers, regions=regions))
-        agreement = distance.of_twice(evidence.twice, layers)
+        alone.append(diagnostics.draw_correlogram(evidence.correlogram, names=pair, regions=regions))
+    if evidence.twice is not None and evidence.twice.rings:
+        twice.append(diagnostics.draw_rings(evidence.twice, name=names[0], layers=layers, regions=regions))
     if not (alone or twice or agreement):
         return None
-    return _Distances(" and ".join(layers), alone, distance.of_each(evidence, named), twice, agreement)
+    return _Distances(" and ".join(layers), alone, _sentences(evidence, "distance", results, titles), twice, agreement)
 
 
 def _light(
     evidence: EvidenceFacts, results: Results, titles: summary.Titles, pairs: Mapping[summary.PairKey, _MapPair]
 ) -> _Light | None:
     """Draw Kubelka and Munk's curve where there is one, and say what light makes of the coating; None for nothing."""
-    sentences, curve, pair = light.sentences(evidence), evidence.kubelka_munk, pairs.get(summary.key_of(evidence))
-    pictures: list[Picture] = []
+    lines, curve = _sentences(evidence, "light", results, titles), evidence.kubelka_munk
+    pair, pictures = pairs.get(summary.key_of(evidence)), list[Picture]()
     if curve is not None and is_known(curve.scattering) and pair is not None:
         unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
-        pictures.append(light.draw_kubelka_munk(
+        pictures.append(diagnostics.draw_kubelka_munk(
             evidence, curve, pair.points, relation.largest(pair.rows), titles=summary.titles_of(evidence, titles),
             unit_x=unit_x, regions=results.regions is not None,
         ))  # fmt: skip
-    return _Light(f"{evidence.a} and {evidence.b}", pictures, sentences) if sentences else None
+    return _Light(f"{evidence.a} and {evidence.b}", pictures, lines) if lines else None
 
 
 def _valid(data: xr.Dataset, name: str) -> xr.DataArray:

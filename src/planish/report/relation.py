@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.facts import is_known
+from planish.core.typing import Bools
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
 from planish.report.statement import r_interval_text, r_text
@@ -39,16 +40,16 @@ def block_means(
     if min(factors) < 1 - 1e-9:
         return np.empty(0), np.empty(0)
     down, across = (max(factor, 1.0) for factor in factors)
-    found = AreaMeans((a.shape[0], a.shape[1]), (down, across))
+    means = AreaMeans((a.shape[0], a.shape[1]), (down, across))
     for rows in bands(a.shape[0]):
         p, q, *masks = (band_of(data, rows) for data in (a, b, *valid))
-        found.add(rows.start, _known(p, q, masks), p, q)
-    first, second = found.means()
-    known = np.isfinite(first) & np.isfinite(second)
-    return first[known], second[known]
+        means.add(rows.start, _valid_in_all(p, q, masks), p, q)
+    first, second = means.means()
+    is_valid = np.isfinite(first) & np.isfinite(second)
+    return first[is_valid], second[is_valid]
 
 
-def _known(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> NDArray[np.bool_]:
+def _valid_in_all(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> Bools:
     return np.logical_and.reduce([np.isfinite(a), np.isfinite(b), *(mask.astype(bool) for mask in masks)])
 
 
@@ -66,34 +67,34 @@ def draw_pair(
     turns map a, a thickness, into g/m2.
     """
     fine, coarse = rows[0], largest(rows)
-    same, units, axis = coarse.same_quantity, (unit_of(a), unit_of(b)), names
+    units, axis = (unit_of(a), unit_of(b)), names
     if density is not None:
         fine, coarse, units = in_grams(fine, density), in_grams(coarse, density), ("g/m²", units[1])
         axis = weighed(names[0], density), names[1]
     labels = [f"{name} / {u}" if u else name for name, u in zip(axis, units, strict=True)]
     every, (p, q, *masks) = thinned(a, b, *valid)
-    known = _known(p, q, masks)
+    is_valid = _valid_in_all(p, q, masks)
     points = block_means(a, b, point_um=coarse.point_um, valid=valid) if points is None else points
     if density is not None:
         p, points = p * density, (points[0] * density, points[1])
     canvas = Canvas(FULL, 475)
-    left = _density(canvas, _LEFT, *(m[known].astype(np.float64) for m in (p, q)), what="pixels")
-    if same:
-        span = min(left.extent[0], left.extent[2]), max(left.extent[1], left.extent[3])
-        left.line([(v, v) for v in span], colour=SOFT, width=1.3, dash="6 4")
+    pixel_axes = _density(canvas, _LEFT, *(m[is_valid].astype(np.float64) for m in (p, q)), counted="pixels")
+    if coarse.same_quantity:
+        low, *_, high = sorted(pixel_axes.extent)
+        pixel_axes.line([(low, low), (high, high)], colour=SOFT, width=1.3, dash="6 4")
         _differences(canvas, *points, coarse, units[0])
-    drawn = [(_LEFT, left, fine)] if same else [(_LEFT, left, fine), (_RIGHT, _points(canvas, *points), coarse)]
-    for at, axes, row in drawn:
-        for ends, dash in _lines(row, axes.extent):
-            axes.line(ends, colour="white", width=4)
-            axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
+    drawn = [(_LEFT, pixel_axes, fine)]
+    if not coarse.same_quantity:
+        drawn.append((_RIGHT, _points(canvas, *points), coarse))
+    for x0, axes, row in drawn:
+        _draw_lines(axes, row)
         canvas.ticks(axes, *labels)
-        _heading(canvas, at, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
+        _heading(canvas, x0, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
     second = (
         "right, the difference (upward map minus the map across) of points of "
         f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of normal "
         "differences. Dashed, left: both equal. "
-        if same
+        if coarse.same_quantity
         else "right, area means over the valid pixels of each larger point. "
     )
     shown = f", one in {every} of each row and column" if every > 1 else ""
@@ -127,21 +128,21 @@ def draw_points(
     canvas = Canvas(THIRD, max(height, 300.0))
     box = (76.0, 42.0, THIRD - 82, canvas.height - 92)
     size, many = plain(round(row.point_um, 4)), points[0].size > _MANY
-    axes = _density(canvas, box[0], *points, what="points", wide=box[2] - 55, at=box[1], high=box[3]) if many else None
+    axes = (
+        _density(canvas, box[0], *points, counted="points", wide=box[2] - 55, y0=box[1], high=box[3]) if many else None
+    )
     axes = axes or points_axes(canvas, points, box)
-    for ends, dash in _lines(row, axes.extent):
-        axes.line(ends, colour="white", width=4)
-        axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
+    _draw_lines(axes, row)
     canvas.ticks(axes, *labels)
     limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
     canvas.text(box[0], 18, f"r = {r_text(row)}{limits}" if is_known(row.r) else "no correlation", bold=True)
     canvas.text(box[0], 34, f"n = {count(row.n)} points of {size}", size=SMALL, colour=SOFT)
-    known = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
+    n_eff = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
     doubt = " Doubtful: see the checks." if row.trust == "doubtful" else ""
     return canvas.picture(
         title=f"Points of {size}",
         caption=(
-            f"n = {count(row.n)} squares of {size}{known}; mask: at least half valid in both maps. Lines of least "
+            f"n = {count(row.n)} squares of {size}{n_eff}; mask: at least half valid in both maps. Lines of least "
             f"squares: solid, of the upward map on the map across; dashed, the other way round. {capital(REGISTERED)}."
             f"{doubt}"
         ),
@@ -168,15 +169,16 @@ def points_table(points: Points, labels: Sequence[str]) -> Table:
     return dict(zip(names, (values.tolist() for values in points), strict=True))
 
 
-def _lines(
-    row: CorrelationRow, extent: tuple[float, float, float, float]
-) -> Iterator[tuple[list[tuple[float, float]], str]]:
-    """Give the line of least squares of b on a, and dashed that of a on b, within the axes."""
+def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
+    """Draw the line of least squares of b on a, and dashed that of a on b, within the axes."""
     if not is_known(row.slope):
         return
-    yield [(x, row.intercept + row.slope * x) for x in extent[:2]], ""
+    drawn = [([(x, row.intercept + row.slope * x) for x in axes.extent[:2]], "")]
     if row.slope_x_on_y and is_known(row.slope_x_on_y) and is_known(row.mean_a):
-        yield [(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in extent[2:]], "7 4"
+        drawn.append(([(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]], "7 4"))
+    for ends, dash in drawn:
+        axes.line(ends, colour="white", width=4)
+        axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
 
 
 def largest(rows: Sequence[CorrelationRow]) -> CorrelationRow:
@@ -186,17 +188,17 @@ def largest(rows: Sequence[CorrelationRow]) -> CorrelationRow:
 
 def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
     """Draw the difference over the mean of the two, with its mean and limits."""
-    mean, apart = (a + b) / 2, b - a
+    mean, difference = (a + b) / 2, b - a
     units = unit(row.units or "") or units
-    known = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
-    low, high = _limits(apart)
+    levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
+    low, high = _limits(difference)
     room = 0.04 * (high - low)
-    span = min(low, *known) - room if known else low, max(high, *known) + room if known else high
+    span = min(low, *levels) - room if levels else low, max(high, *levels) + room if levels else high
     axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_limits(mean), *span))
     across = axes.extent[:2]
     axes.line([(x, 0.0) for x in across], colour=SOFT, width=1)
-    axes.dots(np.stack([mean, apart], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
-    for k, value in enumerate(known):
+    axes.dots(np.stack([mean, difference], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
+    for k, value in enumerate(levels):
         axes.line([(x, value) for x in across], colour="white", width=4)
         axes.line([(x, value) for x in across], colour=ACCENT, width=2, dash="7 4" if k else "")
     end = f" / {units}" if units else ""
@@ -215,7 +217,7 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
 def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
     """Draw larger points one by one, or their density where they are many."""
     if a.size > _MANY:
-        return _density(canvas, _RIGHT, a, b, what="points", wide=_WIDE - 70)
+        return _density(canvas, _RIGHT, a, b, counted="points", wide=_WIDE - 70)
     return points_axes(canvas, (a, b), (_RIGHT, _TOP, _WIDE, _HIGH))
 
 
@@ -229,7 +231,7 @@ def points_axes(canvas: Canvas, points: Points, box: tuple[float, float, float, 
 
 
 def _density(
-    canvas: Canvas, left: float, a: Array, b: Array, *, what: str, wide: float = _WIDE, at: float = _TOP,
+    canvas: Canvas, x0: float, a: Array, b: Array, *, counted: str, wide: float = _WIDE, y0: float = _TOP,
     high: float = _HIGH,
 ) -> Axes:  # fmt: skip
     """Draw how many points fall where, with the colour bar to the right."""
@@ -238,16 +240,16 @@ def _density(
     counts = np.histogram2d(a, b, bins=bins, range=box)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
-    axes = canvas.axes(left, at, wide, high, (*box[0], *box[1]))
+    axes = canvas.axes(x0, y0, wide, high, (*box[0], *box[1]))
     axes.image(ShownMap(logs, axes.extent), scale, missing="#ffffff")
-    canvas.colour_bar(left + wide + 8, at, 10, high, scale, log=True)
-    canvas.text(left + wide + 8, at - 8, what, size=SMALL, colour=SOFT)
+    canvas.colour_bar(x0 + wide + 8, y0, 10, high, scale, log=True)
+    canvas.text(x0 + wide + 8, y0 - 8, counted, size=SMALL, colour=SOFT)
     return axes
 
 
-def _heading(canvas: Canvas, left: float, title: str, numbers: str) -> None:
-    canvas.text(left, 20, title, bold=True, size=13)
-    canvas.text(left, 43, numbers)
+def _heading(canvas: Canvas, x0: float, title: str, numbers: str) -> None:
+    canvas.text(x0, 20, title, bold=True, size=13)
+    canvas.text(x0, 43, numbers)
 
 
 def _limits(data: Array, percent: float = 0.05) -> tuple[float, float]:

@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 
 from planish.core.facts import is_known
+from planish.core.numbers import MOST_DECIMALS, decimals_of_r
 from planish.report.text import NONE, count, fixed, number
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = CorrelationRow | ComparisonRow
-
-_NARROW = 0.02  # width of an interval of r, below which two decimals hide it
-_MOST = 5  # decimals
 
 
 def decimals(row: Row) -> int:
     """Decimals of r² that its interval allows: those of one significant digit of half its width."""
     limits = r2_limits(row)
     half = (limits[1] - limits[0]) / 2 if limits else 0.0
-    return min(max(-math.floor(math.log10(half)), 1), _MOST) if half > 0 else 2
+    return min(max(-math.floor(math.log10(half)), 1), MOST_DECIMALS) if half > 0 else 2
 
 
 def r2_limits(row: Row) -> tuple[float, float] | None:
@@ -68,9 +66,3 @@ def points_text(row: Row | None) -> str:
     if row is None:
         return NONE
     return count(row.n) if not is_known(row.n_eff) else f"{count(row.n)}\n{count(round(row.n_eff))}"
-
-
-def decimals_of_r(limits: tuple[float, float] | None) -> int:
-    """Decimals of an r within limits: two, and more where they are close to each other."""
-    wide = 1.0 if limits is None or not is_known(limits) else limits[1] - limits[0]
-    return min(max(2, 1 - math.floor(math.log10(wide))), _MOST) if 0 < wide < _NARROW else 2

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
+from planish.analyze.agreement import Twice
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError
 from planish.core.facts import SIDES, Trust, is_known
 from planish.core.series_results import InstrumentFacts, Member, Specimen
 from planish.pipeline.run import open_results
 from planish.report.summary import key_of
-from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results, Twice
+from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 

@@ -1,22 +1,60 @@
-"""Maps with the texture of a map but unrelated to anything, and how far texture reaches."""
+"""Planes, trends and slow waves taken off maps, surrogates of what is left, and how far its texture reaches.
+
+A trend over the whole field that two maps share, such as light, curl or drift, is one event and not many.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
+
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
 from planish.analyze.ncc import MaskedNcc
 from planish.core.robust import masked_gaussian
+from planish.core.typing import Bools, Floats
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
+_SHARED = 0.25  # of the variance of both maps
 _TAPER = 0.4  # of the map, both borders together
 _LEAST = 3  # pixels that fix a plane
 
 
-class Unrelated:
+def without_trend(values: Floats, is_valid: Bools) -> Floats:
+    """Take the plane and second-order surface of least squares off a map (rows, cols); 0 where it is not known."""
+    # Products of one polynomial along the rows and one along the columns: no term is ever as large as the map.
+    rows, cols = (np.polynomial.legendre.legvander(np.linspace(-1.0, 1.0, n), 2) for n in is_valid.shape)
+    inside = np.where(is_valid, values - values[is_valid].mean(), 0.0)
+    weights = is_valid.astype(np.float64)
+    moments = np.einsum(
+        "rjl,ri,rk->ijkl", (weights @ (cols[:, :, None] * cols[:, None, :]).reshape(len(cols), 9)).reshape(-1, 3, 3),
+        rows, rows,
+    )  # fmt: skip
+    sums = rows.T @ inside @ cols
+    terms = [(i, j) for i in range(3) for j in range(3 - i)]
+    matrix = np.array([[moments[i, j, k, m] for k, m in terms] for i, j in terms])
+    coefficients = np.linalg.lstsq(matrix, np.array([sums[i, j] for i, j in terms]), rcond=None)[0]
+    surface = np.zeros((3, 3))
+    for (i, j), value in zip(terms, coefficients, strict=True):
+        surface[i, j] = value
+    return np.where(is_valid, inside - rows @ surface @ cols.T, 0.0)
+
+
+def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
+    """Say what trends over the field hold of two maps; empty where it is less than a quarter of either."""
+    rest = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
+    shares = [1.0 - float(m.var()) / float(v[is_valid].var()) for m, v in zip(rest, (x, y), strict=True)]
+    if min(shares) < _SHARED:
+        return ""
+    spread = math.sqrt(float(rest[0].var()) * float(rest[1].var()))
+    r = float(np.mean(rest[0] * rest[1])) / spread if spread > 0 else math.nan
+    return (
+        f"Trends over the whole field hold {100 * shares[0]:.0f} % of map a and {100 * shares[1]:.0f} % of map b; "
+        f"without them r is {r:.2f}."
+    )
+
+
+class PhaseSurrogate:
     """Maps with the power spectrum of a map, random phases and no trend: of its texture, but unrelated to anything.
 
     The map (rows, cols) is one without trend; where it is not valid, its mean is taken.
@@ -26,16 +64,18 @@ class Unrelated:
     Theiler et al. (1992), Physica D 58, 77, doi:10.1016/0167-2789(92)90102-S.
     """
 
-    def __init__(self, values: Array, valid: Mask) -> None:
+    def __init__(self, values: Floats, valid: Bools) -> None:
         mean = float(values[valid].mean()) if valid.any() else 0.0
         # A map that is cut off at its borders is not periodic; without a taper the jump there whitens the spectrum, and
         # the null becomes too narrow.
-        taper = np.multiply.outer(*(_taper(n) for n in values.shape))
+        # A tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import.
+        borders = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (_TAPER * max(n - 1, 1)) for n in values.shape)
+        taper = np.multiply.outer(*(0.5 - 0.5 * np.cos(np.pi * np.minimum(away, 1.0)) for away in borders))
         self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
         self._shape = values.shape
         self._plane = Plane(valid)
 
-    def draw(self, rng: np.random.Generator) -> Array:
+    def draw(self, rng: np.random.Generator) -> Floats:
         """Return the next of them, shape (rows, cols); 0 where the map is not known.
 
         Its variance is smaller than the map's: what was missing, and the borders, count as 0.
@@ -45,17 +85,15 @@ class Unrelated:
         phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
         return self._plane.taken_off(np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64))
 
-
-def _taper(n: int) -> Array:
-    """Tapered cosine (Tukey) window, shape (n,); scipy.signal has it too but takes half a second to import."""
-    from_border = np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (_TAPER * max(n - 1, 1))
-    return 0.5 - 0.5 * np.cos(np.pi * np.minimum(from_border, 1.0))
+    def draws(self, count: int, rng: np.random.Generator) -> Iterator[Floats]:
+        """Give the next so many of them."""
+        yield from (self.draw(rng) for _ in range(count))
 
 
 class Plane:
     """The plane of least squares through the known pixels of maps with one mask (rows, cols)."""
 
-    def __init__(self, valid: Mask) -> None:
+    def __init__(self, valid: Bools) -> None:
         self._valid = valid
         n = max(int(np.count_nonzero(valid)), 1)
         by_row, by_col = valid.sum(axis=1), valid.sum(axis=0)
@@ -67,25 +105,25 @@ class Plane:
         self._solve = np.linalg.pinv(square)
         self._n = n
 
-    def taken_off(self, values: Array) -> Array:
+    def taken_off(self, values: Floats) -> Floats:
         """Return values (rows, cols) without their plane; 0 where they are not known."""
         if self._n < _LEAST:
             return np.zeros(values.shape)
-        known = np.where(self._valid, values, 0.0)
-        known = np.where(self._valid, known - known.sum() / self._n, 0.0)
-        slope = self._solve @ (self._rows @ known.sum(axis=1), self._cols @ known.sum(axis=0))
+        centred = np.where(self._valid, values, 0.0)
+        centred = np.where(self._valid, centred - centred.sum() / self._n, 0.0)
+        slope = self._solve @ (self._rows @ centred.sum(axis=1), self._cols @ centred.sum(axis=0))
         plane = np.add.outer(slope[0] * self._rows, slope[1] * self._cols)
-        return np.where(self._valid, known - plane, 0.0)
+        return np.where(self._valid, centred - plane, 0.0)
 
 
-def without_plane(values: Array, valid: Mask) -> Array:
+def without_plane(values: Floats, valid: Bools) -> Floats:
     """Take the plane of least squares off a map, shape (rows, cols); 0 where it is not known."""
     return Plane(valid).taken_off(values)
 
 
 def in_band(
-    values: Array, valid: Mask, pixel_um: tuple[float, float], band_um: tuple[float | None, float | None]
-) -> Array:
+    values: Floats, valid: Bools, pixel_um: tuple[float, float], band_um: tuple[float | None, float | None]
+) -> Floats:
     """Keep wavelengths from ``band_um[0]`` to ``band_um[1]`` of a map, where both limits are halved.
 
     Parameters
@@ -105,13 +143,13 @@ def in_band(
     return out
 
 
-def _low(values: Array, valid: Mask, pixel_um: tuple[float, float], half_um: float) -> Array:
+def _low(values: Floats, valid: Bools, pixel_um: tuple[float, float], half_um: float) -> Floats:
     sigma = [half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi / p for p in pixel_um]
     total, weight = masked_gaussian(values, valid, sigma)
     return np.asarray(total / np.maximum(weight, 1e-12), dtype=np.float64)
 
 
-def correlation_length_um(values: Array, valid: Mask, pixel_um: tuple[float, float]) -> float:
+def correlation_length_um(values: Floats, valid: Bools, pixel_um: tuple[float, float]) -> float:
     """Distance at which the autocorrelation of a map, averaged over directions, falls below 1/e.
 
     Infinite where it stays above 1/e up to a quarter of the map.

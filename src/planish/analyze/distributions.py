@@ -6,8 +6,9 @@ The same values as those of ``scipy.stats``, whose import alone takes as long as
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import optimize, special
+
+from planish.core.typing import Floats
 
 
 def normal_quantile(share: float) -> float:
@@ -50,7 +51,7 @@ def chi_square_tail(value: float, free: float) -> float:
     return float(special.chdtrc(free, value))
 
 
-def largest_tail(maxima: NDArray[np.float64], value: float) -> float:
+def largest_tail(maxima: Floats, value: float) -> float:
     """The share of further maxima above a value, by Gumbel's distribution fitted by maximum likelihood."""
     away = maxima - maxima.min()
 
@@ -62,11 +63,11 @@ def largest_tail(maxima: NDArray[np.float64], value: float) -> float:
     if spread == 0:
         return float(value <= maxima[0])
     scale = float(optimize.brentq(excess, spread / 100, spread * 100))
-    at = float(maxima.min()) - scale * math.log(float(np.exp(-away / scale).mean()))
-    return -math.expm1(-math.exp((at - value) / scale))
+    location = float(maxima.min()) - scale * math.log(float(np.exp(-away / scale).mean()))
+    return -math.expm1(-math.exp((location - value) / scale))
 
 
-def ranks(values: NDArray[np.float64]) -> NDArray[np.float64]:
+def ranks(values: Floats) -> Floats:
     """Ranks from 1 on of an array without missing values, flat; equal values have their mean rank."""
     _, which, count = np.unique(values.ravel(), return_inverse=True, return_counts=True)
     last = np.cumsum(count)

@@ -1,0 +1,215 @@
+"""Layers on one grid against each other: correlation, differences of equal quantities, other registrations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from pydantic import Field
+
+from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
+from planish.analyze.differences import holm, paired_difference
+from planish.core.bands import any_finite, band_of, bands
+from planish.core.errors import InputError, MarkError
+from planish.core.facts import NULL, Interval, Side, Trust, Value
+from planish.core.grid import Grid, pitch, values_at
+from planish.core.typing import Bools, Floats
+from planish.measure import PROPERTIES
+from planish.register import FittedTransform, fit_transform
+from planish.resample import Mesh, resample
+
+CELLS = 2**16
+"""Of a map, by which the independent points of a correlation are counted and its scales are told."""
+
+_LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
+REGISTRATION_VARIANTS = (
+    ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
+    ("projection, similarity", ("projected_u", "projected_v"), "similarity"),
+    ("flattened, similarity", ("u", "v"), "similarity"),
+)
+"""Registrations of a sheet to an image that the paper compares: name, coordinates, model."""
+
+
+class _Judged(Correlation):
+    trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
+
+
+_NUMBERS_OF_R = (
+    "r", "r2", "rho", "slope", "intercept", "slope_x_on_y", "mean_a", "mean_b", "n_eff", "p", "interval",
+    "n_eff_interval",
+)  # fmt: skip
+
+
+class CorrelationRow(_Judged):
+    """Correlation of two maps over points of one size; ``slope`` and ``intercept`` give b from a."""
+
+    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "p_of_table", "difference_mean", "difference_sd", "limits")
+
+    a: str = Field(description="First layer.")
+    a_map: str = Field(description="Its map.")
+    b: str = Field(description="Second layer.")
+    b_map: str = Field(description="Its map.")
+    p_of_table: Value = Field(
+        default=NULL, description="p after Holm, put right for the number of rows at this point size."
+    )
+    same_quantity: bool = Field(
+        default=False, description="Whether both maps are of one quantity, so that their difference means something."
+    )
+    difference_mean: Value = Field(default=NULL, description="Mean of b less a, for equal quantities.")
+    difference_sd: Value = Field(default=NULL, description="Standard deviation of that difference.")
+    limits: Interval = Field(default=NULL, description="Limits of agreement: where 95 % of the differences lie.")
+    units: str | None = Field(default=None, description="Unit of the difference.")
+
+
+class ComparisonRow(_Judged):
+    """The headline correlation by one registration, as the paper compares them, all on the same pixels."""
+
+    WITHHELD: ClassVar = (*_NUMBERS_OF_R, "difference", "difference_interval")
+
+    registration: str = Field(description="How the map was laid on the image.")
+    property: str = Field(description="The map.")
+    marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
+    difference: Value = Field(default=NULL, description="r of the run's own registration minus this r.")
+    difference_interval: Interval = Field(default=NULL, description="In which the difference lies with 95 %.")
+
+
+def is_property(data: xr.DataArray) -> bool:
+    """Whether a map is a measured property; standard errors, places and masks are none."""
+    attrs = data.attrs
+    return attrs.get("role") == "property" or ("support_um" in attrs and not str(data.name).endswith("_se"))
+
+
+def _maps_to_correlate(maps: xr.Dataset) -> list[str]:
+    """The maps of a layer that are correlated: its image, or all properties but angles and standard errors."""
+    if "image" in maps and "thickness" not in maps:
+        return ["image"]
+    names = [str(k) for k, data in maps.data_vars.items() if is_property(data) and data.attrs.get("units") != "deg"]
+    # A store gives its maps in the order of the alphabet: here they stand in one order, wherever they come from.
+    order = [*PROPERTIES]
+    return sorted(names, key=lambda name: (order.index(name) if name in order else len(order), name))
+
+
+def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: float) -> Iterator[CorrelationRow]:
+    """Correlate two layers point by point, per pixel and over larger points.
+
+    Two sheets: the same properties, with their differences. A sheet and an image: every property with the image.
+    """
+    layers = maps[a], maps[b]
+    names = [_maps_to_correlate(data) for data in layers]
+    sheets = all("image" not in n for n in names)
+    pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [(m, n) for m in names[0] for n in names[1]]
+    grid = Grid.of(layers[0])
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
+    for rows in bands(grid.shape[0]):
+        valid = band_of(layers[0]["valid"], rows) & band_of(layers[1]["valid"], rows)
+        p, q = (
+            {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
+            for k, data in enumerate(layers)
+        )
+        for of_pair, pair in zip(sums, pairs, strict=True):
+            of_pair.add(rows.start, p[pair[0]], q[pair[1]])
+    table: list[CorrelationRow] = []
+    for of_pair, pair in zip(sums, pairs, strict=True):
+        sizes = [*of_pair.sizes()]
+        for row, pair_sums in sizes if sizes[0][0].n else []:
+            more = _differences(pair_sums, str(layers[0][pair[0]].attrs.get("units", "1"))) if sheets else {}
+            table.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **more))
+    for size in {row.point_um for row in table}:
+        of_size = [k for k, row in enumerate(table) if row.point_um == size]
+        for k, p_of_table in zip(of_size, holm([table[k].p for k in of_size]), strict=True):
+            table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
+    yield from table
+
+
+def _differences(sums: PairSums, units: str) -> dict[str, Any]:
+    """Mean and spread of b - a, and the limits of agreement."""
+    mean, sd = sums.difference
+    limits = (mean - _LIMITS * sd, mean + _LIMITS * sd)
+    return {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
+
+
+def comparison_rows(
+    linked: xr.Dataset, sheet: Mapping[str, xr.Dataset], fit: FittedTransform, *, name: str, point_um: float,
+    away: Callable[[Grid], Bools],
+) -> Iterator[ComparisonRow]:  # fmt: skip
+    """The headline correlation by the registrations that the paper compares, and by that of the run.
+
+    ``away`` says of the pixels of a grid whether they are away from holes.
+    Least squares of all marks, as in the paper: marks that do not fit are what shows that a registration is wrong.
+    """
+    grid, measured = Grid.of(linked), sheet["surfaces"]
+    variants = [*_variants(sheet, fit), (f"flattened, {fit.model}", fit.rms_um, None)]
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
+    for rows in bands(grid.shape[0]):
+        part, image = grid.part(rows), band_of(linked["image"], rows)
+        use, values = band_of(linked["valid"], rows), list[NDArray[Any]]()
+        for _, _, mesh in variants:
+            if mesh is None:
+                values.append(band_of(linked[name], rows))
+            else:
+                under = mesh.under(part)
+                values.append(resample(measured[name].values[under.nodes], under.places))
+                use = use & away(part)
+        # Rows that are compared are of the same pixels.
+        use = np.logical_and.reduce([use, *(np.isfinite(v) for v in values)])
+        for of_variant, shown in zip(sums, values, strict=True):
+            of_variant.add(rows.start, np.where(use, shown, np.nan), image)
+    yield from _compared_rows(variants, sums, name=name, point_um=point_um)
+
+
+def _compared_rows(
+    variants: Sequence[tuple[str, float, Mesh | None]], sums: Sequence[PairAtSizes], *, name: str, point_um: float
+) -> Iterator[ComparisonRow]:
+    """Rows of each registration at both sizes, with the change to that of the run, which stands last."""
+    (cells, cell_um), points = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
+    by_run = [(row.r, *of_size) for (row, _), of_size in zip(sums[-1].sizes(), ((cells, cell_um), points), strict=True)]
+    for (title, rms_um, mesh), of_variant in zip(variants, sums, strict=True):
+        pairs = of_variant.cells()[0], of_variant.points()
+        for (row, _), pair, reference in zip(of_variant.sizes(), pairs, by_run, strict=True):
+            more = _change(row, pair, *reference) if mesh is not None and row.n else {}
+            yield ComparisonRow.holding(row, registration=title, property=name, marks_rms_um=rms_um, **more)
+
+
+def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[tuple[str, float, Mesh]]:
+    """Name, residual of the marks and mesh of each registration that the run's own is compared with."""
+    for title, names, model in REGISTRATION_VARIANTS:
+        if model == fit.model and names == ("u", "v"):
+            continue  # the run's own
+        marks = fit.moving if names == ("u", "v") else values_at(sheet["maps"], names, fit.moving)
+        if not np.isfinite(marks).all():
+            raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
+        variant = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
+        uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
+        yield title, variant.rms_um, Mesh.of(variant.transform(uv), least_um=min(pitch(sheet["surfaces"])))
+
+
+def _change(
+    row: Correlation, pair: Sequence[Floats], r: float, reference: Sequence[Floats], pixel_um: tuple[float, float]
+) -> dict[str, Any]:
+    """R of the run's own registration less that of another one, with its interval."""
+    change = paired_difference((pair[0], pair[1]), (reference[0], reference[1]), pixel_um=pixel_um)
+    # The interval is told from cells, which may be larger than the pixels that r is of.
+    moved = r - row.r - change.difference
+    low, high = (v + moved for v in change.interval)
+    return {"difference": r - row.r, "difference_interval": (low, high)}
+
+
+def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:
+    """The map that stands for a layer: an image itself, what the study names, the coating that is seen, the thickness.
+
+    Raises
+    ------
+    InputError
+        If the study names a map that the sheet does not have.
+    """
+    if "thickness" not in maps:
+        return "image"
+    if wanted is not None:
+        if wanted not in maps:
+            raise InputError(f"The sheet has no map {wanted!r} to lead. It has {', '.join(_maps_to_correlate(maps))}.")
+        return wanted
+    coating = f"coating_{side}"
+    return coating if any_finite(maps[coating]) else "thickness"

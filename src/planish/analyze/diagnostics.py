@@ -1,0 +1,286 @@
+"""What stands beside the correlation that leads: a table of questions, each answered for two maps on one grid.
+
+A statistic beside r is a module with its result, its computation and its sentence, a field of :class:`EvidenceFacts`
+and a row of ``QUESTIONS``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import suppress
+from dataclasses import dataclass, field
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+import xarray as xr
+from pydantic import Field
+
+from planish.analyze.agreement import Twice, answer_twice, say_twice
+from planish.analyze.ceiling import answer_ceiling, say_ceiling
+from planish.analyze.compare import CELLS
+from planish.analyze.correlation import PairAtSizes
+from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram, say_correlogram
+from planish.analyze.covariance import Lags
+from planish.analyze.curve import ImageCurve, answer_curve, say_curve
+from planish.analyze.curve_of_sizes import SizeRow, answer_sizes
+from planish.analyze.kubelka_munk import CoatingCurve, answer_density, answer_kubelka_munk, say_kubelka_munk
+from planish.analyze.light_spread import LightSpread, answer_light_spread, say_light_spread
+from planish.analyze.octaves import Band, answer_octaves
+from planish.analyze.params import CorrelateParams
+from planish.analyze.robustness import (
+    Partial,
+    answer_origins,
+    answer_partial,
+    answer_short_waves,
+    say_origins,
+    say_partial,
+    say_short_waves,
+)
+from planish.analyze.second_opinion import SecondOpinion, answer_second_opinion, say_second_opinion
+from planish.analyze.split_half import Columns, MapReliability
+from planish.analyze.thin_regions import ThinRegion, answer_thin, say_thin
+from planish.analyze.variograms import MapVariogram, answer_variograms, say_variograms
+from planish.core.area import area_mean
+from planish.core.bands import band_of, bands
+from planish.core.errors import CannotMeasure, SizeError
+from planish.core.facts import Facts, Number
+from planish.core.grid import Grid
+from planish.core.typing import Floats
+
+
+class EvidenceFacts(Facts):
+    """What stands beside the correlation of the maps that stand for two layers."""
+
+    a: str = Field(description="First layer.")
+    a_map: str = Field(description="Its map.")
+    b: str = Field(description="Second layer.")
+    b_map: str = Field(description="Its map.")
+    declared: bool = Field(description="Whether the study named the map before r was looked at.")
+    sizes: tuple[SizeRow, ...] = Field(default=(), description="r over points of growing size.")
+    bands: tuple[Band, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
+    resolution_per_um: Number = Field(
+        default=None, description="Waves closer in frequency than this are not distinguished."
+    )
+    origins: tuple[float, float, float] | None = Field(
+        default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
+    )
+    curve: ImageCurve | None = Field(default=None, description="Whether the relation is straight or bent.")
+    kubelka_munk: CoatingCurve | None = Field(default=None, description="Where the study asks for it.")
+    light_spread: LightSpread | None = Field(default=None, description="Where the study states how far light spreads.")
+    density_g_cm3: Number = Field(
+        default=None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
+    )
+    thin: tuple[ThinRegion, ...] = Field(default=(), description="The image where the coating is thin.")
+    short_waves: SizeRow | None = Field(default=None, description="Without waves above short_waves_um.")
+    short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
+    ceiling: Number = Field(
+        default=None, description="The r that a perfect relation would show, by misplacement alone."
+    )
+    ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
+    reliability: tuple[MapReliability, ...] = Field(
+        default=(), description="Of the maps of sheets among the two, at the larger points."
+    )
+    ceiling_noise: Number = Field(
+        default=None,
+        description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound.",
+    )
+    ceiling_both: Number = Field(default=None, description="The same by noise and misplacement together.")
+    second_opinion: SecondOpinion | None = Field(
+        default=None, description="An interval from what single points add to r."
+    )
+    variograms: tuple[MapVariogram, ...] = Field(default=(), description="How each map varies with distance.")
+    correlogram: CorrelogramProfiles | None = Field(default=None, description="r at every shift of one map.")
+    twice: Twice | None = Field(default=None, description="Where both maps are of the same quantity.")
+    partial: Partial | None = Field(default=None, description="Where the study names maps that stand beside.")
+    commonality: dict[str, float] | None = Field(
+        None,
+        description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
+        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does.",
+    )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ComparedMaps:
+    """The maps that stand for two layers, on one mask, and what a run knows of them.
+
+    Attributes
+    ----------
+    a, b : (str, str)
+        Layer and map.
+    units : (str, str)
+    x, y : ndarray, shape (rows, cols)
+        Both maps, averaged to at most 65 536 cells; NaN where one of them is missing.
+    lags : Lags
+        Of the cells that count, ``lags.is_valid``.
+    params : CorrelateParams
+    layers : (Dataset, Dataset)
+        All maps of both layers, on the pixels of ``grid``.
+    columns : mapping of str to Columns
+        Those of each sheet.
+    md_deg : float or None
+        Machine direction on the reference.
+    repeated : (ndarray, ndarray) or None
+        Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
+    """
+
+    a: tuple[str, str]
+    b: tuple[str, str]
+    units: tuple[str, str]
+    x: Floats
+    y: Floats
+    lags: Lags
+    params: CorrelateParams
+    layers: tuple[xr.Dataset, xr.Dataset]
+    grid: Grid
+    columns: Mapping[str, Columns] = field(default_factory=dict[str, Columns])
+    md_deg: float | None = None
+    repeated: tuple[Floats, Floats] | None = None
+
+    @property
+    def point_um(self) -> float:
+        """Edge of the larger points."""
+        return self.params.point_um
+
+    @property
+    def cell_um(self) -> tuple[float, float]:
+        """Size of a cell along y and x."""
+        return self.lags.pixel_um
+
+    @property
+    def has_points(self) -> bool:
+        """Whether the larger points are no smaller than cells."""
+        return self.point_um >= max(self.cell_um)
+
+    @property
+    def why_no_points(self) -> str:
+        """Why there are no means over the larger points; empty where there are."""
+        if self.point_um >= max(self.cell_um) * (1 - 1e-9):
+            return ""
+        return f"Points of {self.point_um:g} um are smaller than the means that stand for the pixels. Give larger ones."
+
+    @property
+    def points(self) -> tuple[Floats, Floats]:
+        """Both maps averaged over the larger points."""
+        factor = self.point_um / self.cell_um[0], self.point_um / self.cell_um[1]
+        return area_mean(self.x, factor), area_mean(self.y, factor)
+
+    @property
+    def is_sheet_on_image(self) -> bool:
+        """Whether a map of a sheet is compared with an image."""
+        return "thickness" in self.layers[0] and "image" in self.layers[1]
+
+    @property
+    def is_coat_on_image(self) -> bool:
+        """Whether thickness or weight of a coating is compared with an image."""
+        return self.a[1].startswith("coat") and "image" in self.layers[1]
+
+
+class PairWords(NamedTuple):
+    """What sentences call things: the size of points, the values of the image, the titles of both maps."""
+
+    point_um: float = float("nan")
+    image: str = "relative grey"
+    titles: tuple[str, ...] = ()
+
+
+Section = Literal["scale", "distance", "repeated", "light"]
+
+
+class Question(NamedTuple):
+    """A statistic beside r.
+
+    ``fields`` are those of :class:`EvidenceFacts` that ``answer`` fills; where one of them is not empty, ``say`` gives
+    the sentences of a section of the page. ``asked_by`` is the option without which nobody asks.
+    """
+
+    fields: tuple[str, ...]
+    answer: Callable[[ComparedMaps], dict[str, Any]]
+    say: Callable[[EvidenceFacts, PairWords], Iterable[str]] | None = None
+    section: Section = "scale"
+    asked_by: str = ""
+
+
+QUESTIONS = (
+    Question(("sizes",), answer_sizes),
+    Question(("bands", "resolution_per_um"), answer_octaves),
+    Question(("origins",), answer_origins, say_origins),
+    Question(("second_opinion",), answer_second_opinion, say_second_opinion),
+    Question(("curve",), answer_curve, say_curve),
+    Question(("thin",), answer_thin, say_thin),
+    Question(("short_waves", "short_waves_um"), answer_short_waves, say_short_waves),
+    Question(("partial", "commonality"), answer_partial, say_partial, asked_by="beside"),
+    Question(
+        ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"), answer_ceiling, say_ceiling
+    ),
+    Question(("variograms",), answer_variograms, say_variograms, section="distance"),
+    Question(("correlogram",), answer_correlogram, say_correlogram, section="distance"),
+    Question(("twice",), answer_twice, say_twice, section="repeated"),
+    Question(("density_g_cm3",), answer_density),
+    Question(("kubelka_munk",), answer_kubelka_munk, say_kubelka_munk, section="light", asked_by="kubelka_munk"),
+    Question(("light_spread",), answer_light_spread, say_light_spread, section="light", asked_by="light_spread_um"),
+)
+"""In the order in which the page has their sentences."""
+
+
+def correlation_diagnostics(
+    maps: Mapping[str, xr.Dataset], a: tuple[str, str], b: tuple[str, str], *, params: CorrelateParams | None = None,
+    columns: Mapping[str, Columns] | None = None, md_deg: float | None = None,
+) -> EvidenceFacts | None:  # fmt: skip
+    """Answer every question of two maps; None where they share fewer than 3 cells, or one of them is constant.
+
+    Parameters
+    ----------
+    maps : mapping of str to Dataset (y, x)
+        Layers on the pixels of the reference, by their names.
+    a, b : (str, str)
+        Layer and map.
+    params : CorrelateParams, optional
+    columns : mapping of str to Columns, optional
+        Those of each sheet, for its reliability.
+    md_deg : float, optional
+        Machine direction on the reference.
+
+    Returns
+    -------
+    EvidenceFacts or None
+
+    Raises
+    ------
+    InputError
+        If a sheet lacks a map that is to stand beside.
+    """
+    params = params or CorrelateParams()
+    first, second = maps[a[0]], maps[b[0]]
+    grid, is_repeated = Grid.of(first), a[1] == b[1] and "image" not in (a[1], b[1])
+    pair = PairAtSizes(
+        grid.shape, pixel_um=grid.pixel_um, point_um=params.point_um if is_repeated else None, most_cells=CELLS
+    )  # fmt: skip
+    for rows in bands(grid.shape[0]):
+        use = band_of(first["valid"], rows) & band_of(second["valid"], rows)
+        pair.add(rows.start, np.where(use, band_of(first[a[1]], rows), np.nan), band_of(second[b[1]], rows))
+    (x, y), cell_um = pair.cells()
+    is_valid = np.isfinite(x) & np.isfinite(y)
+    if np.count_nonzero(is_valid) < 3 or not (np.ptp(x[is_valid]) > 0 and np.ptp(y[is_valid]) > 0):
+        return None
+    compared = ComparedMaps(
+        a=a, b=b, units=(str(first[a[1]].attrs.get("units", "1")), str(second[b[1]].attrs.get("units", "1"))), x=x, y=y,
+        lags=Lags(is_valid, cell_um), params=params, layers=(first, second), grid=grid, columns=columns or {},
+        md_deg=md_deg, repeated=pair.points() if is_repeated else None,
+    )  # fmt: skip
+    answers: dict[str, Any] = {}
+    for question in QUESTIONS:
+        if question.asked_by and getattr(params, question.asked_by) in (None, ()):
+            continue
+        with suppress(CannotMeasure, SizeError):  # a field that is too small for one of them, and the rest stands
+            answers |= question.answer(compared)
+    return EvidenceFacts(
+        a=a[0], a_map=a[1], b=b[0], b_map=b[1], declared=params.headline is not None, **answers
+    )  # fmt: skip
+
+
+def sentences(evidence: EvidenceFacts, section: Section, words: PairWords | None = None) -> Iterator[str]:
+    """Give what a section of the page says of two maps, question by question."""
+    for question in QUESTIONS:
+        is_answered = any(getattr(evidence, name) not in (None, ()) for name in question.fields)
+        if question.section == section and question.say is not None and is_answered:
+            yield from question.say(evidence, words or PairWords())

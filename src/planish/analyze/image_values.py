@@ -1,0 +1,210 @@
+"""The values of an image as they are compared: grey as reflectance, and without a print's halftone screen.
+
+What is left of a print without its screen is its unevenness and not its dots.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, Literal
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy import ndimage
+
+from planish.core.errors import CannotMeasure, InputError, SizeError
+from planish.core.facts import Facts, Number
+from planish.core.typing import Bools
+from planish.io.params import ImageParams
+
+SCREEN_SIGMA_UM = 70.0
+"""Standard deviation of the Gaussian: 6 of them are the 420 um of Hirn et al. (2009), section 3.3.2."""
+
+SCREEN_SIGMA = SCREEN_SIGMA_UM * 60 / 1e4
+"""The same as a share of the period of the screen that it was for, 60 lines per cm."""
+
+SCREEN_REACH = 3.0
+"""Standard deviations to either side at which the Gaussian ends."""
+
+REFLECTANCE = "Reflectance"
+"""What the values of an image are where a dark and a white reference are known."""
+
+_LEAST_SIGMA_PX = 0.75  # below, pixels are too coarse for a Gaussian
+
+
+class ImageFacts(Facts):
+    """What the values of an image are that is compared."""
+
+    quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")
+    dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
+    white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
+    screen_um: Number = Field(
+        default=None, description="Period of the print screen that was taken off, if it was given."
+    )
+    sigma_um: Number = Field(default=None, description="Standard deviation of the Gaussian that took it off.")
+    reach_um: Number = Field(default=None, description="How far it reaches: so much more around holes is not valid.")
+
+    @property
+    def sentence(self) -> str:
+        """What a reader has to know of the values."""
+        if self.quantity == "reflectance":
+            text = f"reflectance: grey {self.dark_grey:g} is 0, grey {self.white_grey:g} is 1"
+        else:
+            text = "relative grey, as stored: no dark and white reference was given"
+        if self.screen_um is not None:
+            text += (
+                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma "
+                f"{self.sigma_um:.3g} um) before anything was compared, and {self.reach_um:.3g} um more around "
+                "holes are left out"
+            )
+        return text
+
+
+def image_facts(params: ImageParams) -> ImageFacts:
+    """What the values of an image are."""
+    is_reflectance = params.dark_grey is not None
+    screen = {} if params.screen_um is None else {"sigma_um": _sigma_um(params.screen_um), "reach_um": reach_um(params)}
+    return ImageFacts(
+        quantity="reflectance" if is_reflectance else "relative grey", dark_grey=params.dark_grey,
+        white_grey=params.white_grey, screen_um=params.screen_um, **screen,
+    )  # fmt: skip
+
+
+def compared_image(
+    image: xr.DataArray, params: ImageParams, *, mask: Bools | None = None
+) -> xr.DataArray:  # fmt: skip
+    """Turn grey into reflectance and take the screen off, as far as the options say so.
+
+    Parameters
+    ----------
+    image : DataArray (y, x)
+        Of :func:`planish.read_image`.
+    params : ImageParams
+    mask : ndarray of bool, optional
+        Pixels that may count for their neighbours when the screen is taken off; the others become NaN.
+
+    Returns
+    -------
+    DataArray (y, x)
+        The image itself where there is nothing to do. Its attribute ``reach_um`` says how far a pixel reached for its
+        neighbours.
+
+    Raises
+    ------
+    SizeError
+        If the pixels are too large for the Gaussian that takes the screen off.
+    CannotMeasure
+        If no pixel is known.
+    """
+    values, title = image.values, str(image.attrs.get("long_name", "Image"))
+    if params.dark_grey is None and params.screen_um is None:
+        return image
+    more: dict[str, object] = {}
+    if params.dark_grey is not None and params.white_grey is not None:
+        values = (values - np.float32(params.dark_grey)) / np.float32(params.white_grey - params.dark_grey)
+        _, comma, channel = title.partition(", ")
+        title = f"{REFLECTANCE}{comma}{channel}"
+    if params.screen_um is not None:
+        pixel = float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1])
+        values = without_screen(values, pixel_um=pixel, sigma_um=_sigma_um(params.screen_um), mask=mask)
+        title = f"{title}, without its screen"
+        more["reach_um"] = reach_um(params)
+    return image.copy(data=values).assign_attrs(long_name=title, **more)
+
+
+def reach_um(params: ImageParams | None) -> float:
+    """How far the Gaussian reaches that takes the screen off; 0 without one."""
+    return 0.0 if params is None or params.screen_um is None else SCREEN_REACH * _sigma_um(params.screen_um)
+
+
+def _sigma_um(screen_um: float) -> float:
+    return SCREEN_SIGMA * screen_um
+
+
+def without_screen(
+    image: ArrayLike, *, pixel_um: float | tuple[float, float], sigma_um: float = SCREEN_SIGMA_UM,
+    mask: Bools | None = None,
+) -> NDArray[np.floating[Any]]:  # fmt: skip
+    """Average an image with a Gaussian, over the pixels that are known; before it is averaged over points.
+
+    Parameters
+    ----------
+    image : array_like, shape (rows, cols)
+        Reflectance or grey; NaN is missing.
+    pixel_um : float or (float, float)
+        Along y and x.
+    sigma_um : float
+        Standard deviation of the Gaussian, which is cut at 3 of them.
+    mask : ndarray of bool, shape (rows, cols), optional
+        Pixels that count.
+
+    Returns
+    -------
+    ndarray, shape (rows, cols)
+        NaN where the image is not known. Single precision of an image of single precision or of 8 or 16 bits.
+
+    Raises
+    ------
+    InputError
+        If the image is no array of numbers with two dimensions, or the mask is none of its.
+    SizeError
+        If a size is not above 0, or the Gaussian narrower than 0.75 pixels.
+    CannotMeasure
+        If no pixel is known.
+
+    Notes
+    -----
+    Sum of the known values over sum of their weights: a map that is constant stays so up to its border. The kernel is
+    not symmetric there, though, and more of the screen is left than elsewhere: keep 3 sigma off holes and borders where
+    the last percent counts. The kernel is cut at the pixel nearest to 3 sigma, along either axis.
+    """
+    values = np.asarray(image)
+    sigma = [sigma_um / p for p in pixel_of(values, pixel_um)]
+    if not (math.isfinite(sigma_um) and min(sigma) >= _LEAST_SIGMA_PX):
+        raise SizeError(
+            f"A Gaussian of {sigma_um:g} um is {min(sigma):.2g} pixels wide; it needs {_LEAST_SIGMA_PX}. Take a larger "
+            "sigma_um, or an image with smaller pixels."
+        )
+    valid = known_of(values, mask)
+    kind = np.result_type(values.dtype, np.float32)
+    weight = valid.astype(kind)
+    return smooth(np.where(valid, values, 0).astype(kind, copy=False), weight, valid, sigma, truncate=SCREEN_REACH)
+
+
+def smooth(
+    values: NDArray[Any], weight: NDArray[Any], is_valid: Bools, sigma: list[float], *, truncate: float
+) -> NDArray[np.floating[Any]]:
+    """Gaussian mean (sigma in pixels) over known values, which are 0 elsewhere; NaN where nothing is known."""
+    total = ndimage.gaussian_filter(values, sigma, mode="constant", truncate=truncate)
+    full = ndimage.gaussian_filter(weight, sigma, mode="constant", truncate=truncate)
+    return np.divide(total, full, out=np.full_like(total, np.nan), where=is_valid)
+
+
+def pixel_of(values: NDArray[Any], pixel_um: float | tuple[float, float]) -> tuple[float, float]:
+    """Return the size of a pixel along y and x, if the image is one of numbers."""
+    if values.ndim != 2 or values.dtype.kind not in "fiub":
+        raise InputError(f"The image is {values.shape} values of {values.dtype}. Give one of numbers, (rows, cols).")
+    try:
+        down, across = (float(v) for v in (pixel_um if isinstance(pixel_um, tuple) else (pixel_um, pixel_um)))
+    except (TypeError, ValueError):
+        down = across = math.nan
+    if not (0 < down < math.inf and 0 < across < math.inf):
+        raise SizeError(f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x.")
+    return down, across
+
+
+def known_of(values: NDArray[Any], mask: Bools | None) -> Bools:
+    """Return where an image is known and counts; there has to be such a place."""
+    is_valid = np.isfinite(values)
+    if mask is not None:
+        if mask.dtype.kind != "b" or mask.shape != values.shape:
+            raise InputError(
+                f"The mask is {mask.shape} values of {mask.dtype}, the image {values.shape}. Give true or false for "
+                "every pixel."
+            )
+        is_valid &= mask
+    if not is_valid.any():
+        raise CannotMeasure("No pixel of the image is known and counts. Check the mask.")
+    return is_valid

@@ -1,0 +1,318 @@
+"""A registration refined by the maps themselves, and what may be reported of a correlation that was tuned so."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from enum import StrEnum
+
+import numpy as np
+import xarray as xr
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+from scipy import ndimage
+
+from planish.analyze.correlation import Correlation, correlate, pearson
+from planish.analyze.detrend import PhaseSurrogate, correlation_length_um, in_band, without_plane
+from planish.analyze.differences import Difference, paired_difference
+from planish.analyze.distributions import largest_tail
+from planish.core.errors import CannotMeasure
+from planish.core.facts import NULL, Facts, Interval, Pair, Value
+from planish.core.grid import Grid
+from planish.core.transform import Similarity
+from planish.core.typing import Bools, Floats
+from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
+from planish.register.refinement import Refinement
+
+Tune = Callable[[Floats, Bools], Floats]
+"""From map a and the pixels that may be looked at to map b on a's grid, placed so that it fits best there.
+
+It must look at a at these pixels only; NaN is missing in what it returns.
+"""
+
+_COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
+_SURROGATES = 19
+_SEED = 20090502
+_LEAST_TILES = 4  # of either colour that are reported on
+_LEAST_PIXELS = 100
+_COUNTED = 199  # unrelated maps, from which on a chance is counted
+
+
+class Registration(StrEnum):
+    """How the maps of a correlation were registered; stands beside every r."""
+
+    MARKS = "marks only"
+    CROSS_FITTED = "refined (cross-fitted)"
+    SEARCHED_NULL = "refined (searched null)"
+
+    @property
+    def sentence(self) -> str:
+        """The words for a report."""
+        return f"registration: {self.value}"
+
+
+class RefinementR(Facts):
+    """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
+
+    r: Value = Field(description="Pearson's correlation.")
+    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
+    r_of_marks: Value = Field(default=NULL, description="By the marks alone, over the same pixels.")
+    gain_interval: Interval = Field(default=NULL, description="In which r - r_of_marks lies with 95 %.")
+    registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
+    sentence: str = Field(description="The same in words.")
+    n: int | None = Field(default=None, description="Pixels that are reported on.")
+    tile_um: Value = Field(default=NULL, description="Side of the tiles of the checkerboard.")
+    guard_um: Value = Field(default=NULL, description="Distance kept from the pixels that were tuned on.")
+    null_95: Value = Field(default=NULL, description="|r| that the search reaches on 95 % of unrelated maps.")
+    p: Value = Field(default=NULL, description="Share of unrelated maps that reach this r.")
+    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
+
+
+class CrossFitted(RefinementR):
+    """Correlation of tiles that the registration was not tuned on: both halves together, each about its own means."""
+
+    registration: Registration = Registration.CROSS_FITTED  # type: ignore[reportIncompatibleVariableOverride]
+    r_of_halves: Pair = Field(description="Of either colour of the checkerboard, registered on the other.")
+    share: float = Field(description="Pixels that are reported on over all that are known in both.")
+    length_um: float = Field(description="Correlation length of the coarser map.")
+
+
+class SearchedNull(RefinementR):
+    """A correlation after a search, which is too large, beside what the same search finds in unrelated maps.
+
+    p is the chance that it reaches ``|r|`` on an unrelated map: counted, r itself included, of 199 maps and more; of
+    fewer, from a Gumbel distribution fitted to what it reaches on them, and never below half of one over their number
+    squared.
+    """
+
+    registration: Registration = Registration.SEARCHED_NULL  # type: ignore[reportIncompatibleVariableOverride]
+
+
+def cross_fitted(
+    a: Floats,
+    b: Floats,
+    tune: Tune,
+    *,
+    valid: Bools | None = None,
+    pixel_um: tuple[float, float],
+    tile_um: float | None = None,
+    guard_um: float | None = None,
+) -> CrossFitted:
+    """Tune the registration on every other tile, correlate on the rest, and vice versa.
+
+    Parameters
+    ----------
+    a, b : ndarray, shape (rows, cols)
+        Map a, and map b as the marks alone place it. NaN is missing.
+    tune : callable
+        ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``.
+    valid : ndarray of bool, shape (rows, cols), or None
+        Pixels that may be looked at.
+    pixel_um : (float, float)
+        Along y and x.
+    tile_um : float or None
+        Side of the tiles; None takes 6 guards, or 4 where that gives too few tiles.
+    guard_um : float or None
+        What is reported keeps this distance from what was tuned on; None takes 2 correlation lengths.
+
+    Returns
+    -------
+    CrossFitted
+
+    Raises
+    ------
+    CannotMeasure
+        If the guard is shorter than the correlation length of the coarser map (1/e), or fewer than 4 tiles of either
+        colour are left to report on.
+    """
+    is_valid = np.isfinite(a) & np.isfinite(b) & (True if valid is None else valid)
+    length = max(correlation_length_um(without_plane(m, is_valid), is_valid, pixel_um) for m in (a, b))
+    guard = 2 * length if guard_um is None else guard_um
+    if not guard >= length or not math.isfinite(guard):
+        raise CannotMeasure(
+            f"The guard between tiles is {guard:.0f} um, but the maps are correlated over {length:.0f} um: tiles would "
+            "not be independent. Take a guard of at least that length, or take the slow variations off the maps first."
+        )
+    side, looks, reported = _checkerboard(is_valid, pixel_um, guard, tile_um)
+    first, refined, marked = (np.full(a.shape, np.nan) for _ in range(3))
+    halves: list[float] = []
+    for look, report in zip(looks, reported, strict=True):
+        placed = tune(np.where(look, a, np.nan), look)
+        use = report & np.isfinite(placed)
+        for values, out in ((a, first), (placed, refined), (b, marked)):
+            out[use] = values[use] - values[use].mean()
+        halves.append(pearson(a[use], placed[use]))
+    row = correlate(first, refined, pixel_um=pixel_um)
+    gain = paired_difference((first, marked), (first, refined), pixel_um=pixel_um)
+    return CrossFitted(
+        r=row.r, interval=row.interval, n_eff=row.n_eff, r_of_halves=(halves[0], halves[1]), r_of_marks=gain.r[0],
+        gain_interval=gain.interval, n=row.n, share=row.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard,
+        length_um=length, sentence=_sentence_of(row, gain),
+    )  # fmt: skip
+
+
+def _sentence_of(row: Correlation, gain: Difference) -> str:
+    """The correlation, what the refinement changed, and how the maps were registered."""
+    limits = "" if math.isnan(row.interval[0]) else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
+    low, high = gain.interval
+    change = "" if math.isnan(low) else (
+        ", which is not distinguishable from it" if low <= 0 <= high
+        else f", from which it differs by {low:.3f} to {high:.3f}"
+    )  # fmt: skip
+    marks = f"the marks alone give {gain.r[0]:.2f} there{change}"
+    return f"r = {row.r:.2f}{limits}; {marks}; {Registration.CROSS_FITTED.sentence}"
+
+
+def _checkerboard(
+    is_valid: Bools, pixel_um: tuple[float, float], guard: float, tile_um: float | None
+) -> tuple[float, list[Bools], list[Bools]]:
+    """Side of the tiles, and for either colour what is tuned on and what is reported then."""
+    shape, sides = is_valid.shape, [6 * guard, 4 * guard] if tile_um is None else [tile_um]
+    for side in sides:
+        tile = _tile_numbers(shape, pixel_um, side)
+        looks = [is_valid & ((tile[0] + tile[1]) % 2 == k) for k in (0, 1)]
+        reported = [
+            looks[1 - k] & (ndimage.distance_transform_edt(~looks[k], sampling=pixel_um) > guard) for k in (0, 1)
+        ]
+        tiles = [np.unique(np.broadcast_to(tile[0] * shape[1] + tile[1], shape)[m]).size for m in reported]
+        if min(tiles) >= _LEAST_TILES and min(map(np.sum, reported)) >= _LEAST_PIXELS:
+            return side, looks, reported
+    raise CannotMeasure(
+        f"Tiles of {sides[-1]:.0f} um with a guard of {guard:.0f} um leave fewer than {_LEAST_TILES} of either "
+        "colour to report on: the map is too small for its texture. Report the marks-only correlation, or the "
+        "refined one with a searched null."
+    )
+
+
+def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogates: int = 99) -> SearchedNull:
+    """Tune the registration on all of the map, and on maps with its texture that are related to nothing.
+
+    Parameters
+    ----------
+    a : ndarray, shape (rows, cols)
+        NaN is missing.
+    tune : callable
+        ``tune(a, look)`` returns map b placed as it fits a best at the pixels ``look``.
+    valid : ndarray of bool, shape (rows, cols), or None
+    surrogates : int
+        Unrelated maps; 19 or more.
+
+    Returns
+    -------
+    SearchedNull
+
+    Raises
+    ------
+    CannotMeasure
+        If fewer than 19 surrogates are asked for.
+    """
+    if surrogates < 19:
+        raise CannotMeasure(f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better.")
+    is_valid = np.isfinite(a) & (True if valid is None else valid)
+    flat = without_plane(a, is_valid)
+    rng = np.random.default_rng(_SEED)
+
+    def searched(candidate: Floats) -> float:
+        placed = tune(np.where(is_valid, candidate, np.nan), is_valid)
+        return pearson(np.where(is_valid, candidate, np.nan), placed)
+
+    r = searched(flat)
+    null = [abs(searched(draw)) for draw in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)]
+    p = (1 + sum(v >= abs(r) for v in null)) / (1 + surrogates)
+    if surrogates < _COUNTED:  # a tail is not known further than half of one over their number squared
+        tail = largest_tail(np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12)))
+        p = max(tail, 0.5 / len(null) ** 2)
+    null_95 = float(np.quantile(null, 0.95, method="higher"))
+    return SearchedNull(
+        r=r, null_95=null_95, p=p, surrogates=surrogates,
+        sentence=f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p = {p:.2g}); "
+        f"{Registration.SEARCHED_NULL.sentence}",
+    )  # fmt: skip
+
+
+def _tile_numbers(
+    shape: tuple[int, ...], pixel_um: tuple[float, float], side_um: float
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Number of the tile of every row (rows, 1) and column (cols,); a rest at the border goes half to either side."""
+    numbers: list[NDArray[np.int64]] = []
+    for n, pixel in zip(shape, pixel_um, strict=True):
+        first = 0.5 * (n * pixel - max(int(n * pixel / side_um), 1) * side_um)
+        numbers.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side_um).astype(np.int64))
+    return numbers[0][:, None], numbers[1]
+
+
+class RefinementFacts(Facts):
+    """A registration refined by the maps themselves."""
+
+    model: str = Field(description="affine or bspline.")
+    metric: str = Field(description="What was made as large as possible.")
+    property: str = Field(description="The map that was refined.")
+    moved_rms_um: float = Field(description="Displacement, rms over the pixels.")
+    moved_most_um: float = Field(description="Largest displacement.")
+    share_of_expected_error: float = Field(description="Largest ratio of displacement to expected error.")
+    area: tuple[float, ...] = Field(description="Least and largest local change of area.")
+    strain: float = Field(description="Largest local strain, without its sign.")
+    warnings: tuple[str, ...] = Field(description="What to be careful about.")
+    sentence: str = Field(description="The same in words.")
+    longest_wave_um: float = Field(description="Longer waves were taken off both maps first.")
+    correlation: RefinementR = Field(description="r that the refinement did not maximise.")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class RefinedTransform:
+    """The transformation of the marks, followed by its refinement by the maps."""
+
+    marks: Chain
+    refined: Refined
+
+    def __call__(self, points: ArrayLike) -> Floats:
+        """Take points ``(..., 2)`` of the sheet to the reference, in um."""
+        return self.refined(self.marks(points))
+
+    @property
+    def similarity(self) -> Similarity:
+        """That of the marks: the refinement is close to the identity."""
+        return self.marks.similarity
+
+
+def refine_link(
+    linked: xr.Dataset, headline: str, grid: Grid, fit: FittedTransform, model: Refinement
+) -> tuple[RefinedTransform, RefinementFacts]:
+    """Refine a link by its headline property and the image, and correlate without the bias of that.
+
+    What the refinement changed stands beside r over tiles that it has not seen; where the map is too small for such
+    tiles, beside r after the search and what the search reaches on unrelated maps.
+
+    Raises
+    ------
+    CannotRegister
+        If SimpleITK is missing, or the refinement folds the map or leaves what the marks allow.
+    """
+    pixel, valid = grid.pixel_um, linked["valid"].values
+    a, b = (_detail(linked[name].values, valid, pixel) for name in (headline, "image"))
+    options = RefineOptions(model=model)
+    moved = refine(a, b, valid, pixel_um=pixel, fit=fit, options=options)
+
+    def tune(other: Floats, look: Bools) -> Floats:
+        return refine(other, b, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False)).image_at(
+            b, pixel
+        )
+
+    try:
+        of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
+    except CannotMeasure:
+        of_r = searched_null(a, tune, valid=valid, surrogates=_SURROGATES)
+    facts = RefinementFacts(
+        model=moved.model, metric=moved.metric, property=headline, moved_rms_um=moved.moved_um[0],
+        moved_most_um=moved.moved_um[1], share_of_expected_error=moved.share, area=moved.area, strain=moved.strain,
+        warnings=moved.warnings, sentence=moved.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
+    )  # fmt: skip
+    return RefinedTransform(marks=Chain(fits=(fit,)), refined=moved), facts
+
+
+def _detail(values: Floats, valid: Bools, pixel_um: tuple[float, float]) -> Floats:
+    """A map without its slow variations; NaN where it is not valid."""
+    is_valid = valid & np.isfinite(values)
+    return np.where(is_valid, in_band(values.astype(np.float64), is_valid, pixel_um, (None, _COARSEST_UM)), np.nan)

@@ -1,0 +1,270 @@
+"""How much of a map is no noise, from two half measurements: the odd and the even rows of its columns.
+
+Columns are measured one by one, so both halves are there without measuring anything twice. Thicknesses and
+topographies are taken from the faces of each column itself: along normals, which cross from column to column,
+neighbouring rows would share their noise.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
+
+from planish.analyze.correlation import correlate
+from planish.core.area import area_mean
+from planish.core.bands import bands
+from planish.core.errors import CannotMeasure, PlanishError
+from planish.core.facts import NULL, Facts, Interval, OfMap, Value, is_known
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+from planish.core.numbers import count, fixed, percent, plain
+from planish.core.transform import Similarity
+from planish.core.typing import Bools, Floats
+
+if TYPE_CHECKING:
+    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts
+
+_ENDS = {
+    "thickness": ("top", "bottom"), "base_thickness": ("interface_top", "interface_bottom"),
+    "coating_top": ("top", "interface_top"), "coating_bottom": ("interface_bottom", "bottom"),
+    "topography_top": ("top", "centre"), "topography_bottom": ("centre", "bottom"),
+}  # fmt: skip
+"""Of each map that is a distance of two surfaces, the upper and the lower."""
+
+
+class Reliability(Facts):
+    """Share of the variance of a map that a second measurement would show again, at one size of points."""
+
+    point_um: float = Field(description="Edge of a point.")
+    n: int | None = Field(default=None, description="Points that are known in both halves.")
+    halves_r: Value = Field(default=NULL, description="Correlation of both halves.")
+    value: Value = Field(
+        default=NULL, description="Share of the variance of the map that both halves show: an upper bound."
+    )
+    interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
+    n_eff: Value = Field(default=NULL, description="Independent points.")
+    shared_errors: SkipJsonSchema[bool] = Field(
+        default=True, exclude=True, description="Whether both measurements may share errors."
+    )
+
+    @property
+    def sentence(self) -> str:
+        """What may be said."""
+        low, high = self.interval
+        is_valid = "no interval" if math.isnan(low) else f"95 %: {low:.2f} to {high:.2f}"
+        bound = "; an upper bound, as both measurements share errors" if self.shared_errors else ""
+        return f"The reliability is {self.value:.2f} at points of {self.point_um:g} um ({is_valid}){bound}."
+
+
+class MapReliability(Reliability, OfMap):
+    """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
+
+    shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
+    silence: str | None = Field(default=None, description="Why there is none.")
+
+
+def split_reliability(
+    first: NDArray[Any], second: NDArray[Any], *, mask: Bools | None = None,
+    pixel_um: float | tuple[float, float], point_um: float | None = None, shared_errors: bool = True,
+) -> Reliability:  # fmt: skip
+    """Tell the reliability of a map from two halves of its measurement.
+
+    Parameters
+    ----------
+    first, second : ndarray, shape (rows, cols)
+        The map of the odd and of the even slices, or of two half scans, on one grid; NaN is missing.
+    mask, pixel_um, point_um
+        As of :func:`planish.correlate`.
+    shared_errors : bool
+        Whether both may share errors, as neighbouring slices of one scan do: the reliability is an upper bound then.
+        False for two scans between which the sheet was taken out and put back.
+
+    Returns
+    -------
+    Reliability
+
+    Raises
+    ------
+    InputError, SizeError
+        As :func:`planish.correlate`.
+    CannotMeasure
+        If fewer than 3 points are valid in both, or one is constant.
+
+    References
+    ----------
+    Spearman (1910), Brit. J. Psychol. 3, 271, doi:10.1111/j.2044-8295.1910.tb00206.x.
+    Brown (1910), Brit. J. Psychol. 3, 296, doi:10.1111/j.2044-8295.1910.tb00207.x.
+    """
+    row = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
+    if math.isnan(row.r):
+        raise CannotMeasure(f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary.")
+    low, high = (_of_both(v) for v in row.interval)
+    return Reliability(
+        point_um=row.support_um, n=row.n, halves_r=row.r, value=_of_both(row.r), interval=(low, high),
+        n_eff=row.n_eff, shared_errors=shared_errors,
+    )  # fmt: skip
+
+
+def _of_both(r: float) -> float:
+    """Reliability of the mean of two measurements that correlate with r; a share of variance is not below 0."""
+    return r if math.isnan(r) else 2 * r / (1 + r) if r > 0 else 0.0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Columns:
+    """The columns of a sheet and where they lie on a reference.
+
+    ``measured`` and ``flat`` (y, x) are those of the sheet. ``similarity`` leads from the flat sheet to the reference:
+    what the registration adds to it moves both halves alike. ``interpolated`` says whether rows were made of others.
+    """
+
+    measured: xr.Dataset
+    flat: xr.Dataset
+    similarity: Similarity
+    interpolated: bool = False
+
+    def part(self, rows: slice) -> Columns:
+        """Some rows of columns."""
+        return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
+
+    def values(self, name: str) -> tuple[Floats, bool]:
+        """A map by columns, and whether each is of its column alone; NaN where it was not measured."""
+        data = self.measured
+        is_valid = np.isfinite(data[name].values)
+        if name not in _ENDS:
+            return np.where(is_valid, data[name].values, np.nan), False
+        faces: list[Floats] = []
+        for end in _ENDS[name]:
+            values = data[end].values
+            if end.startswith("interface_") and not np.isfinite(values).any():  # a side without a coating
+                values = data[end.removeprefix("interface_")].values
+            faces.append(values)
+        slopes = np.gradient(data["centre"].values, *pitch(data))
+        cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+        return np.where(is_valid, Frame.of(data).sign * (faces[0] - faces[1]) * cosine, np.nan), True
+
+    def shared(self, *, alone: bool) -> str:
+        """What both halves share, in words."""
+        attrs, causes = self.measured.attrs, ["grey levels, blur and rings of one scan"]
+        if "from_labels" in attrs:
+            causes = ["whatever the program smoothed that made the labels"]
+        if (blend := float(attrs.get("averaged_columns", 0.0))) > 0:
+            causes.append(f"noise, as columns were averaged with their neighbours (Gaussian of {blend:.2g} columns)")
+        elif not alone:
+            causes.append("noise, as this map is read between columns")
+        if self.interpolated:
+            causes.append("sections from which others were interpolated")
+        return "; ".join(causes)
+
+
+def half_points(
+    columns: Columns, name: str, is_valid: Bools, *, origin_um: tuple[float, float], cell_um: tuple[float, float],
+    point_um: float,
+) -> tuple[Floats, Floats, bool]:  # fmt: skip
+    """Means of a map over the points of a reference, of the odd and of the even rows of its columns.
+
+    Parameters
+    ----------
+    columns : Columns
+    name : str
+        A map of the sheet.
+    is_valid : ndarray of bool, shape (rows, cols)
+        Cells of the reference that count.
+    origin_um : (float, float)
+        x and y of the outer corner of the first cell.
+    cell_um : (float, float)
+        Along y and x.
+    point_um : float
+        Edge of a point, at least that of a cell.
+
+    Returns
+    -------
+    odd, even : ndarray
+        Shape of the points, which begin at the origin; NaN where less than half of a point counts, or the halves have
+        no column in it.
+    alone : bool
+        Whether no column's value holds anything of its neighbours.
+    """
+    enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
+    turn, shift = columns.similarity.matrix(), columns.similarity.shift_um
+    number_of, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
+    for rows in bands(columns.measured.sizes["y"]):
+        # Two rows more on either side, for the slopes beside and the means between rows; an even number of them.
+        before = min(rows.start, 2)
+        part = columns.part(slice(rows.start - before, rows.stop + 2))
+        values, alone = part.values(name)
+        halves = [_half(values, first)[before : before + rows.stop - rows.start].ravel() for first in (1, 0)]
+        u, v = (part.flat[axis].values[before : before + rows.stop - rows.start].ravel() for axis in "uv")
+        x = turn[0, 0] * u + turn[0, 1] * v + (shift[0] - origin_um[0])
+        y = turn[1, 0] * u + turn[1, 1] * v + (shift[1] - origin_um[1])
+        use = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
+        use &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
+        use &= (y < enough.shape[0] * point_um) & (x < enough.shape[1] * point_um)
+        use[use] = is_valid[(y[use] / cell_um[0]).astype(np.intp), (x[use] / cell_um[1]).astype(np.intp)]
+        number = (y[use] / point_um).astype(np.intp) * enough.shape[1] + (x[use] / point_um).astype(np.intp)
+        number_of += np.bincount(number, minlength=enough.size)
+        totals += [np.bincount(number, weights=half[use], minlength=enough.size) for half in halves]
+    counted = enough & (number_of > 0).reshape(enough.shape)
+    means = [np.where(counted, (m / np.maximum(number_of, 1)).reshape(counted.shape), np.nan) for m in totals]
+    return means[0], means[1], alone
+
+
+def _half(values: Floats, first: int) -> Floats:
+    """Every second row from ``first`` on; rows between hold the mean of their neighbours, NaN where one is missing.
+
+    So both halves are known at the same places: the mean place of every second row in a point differs by up to a row
+    from that of the others, and texture would look like noise.
+    """
+    half = np.full(values.shape, np.nan)
+    half[first::2] = values[first::2]
+    rows_of_half = half[first::2]
+    half[first + 1 : -1 : 2] = 0.5 * (rows_of_half[:-1] + rows_of_half[1:])
+    return half
+
+
+def reliability_of(pair: ComparedMaps, layer: str, name: str) -> MapReliability:
+    """How much of a map two halves of its measurement show alike, or why that cannot be said."""
+    columns, grid, point_um = pair.columns[layer], pair.grid, pair.point_um
+    corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
+    try:
+        odd, even, alone = half_points(
+            columns, name, pair.lags.is_valid, origin_um=corner, cell_um=pair.cell_um, point_um=point_um
+        )
+        reliability = split_reliability(odd, even, pixel_um=point_um)
+    except PlanishError as error:
+        return MapReliability(layer=layer, map=name, point_um=point_um, silence=error.text)
+    return MapReliability.holding(reliability, layer=layer, map=name, shared=columns.shared(alone=alone))
+
+
+def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
+    """How far two halves of each measurement agree and, behind the last one, what that bounds."""
+    for k, row in enumerate(evidence.reliability):
+        name = row.map.replace("_", " ") + (f" of {row.layer}" if len(evidence.reliability) > 1 else "")
+        if not is_known(row.value):
+            yield f"Reliability of {name}: not known. {row.silence or ''}".strip()
+            continue
+        size, noise = f"over {count(row.n)} points of {plain(row.point_um)}", percent(1 - row.value, 1)
+        text = (
+            f"Odd and even rows of columns are two half measurements of {name}: {size} they correlate with r = "
+            f"{_near_one(row.halves_r)}, so that at least {noise} of the variance of the map is noise"
+        )
+        if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
+            with_misplacement = evidence.ceiling_both
+            alone = "" if with_misplacement is None else f", {_near_one(with_misplacement)} with misplacement"
+            text += (
+                f"; a perfect relation would show r = {_near_one(evidence.ceiling_noise)} at most by noise alone{alone}"
+            )
+        yield f"{text}. It is a bound: both halves share {row.shared}."
+
+
+def _near_one(value: float) -> str:
+    """Write a number up to 1 so that it is not rounded to 1."""
+    return fixed(value, min(max(2, -math.floor(math.log10(1 - value))), 6) if 0 < value < 1 else 2)
