@@ -1,7 +1,5 @@
 """One small volume in every format, written by the format's own library: where contract and damage start from."""
 
-from __future__ import annotations
-
 import gzip
 import warnings
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """How maps vary with distance, in results and on the page: one with the functions, and what is said of it."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -24,7 +22,7 @@ def pair(seed=0, r=0.6, length=6.0, shape=(120, 150)):
     return (np.where(known, a, np.nan), np.where(known, b, np.nan)), Lags(known, CELL)
 
 
-def test_variograms_are_those_of_the_function():
+def test_variograms_and_correlograms_are_those_of_the_functions_with_lag_0_in_the_profiles():
     maps, lags = pair()
     names = (("sheet", "coating_top", "um"), ("image", "image", "1"))
     found = [*variograms_of(maps, lags, names, 30.0)]
@@ -35,16 +33,11 @@ def test_variograms_are_those_of_the_function():
         assert len(one.distances_um) <= 60
         assert (one.distances_um[0], one.distances_um[-1]) == (twin.lags_um[0], twin.lags_um[-1])
         assert set(one.values) <= set(twin.values)
-
-
-def test_the_correlogram_is_that_of_the_function_with_lag_0_in_its_profiles():
-    maps, lags = pair()
     found, twin = correlogram_facts(maps, lags), cross_correlogram(*maps, pixel_um=CELL)
     assert (found.peak_r, found.lag_um, found.n_eff) == (twin.peak_r, twin.lag_um, twin.n_eff)
     for profile in (found.along_x, found.along_y):
         middle = len(profile.r) // 2
-        assert profile.lags_um[middle] == 0
-        assert profile.r[middle] == found.r_at_zero
+        assert (profile.lags_um[middle], profile.r[middle]) == (0, found.r_at_zero)
         assert profile.lags_um[0] == -profile.lags_um[-1]
         assert profile.limit[middle] < profile.limit_of_any[middle] == found.limit_of_any
     assert len(found.along_x.r) <= 81

@@ -1,6 +1,5 @@
 """What a link says of its correlations: independent points, intervals, scales, what could be seen."""
 
-import json
 import math
 
 import numpy as np
@@ -26,11 +25,6 @@ def results(linked_run):
     return Results.model_validate_json((linked_run / "results.json").read_text(encoding="utf-8"))
 
 
-@pytest.fixture(scope="module")
-def linked(linked_run):
-    return xr.open_zarr(linked_run / "maps.zarr", group="linked", consolidated=False).load()
-
-
 def test_a_row_is_what_the_function_says_of_the_maps(results, linked):
     row = next(r for r in results.correlations if r.a_map == "coating_top" and r.point_um == 100)
     valid = linked["valid"].values.astype(bool)
@@ -43,16 +37,13 @@ def test_a_row_is_what_the_function_says_of_the_maps(results, linked):
     assert row.warnings == found.warnings
 
 
-def test_rows_of_a_table_share_one_p(results):
+def test_rows_share_one_p_and_registrations_are_compared_on_the_same_pixels(results):
     for size in {r.point_um for r in results.correlations}:
         rows = [r for r in results.correlations if r.point_um == size and math.isfinite(r.p)]
         assert all(r.p_of_table >= r.p for r in rows)
     some = [r for r in results.correlations if math.isfinite(r.p)]
     assert some
     assert all(r.interval[0] < r.r < r.interval[1] for r in some)
-
-
-def test_registrations_are_compared_on_the_same_pixels(results):
     at_pixel = [r for r in results.comparison if r.point_um == results.comparison[0].point_um]
     assert len(at_pixel) >= 3
     assert len({r.n for r in at_pixel}) == 1
@@ -62,7 +53,7 @@ def test_registrations_are_compared_on_the_same_pixels(results):
         assert row.difference_interval[0] <= row.difference <= row.difference_interval[1]
 
 
-def test_the_headline_has_its_scales_and_ceiling(results):
+def test_the_headline_has_its_scales_and_ceiling_and_its_cautions_on_the_first_page(results):
     (found,) = results.evidence
     assert (found.a_map, found.b_map, found.declared) == ("coating_top", "image", False)
     assert len(found.sizes) >= 4
@@ -72,9 +63,6 @@ def test_the_headline_has_its_scales_and_ceiling(results):
             assert row.band[0] < row.interval[0] < row.r < row.interval[1] < row.band[1]
     assert 0.9 < found.ceiling <= 1
     assert found.curve is None or found.curve.r2_line <= found.curve.r2_parabola
-
-
-def test_what_to_be_careful_about_stands_on_the_first_page(results):
     rows = [row.model_copy(update={"warnings": ("Only 17 independent points.",)}) for row in results.correlations]
     assert cautions(results.model_copy(update={"correlations": tuple(rows)})) == ["Only 17 independent points."]
     withheld = [row.model_copy(update={"trust": "withheld"}) for row in rows]
@@ -87,8 +75,7 @@ def test_a_relation_that_saturates_is_named():
     thick = 10 + 2 * ndimage.gaussian_filter(maps["sheet"]["coating_top"].values, 6) / 0.047
     maps["sheet"]["coating_top"][:] = thick
     maps["image"]["image"][:] = 1 - np.exp(-thick / 5) + 0.01 * maps["image"]["image"].values
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
-    found = evidence_of(maps, *given, point_um=50, declared=False)
+    found = evidence(maps, point_um=50, declared=False)
     assert found.curve.words == "curved, saturating"
     assert any("curved, saturating" in s for s in sentences(found, 50.0))
 
@@ -100,39 +87,40 @@ def test_the_page_says_who_named_the_headline(linked_run):
     assert "<script" not in page
 
 
-def test_a_headline_that_will_not_be_is_refused_before_the_volume_is_read(planish, specimen_files, tmp_path):
-    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "coating_topp")
-    assert code == 3
-    assert "coating_top," in said
-    assert "read:" not in said
-    assert not (tmp_path / "run").exists()
-
-
 @pytest.mark.parametrize(
-    ("names", "said_of_them"),
+    ("options", "words"),
     [
-        (["gloss"], "there will be no such map"),
-        (["thickness", "thickness"], "stands there twice"),
-        (["coating_top"], "leads already"),
-        (["thickness", "base_thickness", "coating_bottom"], "nothing is left to correlate"),
+        (["--headline", "coating_topp"], "coating_top,"),
+        (["--beside", "gloss"], "there will be no such map"),
+        (["--beside", "thickness"] * 2, "stands there twice"),
+        (["--beside", "coating_top"], "leads already"),
+        (["--beside", "thickness", "--beside", "base_thickness", "--beside", "coating_bottom"],
+         "nothing is left to correlate"),
     ],
-)
-def test_maps_that_cannot_stand_beside_are_refused_before_the_volume_is_read(
-    planish, specimen_files, tmp_path, names, said_of_them
+)  # fmt: skip
+def test_maps_that_cannot_be_correlated_are_refused_before_the_volume_is_read(
+    planish, specimen_files, tmp_path, options, words
 ):
-    given = [word for name in names for word in ("--beside", name)]
-    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", *given)
+    code, _, err = planish("link", *specimen_files, "--out", tmp_path / "run", *options)
     assert code == 3
-    assert said_of_them in " ".join(said.split())
-    assert "read:" not in said
+    assert words in " ".join(err.split())
+    assert "read:" not in err
     assert not (tmp_path / "run").exists()
 
 
-def test_two_of_three_parts_may_stand_beside(specimen_files):
-    volume, image = (str(path) for path in specimen_files[:2])
+def request_of(files, correlate, **sections):
+    """The check of a link's request."""
+    layers = {"volume": {"path": str(files[0])}, "image": {"path": str(files[1])}}
+    return check_request(as_study(layers | {"correlate": correlate} | sections), Compute())
+
+
+def test_two_of_three_parts_may_stand_beside_and_of_labels_only_maps_of_the_faces_lead(specimen_files):
     for beside in (["base_thickness", "coating_bottom"], ["thickness", "coating_bottom"], ["topography_top"]):
-        study = as_study({"volume": {"path": volume}, "image": {"path": image}, "correlate": {"beside": beside}})
-        assert check_request(study, Compute()) is None
+        assert request_of(specimen_files, {"beside": beside}) is None
+    sections = {"surface": {"labels": {}}, "properties": {"coating_g_cm3": 1.6}}
+    assert request_of(specimen_files, {"headline": "thickness"}, **sections) is None
+    with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):
+        request_of(specimen_files, {"headline": "coat_weight_top"}, **sections)
 
 
 @pytest.mark.parametrize(
@@ -148,45 +136,37 @@ def test_two_of_three_parts_may_stand_beside(specimen_files):
 )
 def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(specimen_files, properties, name):
     """The rules ``when`` and ``together`` of the properties; without its number a map will not be."""
-    volume, image = (str(path) for path in specimen_files[:2])
     for place in ({"headline": name}, {"beside": [name]}):
-        parts = {"volume": {"path": volume}, "image": {"path": image}, "correlate": place}
-        assert check_request(as_study(parts | {"properties": properties}), Compute()) is None
+        assert request_of(specimen_files, place, properties=properties) is None
         if properties:
             with pytest.raises(InputError, match=f'{name}"?: there will be no such map'):
-                check_request(as_study(parts), Compute())
-
-
-def test_of_labels_no_map_but_those_of_the_faces_may_lead(specimen_files):
-    volume, image = (str(path) for path in specimen_files[:2])
-    parts = {"volume": {"path": volume}, "image": {"path": image}, "surface": {"labels": {}}}
-    parts |= {"properties": {"coating_g_cm3": 1.6}}
-    assert check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
-    with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):
-        check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
+                request_of(specimen_files, place)
 
 
 @pytest.mark.study
-def test_a_declared_headline_leads(planish, specimen_files, tmp_path):
-    assert planish("link", *specimen_files, "--out", tmp_path / "run", "--headline", "base_thickness")[0] in (0, 4)
-    facts = json.loads((tmp_path / "run" / "results.json").read_text(encoding="utf-8"))
-    assert facts["evidence"][0]["a_map"] == "base_thickness"
-    assert facts["evidence"][0]["declared"] is True
-    assert "declared in the study, before r" in (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+def test_a_declared_headline_leads_with_its_maps_beside(planish, specimen_files, tmp_path):
+    options = ("--headline", "base_thickness", "--beside", "topography_top", "--beside", "topography_bottom")
+    assert planish("link", *specimen_files, "--out", tmp_path / "run", *options)[0] in (0, 4)
+    (evidence,) = Results.read(tmp_path / "run" / "results.json").evidence
+    assert (evidence.a_map, evidence.declared) == ("base_thickness", True)
+    assert evidence.partial.given == ("topography_top", "topography_bottom")
+    assert -1 < evidence.partial.r < 1
+    assert len(evidence.commonality) == 7
+    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
+    assert "declared in the study, before r" in page
+    assert "Given topography top and topography bottom, r = " in page
 
 
 def drawn(seed=0, shape=(120, 160)):
     rng = np.random.default_rng(seed)
     coords = {"y": 5.0 * np.arange(shape[0]), "x": 5.0 * np.arange(shape[1])}
     um = {"units": "um", "role": "property"}
-    sheet = xr.Dataset(
-        {
-            "coating_top": (("y", "x"), rng.normal(size=shape), um),
-            "thickness": (("y", "x"), rng.normal(size=shape), um),
-            "valid": (("y", "x"), np.ones(shape, bool)),
-        },
-        coords,
-    )
+    drawn = {
+        "coating_top": (("y", "x"), rng.normal(size=shape), um),
+        "thickness": (("y", "x"), rng.normal(size=shape), um),
+        "valid": (("y", "x"), np.ones(shape, bool)),
+    }
+    sheet = xr.Dataset(drawn, coords)
     image = xr.Dataset({"image": (("y", "x"), rng.normal(size=shape)), "valid": sheet["valid"]}, coords)
     return {"sheet": sheet, "image": image}
 
@@ -206,9 +186,8 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
     maps = with_base()
     maps["sheet"]["valid"][20:40, 30:70] = False
     maps["sheet"]["base_thickness"][60:80, 90:120] = np.nan
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
     names = ("base_thickness", "thickness")
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=names)
+    found = evidence(maps, beside=names)
     known = maps["sheet"]["valid"].values & np.isfinite(maps["sheet"]["base_thickness"].values)
     top, base, whole, image = (
         area_mean(np.where(known, m.values, np.nan), (4.0, 4.0))
@@ -226,11 +205,10 @@ def test_a_partial_r_is_what_the_function_says_of_the_points():
 
 def test_the_page_says_the_partial_r():
     maps = with_base()
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("base_thickness",))
+    found = evidence(maps, beside=("base_thickness",))
     (said,) = [s for s in sentences(found, 20.0) if s.startswith("Given base thickness, r = 0.")]
     assert f"{found.commonality['coating_top']:.2f} of the variance" in said
-    without = evidence_of(maps, *given, point_um=20, declared=True)
+    without = evidence(maps)
     assert (without.partial, without.commonality) == (None, None)
     assert not any("Given" in s for s in sentences(without, 20.0))
 
@@ -238,39 +216,25 @@ def test_the_page_says_the_partial_r():
 def test_where_nothing_is_left_the_run_stands_and_says_why():
     maps = with_base()
     sheet = maps["sheet"]
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
     sheet["rest"] = sheet["thickness"] - sheet["coating_top"]
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("thickness", "rest"))
+    found = evidence(maps, beside=("thickness", "rest"))
     assert found.sizes
     assert math.isnan(found.partial.r)
     assert "stand beside their sum" in found.partial.silence
     assert any(found.partial.silence in s for s in sentences(found, 20.0))
     sheet["flat"] = xr.full_like(sheet["thickness"], 2.0)
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("flat",))
-    assert "flat does not vary" in found.partial.silence
+    assert "flat does not vary" in evidence(maps, beside=("flat",)).partial.silence
     sheet["nothing"] = xr.full_like(sheet["thickness"], np.nan)
-    found = evidence_of(maps, *given, point_um=20, declared=True, beside=("nothing",))
-    assert found.partial.n == 0
-    found = evidence_of(maps, *given, point_um=2, declared=True, beside=("thickness",))
-    assert "smaller than a pixel" in found.partial.silence
+    assert evidence(maps, beside=("nothing",)).partial.n == 0
+    assert "smaller than a pixel" in evidence(maps, point_um=2, beside=("thickness",)).partial.silence
 
 
-def test_a_map_that_the_sheet_lacks_cannot_stand_beside():
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
+def test_a_map_that_the_sheet_lacks_can_neither_lead_nor_stand_beside():
     with pytest.raises(InputError, match="no map gloss to stand beside"):
-        evidence_of(with_base(), *given, point_um=20, declared=True, beside=("gloss",))
-
-
-@pytest.mark.study
-def test_a_run_states_what_stands_beside(planish, specimen_files, tmp_path):
-    given = ("--beside", "base_thickness", "--beside", "topography_top")
-    assert planish("link", *specimen_files, "--out", tmp_path / "run", *given)[0] in (0, 4)
-    (found,) = Results.read(tmp_path / "run" / "results.json").evidence
-    assert found.partial.given == ("base_thickness", "topography_top")
-    assert -1 < found.partial.r < 1
-    assert len(found.commonality) == 7
-    page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
-    assert "Given base thickness and topography top, r = " in page
+        evidence(with_base(), beside=("gloss",))
+    with pytest.raises(InputError, match="no map 'gloss'"):
+        headline_of(drawn()["sheet"], "top", "gloss")
+    assert headline_of(drawn()["image"], "top", "gloss") == "image"
 
 
 def facts_of(name, headline):
@@ -280,10 +244,17 @@ def facts_of(name, headline):
     })  # fmt: skip
 
 
-def test_unrelated_noise_says_nothing_at_any_scale():
+def evidence(maps, *, point_um=20, declared=True, **more):
+    layers = facts_of("sheet", "coating_top"), facts_of("image", "image")
+    return evidence_of(maps, *layers, point_um=point_um, declared=declared, **more)
+
+
+def test_constant_maps_have_no_evidence_and_unrelated_noise_none_at_any_scale():
     maps = drawn()
+    maps["sheet"]["coating_top"][:] = 3.0
+    assert evidence(maps, point_um=50, declared=False) is None
     assert all(row.p_of_table > 0.05 for row in correlate_layers("sheet", "image", maps, 100.0))
-    found = evidence_of(maps, facts_of("sheet", "coating_top"), facts_of("image", "image"), point_um=50, declared=True)
+    found = evidence(maps, point_um=50)
     assert all(row.band[0] < 0 < row.band[1] for row in found.sizes if row.band)
     assert all(band.p_of_bands > 0.01 for band in found.bands)
     assert found.ceiling is None
@@ -294,21 +265,7 @@ def test_thin_regions_have_a_difference_with_an_interval():
     maps = drawn(shape=(120, 160))
     maps["sheet"]["coating_top"][:] = 6 + 3 * maps["sheet"]["coating_top"].values
     maps["image"]["image"][:] = 100 + maps["image"]["image"].values - 4 * (maps["sheet"]["coating_top"].values < 5)
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
-    found = evidence_of(maps, *given, point_um=50, declared=False)
+    found = evidence(maps, point_um=50, declared=False)
     assert [k.thinner_than_um for k in found.thin] == [2, 5, 10]
     assert found.thin[1].interval[0] < -4 < found.thin[1].interval[1]
     assert any("below 5" in s and "differs by" in s for s in sentences(found, 50.0))
-
-
-def test_a_constant_map_has_no_evidence():
-    maps = drawn()
-    maps["sheet"]["coating_top"][:] = 3.0
-    given = facts_of("sheet", "coating_top"), facts_of("image", "image")
-    assert evidence_of(maps, *given, point_um=50, declared=False) is None
-
-
-def test_a_map_that_the_sheet_lacks_cannot_lead():
-    with pytest.raises(InputError, match="no map 'gloss'"):
-        headline_of(drawn()["sheet"], "top", "gloss")
-    assert headline_of(drawn()["image"], "top", "gloss") == "image"

@@ -1,7 +1,5 @@
 """Two halves of a measurement: what noise and texture make of them, where they lie, what they share."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np
@@ -34,9 +32,11 @@ def columns(seed=0, *, noise=0.0, shape=(160, 200), length=20.0, similarity=None
     return found, texture
 
 
-def stated(found, name="coating_top", *, cells=(80, 100), origin_um=(-2.0, -2.0), known=None):
-    known = np.ones(cells, bool) if known is None else known
-    return reliability_of(found, "sheet", name, known, origin_um=origin_um, cell_um=(2 * UM, 2 * UM), point_um=POINT_UM)
+GRID = {"origin_um": (-2.0, -2.0), "cell_um": (2 * UM, 2 * UM), "point_um": POINT_UM}
+
+
+def stated(found, name="coating_top", *, known=None):
+    return reliability_of(found, "sheet", name, np.ones((80, 100), bool) if known is None else known, **GRID)
 
 
 def test_noise_of_single_columns_gives_the_share_that_it_takes():
@@ -45,8 +45,7 @@ def test_noise_of_single_columns_gives_the_share_that_it_takes():
     points = texture[:150].reshape(6, 25, 8, 25).mean(axis=(1, 3))
     # Of 625 columns a point keeps 1 / 625 of the noise's variance.
     share = points.var() / (points.var() + 20.0**2 / 625)
-    assert row.n == 48
-    assert row.value == pytest.approx(share, abs=0.15)
+    assert (row.n, row.value) == (48, pytest.approx(share, abs=0.15))
     ratio = noise_ceiling([row], 0.9)
     assert ratio["ceiling_noise"] == pytest.approx(np.sqrt(row.value))
     assert ratio["ceiling_both"] == pytest.approx(0.9 * np.sqrt(row.value))
@@ -70,23 +69,24 @@ def test_values_of_single_columns_share_nothing_and_others_say_that_they_do():
     assert "labels" in stated(columns(from_labels=1)[0]).shared
 
 
-def test_a_thickness_of_a_tilted_column_is_that_along_the_normal():
+def test_thickness_along_the_normal_and_reasons_for_missing_numbers():
     found, _ = columns(slope=0.5)
     values, alone = found.values("coating_top")
     assert alone
     np.testing.assert_allclose(values, found.measured["coating_top"].values)
     np.testing.assert_allclose(found.values("thickness")[0] if "thickness" in found.measured else 90.0, 90.0)
+    found, _ = columns()
+    row = stated(found, known=np.zeros((80, 100), bool))
+    assert math.isnan(row.value)
+    assert "Only 0 points" in row.silence
+    assert (noise_ceiling([row], 0.9), noise_ceiling([], 0.9)) == ({}, {})
 
 
 def test_many_rows_are_taken_in_bands_and_none_twice(monkeypatch):
     found, _ = columns(noise=5.0, slope=0.3)
-    whole = half_points(
-        found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
-    )
+    whole = half_points(found, "coating_top", np.ones((80, 100), bool), **GRID)
     monkeypatch.setattr("planish.pipeline.halves.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)])
-    parts = half_points(
-        found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
-    )
+    parts = half_points(found, "coating_top", np.ones((80, 100), bool), **GRID)
     for one, other in zip(whole[:2], parts[:2], strict=True):
         np.testing.assert_allclose(one, other, rtol=1e-12)
 
@@ -95,20 +95,9 @@ def test_only_columns_in_cells_that_count_are_taken():
     found, _ = columns(noise=1.0)
     known = np.ones((80, 100), bool)
     known[:, 50:] = False
-    odd, even, _ = half_points(
-        found, "coating_top", known, origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
-    )
+    odd, even, _ = half_points(found, "coating_top", known, **GRID)
     assert odd.shape == (6, 8)
     np.testing.assert_array_equal(np.isfinite(odd).all(axis=0), [True] * 4 + [False] * 4)
     np.testing.assert_array_equal(np.isfinite(odd), np.isfinite(even))
     middle = found.measured["coating_top"].values[1:149, :100]  # of the first and the last row one half is not known
     assert np.nanmean([odd, even]) == pytest.approx(middle.mean(), abs=0.02)
-
-
-def test_where_nothing_can_be_said_the_reason_stands():
-    found, _ = columns()
-    row = stated(found, known=np.zeros((80, 100), bool))
-    assert math.isnan(row.value)
-    assert "Only 0 points" in row.silence
-    assert noise_ceiling([row], 0.9) == {}
-    assert noise_ceiling([], 0.9) == {}

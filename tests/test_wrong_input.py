@@ -1,7 +1,5 @@
 """What was wrong with an input and came out unnoticed once: what planish says now, how it ends, what it withholds."""
 
-from __future__ import annotations
-
 import json
 import re
 
@@ -10,13 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from folders import write_image, write_volume
 from planish.pipeline import open_run
-
-
-def write_volume(path, volume, voxel=4.0):
-    meta = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, volume, imagej=True, resolution=(1 / voxel, 1 / voxel), metadata=meta)
-    return path
 
 
 def marks_file(path, specimen, count, *, error_um=0.5, wrong=None, wrong_um=80.0):
@@ -28,10 +21,8 @@ def marks_file(path, specimen, count, *, error_um=0.5, wrong=None, wrong_um=80.0
     if wrong is not None:
         image[wrong, 0] += wrong_um
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
-    rows += [
-        f"{chr(97 + k)},{','.join(f'{v:.3f}' for v in (*p, *q))}"
-        for k, (p, q) in enumerate(zip(volume, image, strict=True))
-    ]
+    for k, place in enumerate(np.hstack([volume, image])):
+        rows.append(",".join([chr(97 + k), *(f"{v:.3f}" for v in place)]))
     path.write_text("\n".join(rows))
     return path
 
@@ -91,8 +82,6 @@ def test_six_pairs_by_hand_with_one_that_is_80_um_off(ended, specimen, specimen_
 
 
 # --- volumes ---------------------------------------------------------------------------------------------------------
-
-
 def pair_after_pair(volume, _top):
     return volume[np.clip(np.arange(len(volume)) ^ 1, 0, len(volume) - 1)]
 
@@ -211,8 +200,6 @@ def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked
 
 
 # --- sides and specimens ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.study
 def test_a_stack_of_the_wrong_hand(ended, specimen, specimen_files, tmp_path):
     """Its slices the other way round, and the mirror declared: top and bottom coating are exchanged."""
@@ -233,9 +220,7 @@ def foreign_image(specimen, specimen_files, tmp_path_factory):
     sheet = image[far > 34]
     other = np.where(far > 34, image, np.random.default_rng(1).choice(sheet, image.shape)).astype(image.dtype)
     made = np.where(far > 34, other[::-1, ::-1], image)
-    path = tmp_path_factory.mktemp("foreign") / "other.tif"
-    tifffile.imwrite(path, made, resolution=(1e4 / 5.0, 1e4 / 5.0), resolutionunit="CENTIMETER")
-    return path
+    return write_image(tmp_path_factory.mktemp("foreign") / "other.tif", made)
 
 
 @pytest.mark.study
@@ -266,6 +251,5 @@ def test_a_left_handed_volume_is_marked(sign, ended, specimen, tmp_path):
     image.header.set_xyzt_units("micron")
     nibabel.save(image, tmp_path / "v.nii")
     code, _, checks, printed = ended("map", tmp_path / "v.nii")
-    assert code == 0
-    assert ("hand of the volume" in checks) == (sign < 0)
+    assert (code, "hand of the volume" in checks) == (0, sign < 0)
     assert ("mirror image of the specimen" in printed) == (sign < 0)

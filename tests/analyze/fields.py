@@ -1,7 +1,5 @@
 """Random maps of known covariance."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import fft
 

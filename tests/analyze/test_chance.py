@@ -17,12 +17,9 @@ def test_quantiles_and_tails_are_those_of_the_distributions(share, free):
     assert chance.student_tail(value, free) == pytest.approx(stats.t.sf(value, free), rel=1e-9)
 
 
-def test_equal_values_share_their_mean_rank():
+def test_equal_values_share_their_mean_rank_and_maxima_have_a_gumbel_tail():
     values = np.random.default_rng(3).integers(0, 40, 500).astype(float)
     np.testing.assert_array_equal(chance.ranks(values), stats.rankdata(values))
-
-
-def test_the_tail_of_maxima_is_that_of_a_fitted_gumbel():
     sample = stats.gumbel_r.rvs(0.2, 0.03, size=60, random_state=5)
     expected = stats.gumbel_r.sf(0.4, *stats.gumbel_r.fit(sample))
     assert chance.largest_tail(sample, 0.4) == pytest.approx(expected, rel=1e-3)

@@ -8,7 +8,7 @@ from planish.analyze import Fields, difference_of_pooled_r, expected_n_eff, powe
 from planish.core.errors import InputError, SizeError
 
 
-def test_n_eff_is_that_of_the_matrix_of_all_points():
+def test_n_eff_is_that_of_the_matrix_of_all_points_also_for_fine_texture():
     shape, length, parts = (5, 6), 2.5, 8
     at = np.stack(np.meshgrid(*((np.arange(k * parts) + 0.5) / parts for k in shape), indexing="ij"), axis=-1)
     cells = at.reshape(shape[0], parts, shape[1], parts, 2).transpose(0, 2, 1, 3, 4).reshape(30, parts**2, 2)
@@ -18,9 +18,6 @@ def test_n_eff_is_that_of_the_matrix_of_all_points():
     matrix = matrix - matrix.mean(axis=0) - matrix.mean(axis=1)[:, None] + matrix.mean()
     found = expected_n_eff((shape[0] * 20.0 + 3, shape[1] * 20.0 + 19), length_um=length * 20, point_um=20.0)
     assert found == pytest.approx(1 + np.trace(matrix) ** 2 / np.sum(matrix * matrix), rel=1e-9)
-
-
-def test_fine_texture_leaves_every_point_independent():
     assert expected_n_eff((2000.0, 3000.0), length_um=(1.0, 1.0), point_um=100.0) == pytest.approx(600, rel=0.01)
     # Of unlike maps the shorter one counts more.
     mixed = expected_n_eff((2000.0, 3000.0), length_um=(20.0, 300.0), point_um=100.0)

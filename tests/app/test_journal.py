@@ -1,7 +1,5 @@
 """The journal: what was answered is on the disk, whatever happens; and sessions that come back from it."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -41,14 +39,9 @@ def standing(session: Session) -> list[object]:
     return [now.marks, now.model, now.corrections, now.regions]
 
 
-def test_nothing_is_written_before_the_first_change(path):
-    with Journal(path, of="a", write=True):
-        assert not path.exists()
-    assert not path.parent.exists()
-
-
-def test_lines_come_back(path):
+def test_lines_are_written_from_the_first_change_on_and_come_back(path):
     with Journal(path, of="a", write=True) as made:
+        assert not path.parent.exists()
         made.append(b'{"do": 1}')
         made.append(b'{"do": 2}')
     assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
@@ -147,8 +140,6 @@ def test_one_process_writes_and_others_read(path):
 
 
 # --- sessions ----------------------------------------------------------------------------------------------------
-
-
 def test_undo_and_redo_survive_a_new_start(run):
     first = Session.open(run)
     begin = standing(first)

@@ -1,7 +1,5 @@
 """Arrays as volumes and images: the same as from a file, nothing read, and what is refused."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -22,28 +20,24 @@ IMAGE = RNG.integers(0, 60_000, (30, 40)).astype(np.uint16)
 OF_A_FILE = {"file_name", "file_bytes", "voxel_um_source", "pixel_um_source"}
 
 
-def test_a_volume_is_what_its_file_gives(tmp_path):
+def without_file(array):
+    return {name: value for name, value in array.attrs.items() if name not in OF_A_FILE}
+
+
+def test_volumes_and_images_are_what_their_files_give(tmp_path):
     tifffile.imwrite(tmp_path / "v.tif", GREYS)
     expected = pl.read_volume(tmp_path / "v.tif", voxel_um=(3, 1.5, 1.5), through="y", top="low")
     made = pl.volume(GREYS, voxel_um=(3, 1.5, 1.5), through="y", top="low")
     assert made.drop_attrs().identical(expected.drop_attrs())
-    assert {k: v for k, v in made.attrs.items() if k not in OF_A_FILE} == {
-        k: v for k, v in expected.attrs.items() if k not in OF_A_FILE
-    }
-    assert Frame.of(made) == Frame(through="y", top="low")
+    assert (without_file(made), Frame.of(made)) == (without_file(expected), Frame(through="y", top="low"))
     assert made.x.attrs["units"] == "um"
-
-
-def test_an_image_is_what_its_file_gives(tmp_path):
     colour = np.stack([IMAGE, IMAGE // 2, IMAGE // 4], axis=-1)
     for values in (IMAGE, colour):
         tifffile.imwrite(tmp_path / "i.tif", values)
         expected = pl.read_image(tmp_path / "i.tif", pixel_um=5, side="bottom")
         made = pl.image(values, pixel_um=5, side="bottom")
         assert made.drop_attrs().identical(expected.drop_attrs())
-        assert {k: v for k, v in made.attrs.items() if k not in OF_A_FILE} == {
-            k: v for k, v in expected.attrs.items() if k not in OF_A_FILE
-        }
+        assert without_file(made) == without_file(expected)
         (tmp_path / "i.tif").unlink()
 
 
@@ -81,8 +75,7 @@ class Counted:
 def test_nothing_is_read_that_is_not_needed(tmp_path):
     counted = Counted()
     made = pl.volume(counted, voxel_um=2)
-    assert counted.voxels == 0
-    assert made.isel(z=slice(2, 4)).values.shape == (2, 30, 40)
+    assert (counted.voxels, made.isel(z=slice(2, 4)).values.shape) == (0, (2, 30, 40))
     assert counted.voxels == 2 * 30 * 40
     np.save(tmp_path / "v.npy", GREYS)
     mapped = pl.volume(np.load(tmp_path / "v.npy", mmap_mode="r"), voxel_um=2)
@@ -92,7 +85,7 @@ def test_nothing_is_read_that_is_not_needed(tmp_path):
 
 def test_zarr_is_imported_only_for_arrays_of_zarr():
     code = (
-        "import sys, numpy, planish as pl; pl.volume(numpy.zeros((9, 9, 9)), voxel_um=1); print('zarr' in sys.modules)"
+        "import sys, numpy, planish; planish.volume(numpy.zeros((9, 9, 9)), voxel_um=1); print('zarr' in sys.modules)"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "False"

@@ -7,8 +7,8 @@ import pytest
 
 from marks.files_by_hand import (
     FIXED,
-    LABELS,
     MOVING,
+    PAIRS,
     bigwarp_2d,
     bigwarp_3d,
     bigwarp_json,
@@ -21,20 +21,6 @@ from marks.files_by_hand import (
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
 from planish.marks.files import LayerPixels, Places, make_marks, read_any, used_pairs, write_any
-
-PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
-    f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
-)
-
-
-@pytest.fixture
-def put(tmp_path):
-    def write(text, name="marks.txt"):
-        path = tmp_path / name
-        path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
-        return path
-
-    return write
 
 
 def lines_with(text, k, new):
@@ -164,14 +150,11 @@ def test_matlab_files_that_are_wrong(put, data, error, message):
         read_any(put(data, "points.mat"), moving=LayerPixels(1.0), fixed=LayerPixels(1.0))
 
 
-def test_files_that_are_not_there(tmp_path):
+def test_files_that_are_missing_or_do_not_go_together(tmp_path, put):
     with pytest.raises(FileError, match=r"none\.csv cannot be read"):
         read_any(tmp_path / "none.csv")
     with pytest.raises(FileError, match="is no file"):
         read_any(tmp_path)
-
-
-def test_two_files_that_do_not_go_together(put):
     a, b = put(elastix(MOVING / 1000), "mp.txt"), put(elastix(FIXED[:3] / 1000), "fp.txt")
     with pytest.raises(MarkError, match=r"4 moving points \(mp.txt\) and 3 fixed points \(fp.txt\).*same number"):
         read_any(a, b)
@@ -246,7 +229,7 @@ def test_marks_that_are_um(put, fixed):
     assert read_any(put(pairs_text(fixed)), **LAYER).sizes["mark"] == len(fixed)
 
 
-def test_the_remedy_is_one_that_the_file_allows(put):
+def test_the_remedy_for_pixels_is_one_that_the_file_allows(put):
     pixels = np.array([[160, 200], [1500.5, 130], [900, 1150]])
     rows = [f'"{k}","true","{k}.5","{k * k}.5","{x}","{y}"' for k, (x, y) in enumerate(pixels.tolist())]
     with pytest.raises(MarkError, match="Convert them by planish marks convert --unit pixel"):
@@ -255,9 +238,6 @@ def test_the_remedy_is_one_that_the_file_allows(put):
         read_any(put(pairs_text(pixels)), **LAYER)
     marks = read_any(put("\n".join(rows)), unit="pixel", moving=LayerPixels(1.0), **LAYER)
     np.testing.assert_allclose(marks.fixed_x, pixels[:, 0] * 12.0, rtol=0, atol=1e-9)
-
-
-def test_a_layer_of_fine_pixels(put):
     pixels = np.array([[100, 50], [19000, 700], [6000, 14500]])
     with pytest.raises(MarkError, match="look like pixels"):
         read_any(put(pairs_text(pixels)), fixed=LayerPixels(0.5, shape=(15000, 20000)))
@@ -265,8 +245,6 @@ def test_a_layer_of_fine_pixels(put):
 
 
 # --- writing
-
-
 def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
     marks = read_any(put(bigwarp_2d()))
     for to in ("json", "csv", "bigwarp", "slicer", "elastix", "matlab"):

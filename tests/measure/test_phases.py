@@ -101,8 +101,7 @@ def test_depth_of_ink_and_its_censoring(made):
     np.testing.assert_allclose(found["ink_depth_90"].values[at], 9.0, atol=0.7)
     reasons = found["ink_depth_50_status"]
     meaning = dict(zip(reasons.attrs["flag_values"], reasons.attrs["flag_meanings"].split(), strict=True))
-    assert meaning[int(reasons[20, 90])] == "no_ink"
-    assert meaning[int(reasons[52, 30])] == "ink_reaches_limit"
+    assert (meaning[int(reasons[20, 90])], meaning[int(reasons[52, 30])]) == ("no_ink", "ink_reaches_limit")
     assert np.isnan(found["ink_depth_50"].values[20, 90])
     with pytest.raises(CannotMeasure, match="ink_grey"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["ink_depth_50"])

@@ -1,7 +1,5 @@
 """Figures as files: they stand alone, hold what the page shows, and come with their numbers."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path
@@ -58,8 +56,7 @@ def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
     assert [path.name[:2] for path in drawn] == [f"{k:02d}" for k in range(1, len(drawn) + 1)]
     for path, shown in zip(drawn, page.svgs, strict=True):
         root = ElementTree.parse(path).getroot()
-        assert root.tag == "{http://www.w3.org/2000/svg}svg"
-        assert root.attrib["aria-label"] == shown["aria-label"]
+        assert (root.tag, root.attrib["aria-label"]) == ("{http://www.w3.org/2000/svg}svg", shown["aria-label"])
         assert "Liberation Sans" in root.attrib["font-family"]
         title, caption = root[0].text, root[1].text
         assert title == shown["aria-label"]
@@ -90,7 +87,7 @@ def test_same_run_gives_the_same_files(figures: Path, tmp_path: Path) -> None:
     assert {p.name: p.read_bytes() for p in figures.iterdir()} == {p.name: p.read_bytes() for p in again.iterdir()}
 
 
-def test_hostile_titles_name_no_other_place_and_stay_text(tmp_path: Path) -> None:
+def test_hostile_titles_stay_text_and_a_figure_alone_lies_on_white(tmp_path: Path) -> None:
     run = a_run(linked=False)
     title = '../../x"><script>紙</script>'
     run["groups"]["maps"]["coating_top"].attrs["long_name"] = title
@@ -98,9 +95,6 @@ def test_hostile_titles_name_no_other_place_and_stay_text(tmp_path: Path) -> Non
     assert {path.parent for path in tmp_path.rglob("*.svg")} == {folder}
     assert (folder / "01-x-script-script.svg").is_file()
     assert ElementTree.parse(folder / "01-x-script-script.svg").getroot()[0].text == title
-
-
-def test_a_figure_alone_lies_on_white() -> None:
     root = ElementTree.fromstring(standalone(Canvas(20, 10).picture(title="紙", caption="a < b")).encode())
     assert root[1].text == "a < b"
     assert root[2].attrib["fill"] == "#ffffff"
