@@ -19,7 +19,7 @@ import numpy as np
 import xarray as xr
 from playwright.sync_api import Page, sync_playwright
 
-from planish.core.overviews import overviews
+from planish.core.area import overviews
 from planish.io.run_folder import write_tree
 
 ROWS, COLS, PITCH_UM = 1500, 2000, 10.0

@@ -14,7 +14,7 @@ import xarray as xr
 
 from planish.core.tiles import Engine
 from planish.measure import MeasureParams, measure_along_rays, registered
-from planish.measure.along_rays import each_tile, ray_frame
+from planish.measure.properties import each_tile, ray_frame
 
 VOXEL_UM = 3.0
 DEPTH = 80

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
 from planish.register import fit_transform
+from planish.register.bent import inside
 from planish.register.models import MODELS
-from planish.register.strain import inside
 
 Floats = NDArray[np.float64]
 Truth = Callable[[Floats], Floats]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.flatten.relaxation import Relaxation, RelaxationParams, relax_dynamically
 from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_lengths, size_errors, unrolled
 

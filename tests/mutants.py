@@ -47,7 +47,7 @@ MUTANTS = [
     Mutant("io/sizes.py", "um = length / per_unit", "um = length * per_unit", "io/test_sizes.py"),
     Mutant("core/arrays.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
     Mutant("io/sizes.py", "abs(25400.0 / um - dpi) <= 1.0", "abs(25400.0 / um - dpi) <= 0.0001", "io/test_sizes.py"),
-    Mutant("io/slices.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
+    Mutant("io/slice_volume.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),
     Mutant("io/sections.py", "if len(kinds) > 1:", "if len(kinds) > 2:", "io/test_sections.py"),
     # surface
     Mutant("surface/assemble.py", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)", "(top, inner_top), (bottom, inner_bottom) = (bottom, inner_top), (top, inner_bottom)", "surface/test_any_sheet.py surface/test_find.py"),
@@ -58,14 +58,14 @@ MUTANTS = [
     Mutant("surface/_fit_kernels.py", "return _TABLE[i] + share * rise", "return _TABLE[i] - share * rise", "surface/test_fit.py"),
     Mutant("surface/_fit_kernels.py", "face, inside, coat, base = p[0], p[0] + p[1], p[2], p[3]", "face, inside, coat, base = p[0], p[0] - p[1], p[2], p[3]", "surface/test_fit.py"),
     # measure
-    Mutant("measure/ray_frame.py", "    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)", "    length = np.sqrt(1 + slope[..., 0] ** 2)", "measure/test_along_normals.py"),
-    Mutant("measure/properties.py", '"coating_bottom": place["interface_bottom"] - place["bottom"]', '"coating_bottom": place["bottom"] - place["interface_bottom"]', "measure/test_along_normals.py"),
-    Mutant("measure/properties.py", '"topography_bottom": -place["bottom"]', '"topography_bottom": place["bottom"]', "measure/test_along_normals.py"),
+    Mutant("measure/rays.py", "    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)", "    length = np.sqrt(1 + slope[..., 0] ** 2)", "measure/test_along_normals.py"),
+    Mutant("measure/registry.py", '"coating_bottom": ("interface_bottom", "bottom")', '"coating_bottom": ("bottom", "interface_bottom")', "measure/test_along_normals.py"),
+    Mutant("measure/registry.py", 'else -faces["bottom"]', 'else faces["bottom"]', "measure/test_along_normals.py"),
     Mutant("measure/properties.py", "            whole &= np.isfinite(lengths", "            whole |= np.isfinite(lengths", "measure/test_along_normals.py"),
     Mutant("measure/masses.py", "contrast = rays.greys.base - rays.greys.air", "contrast = rays.greys.base", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
-    Mutant("measure/topography.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
-    Mutant("measure/topography.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
-    Mutant("measure/orientation.py", "a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q", "a, b, d = 1 - loss * q * q, -loss * p * q, 1 - loss * p * p", "measure/test_orientation.py"),
+    Mutant("measure/lengths.py", "_ALPHA = 0.4697", "_ALPHA = 0.6642", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/lengths.py", "height = np.where(sheet.valid, sign * f.faces[side], np.nan)", "height = np.where(sheet.valid, f.faces[side], np.nan)", "measure/test_maps_of_the_sheet.py measure/test_layers.py"),
+    Mutant("measure/structure.py", "a, b, d = 1 - loss * p * p, -loss * p * q, 1 - loss * q * q", "a, b, d = 1 - loss * q * q, -loss * p * q, 1 - loss * p * p", "measure/test_orientation.py"),
     Mutant("measure/_ray_kernels.py", "value = near * (1 - fr) + far * fr", "value = near * fr + far * (1 - fr)", "measure/test_rays.py"),
     # flatten
     Mutant("flatten/_kernels.py", "strain = 1.0 - rest * inverse", "strain = rest * inverse - 1.0", "flatten/test_kernels.py flatten/test_relax.py"),
@@ -85,7 +85,7 @@ MUTANTS = [
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
     Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
     Mutant("marks/regions/model.py", "(ring - 0.5) * size", "ring * size", "test_regions.py"),
-    Mutant("marks/regions/imagej.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
+    Mutant("marks/regions/files.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
     Mutant("pipeline/onto.py", "away & ~self.regions.inside(part)", "away", "test_regions.py"),
     # register
     Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),

@@ -13,7 +13,7 @@ from tests.report.runs import a_run
 from planish.cli.show import run_facts, run_lines
 from planish.core.checks import Check
 from planish.core.errors import FileError
-from planish.core.results import HoleTiltFacts
+from planish.core.facts import HoleTiltFacts
 from planish.pipeline.checks import _tilt_check, alone_check, with_trust
 from planish.pipeline.figures import figures_text
 from planish.results import Results

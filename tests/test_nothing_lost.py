@@ -13,8 +13,8 @@ import pytest
 import tifffile
 
 from folders import bytes_of, disc_image, write_image
-from planish.core.axis import likely_through
 from planish.core.errors import InputError
+from planish.core.frame import likely_through
 from planish.pipeline import open_run
 from planish.study import read_study, with_values, write_study
 

@@ -18,8 +18,7 @@ from folders import bytes_of
 from formats_written import CASES, VALUES, VOXEL
 from marks import files_by_hand as by_hand
 from planish.core.errors import FileError
-from planish.core.files import move, write_whole
-from planish.core.names import INSIDE, check_length, fault_of_name, refuse_name
+from planish.core.files import INSIDE, check_length, fault_of_name, move, refuse_name, write_whole
 from planish.core.tiles import Engine
 from planish.io import guard, read_volume
 from planish.io.run_folder import new_folder, refuse_existing

@@ -29,7 +29,12 @@ _BLOCK = re.compile(r"^```\{(\w+)\}[ ]*([^\n]*)\n(.*?)^```$", re.MULTILINE | re.
 _LINK = re.compile(r"\]\(((?:\.\./)*)([\w./-]+?)(#[\w-]+)?\)")
 # A file's name helps where Markdown is read as it is; the site knows the title.
 _NAMED_BY_FILE = re.compile(r"\[[\w./-]+\.md\]\(([^)#]+\.md(?:#[\w-]+)?)\)")
-SHOWN = {"CHANGELOG.md": "changes", "CONTRIBUTING.md": "contributing", "ARCHITECTURE.md": "architecture"}
+SHOWN = {
+    "CHANGELOG.md": "changes",
+    "CONTRIBUTING.md": "contributing",
+    "ARCHITECTURE.md": "architecture",
+    "DECISIONS.md": "decisions",
+}
 
 
 def expand(text: str) -> str:

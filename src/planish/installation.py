@@ -20,8 +20,8 @@ from packaging.markers import default_environment
 from packaging.requirements import Requirement
 
 import planish
-from planish.core import names
 from planish.core.checks import Check
+from planish.core.files import longest_path
 from planish.core.threads import available
 from planish.io.guard import default_memory_limit
 
@@ -265,7 +265,7 @@ def _console() -> Check:
 
 
 def _long_paths() -> Check:
-    if names.longest_path() is None:
+    if longest_path() is None:
         return _check("long paths", "Windows takes paths of more than 259 characters.")
     return _check(
         "long paths", "Windows takes paths of up to 259 characters; runs in deep folders are refused.",

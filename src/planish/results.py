@@ -29,8 +29,22 @@ from planish.analyze.thin_regions import RegionDifference
 from planish.analyze.variograms import VariogramCurve
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import NULL, AtPoints, Facts, Interval, Number, OfLayer, OfMap, Pair, Side, Trust, Value
-from planish.core.results import HoleTiltFacts, InputFile, SheetNumbers
+from planish.core.facts import (
+    NULL,
+    AtPoints,
+    Facts,
+    HoleTiltFacts,
+    InputFile,
+    Interval,
+    Number,
+    OfLayer,
+    OfMap,
+    Pair,
+    SheetNumbers,
+    Side,
+    Trust,
+    Value,
+)
 from planish.core.sources import is_this_code
 from planish.flatten import FlatteningQuality
 

@@ -14,11 +14,10 @@ from pydantic import Field, ValidationError, model_validator
 
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
-from planish.core.mistakes import Place, mistakes, toml_mistake
-from planish.core.names import fault_of_name
+from planish.core.files import fault_of_name
+from planish.core.mistakes import Key, KeyLines, Place, key_lines, mistakes, toml_mistake
 from planish.core.options import Params, options_of
 from planish.core.tables import read_text
-from planish.core.toml_lines import Key, KeyLines, key_lines
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams

@@ -14,8 +14,8 @@ from planish.app.pictures import Pictures, group_pictures
 from planish.app.probe import cursor, profile
 from planish.app.selection import Brush, Rectangle, Stopped, density, histogram, select
 from planish.app.tiles import Tiles
+from planish.core.area import halved, overviews
 from planish.core.errors import InputError
-from planish.core.overviews import halved, overviews
 from planish.io.run_folder import write_tree
 from planish.pipeline import open_run
 from planish.report import colours

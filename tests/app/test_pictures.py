@@ -14,8 +14,8 @@ from planish.app.picture import Codes
 from planish.app.pictures import Pictures, group_pictures
 from planish.app.strain import STRAINS
 from planish.app.tiles import TILE, Tiles
+from planish.core.area import overviews
 from planish.core.errors import InputError
-from planish.core.overviews import overviews
 from planish.io import ImageParams, map_store, read_image
 from planish.io.run_folder import write_tree
 

@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.core.errors import FileError, InputError
-from planish.core.toml_lines import key_lines
+from planish.core.mistakes import key_lines
 from planish.study import read_study
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 import zarr
 
-from planish.core.overviews import overviews
+from planish.core.area import overviews
 from planish.io.run_folder import read_tree, write_tree
 
 

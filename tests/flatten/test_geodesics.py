@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planish.flatten.geodesics import MeshPoints, geodesic_error, random_places, trace_lines, whole_cells
+from planish.flatten.distortion import MeshPoints, geodesic_error, random_places, trace_lines, whole_cells
 
 
 def grid(rows, cols, pitch=1.0):

@@ -9,8 +9,7 @@ from scipy import sparse
 from planish.flatten._kernels import FAR, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import interpolate
 from planish.flatten.direct import Network, relax_exactly
-from planish.flatten.levels import Level, Team, bordered, halve, padded
-from planish.flatten.springs import make_springs, stiffen
+from planish.flatten.levels import Level, Team, bordered, halve, make_springs, padded, stiffen
 
 
 @pytest.fixture(params=["whole", "gaps", "weights"])

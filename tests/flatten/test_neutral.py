@@ -7,7 +7,7 @@ import xarray as xr
 from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.grid import Grid
-from planish.flatten import FlattenParams, flat_moves, flatten_sheet, neutral_surface
+from planish.flatten import FlattenParams, flat_moves, flatten_sheet, variants
 from planish.pipeline.position_error import NEUTRAL, PositionErrors, error_shares
 from planish.register import Chain, fit_transform
 
@@ -48,7 +48,7 @@ def test_what_another_surface_moves(frame, monkeypatch):
     base = surfaces["base_middle"].values
     found = []
     for nodes in (40_000, 500):
-        monkeypatch.setattr(neutral_surface, "_MOST_NODES", nodes)
+        monkeypatch.setattr(variants, "_MOST_NODES", nodes)
         moves = flat_moves(surfaces, {"faces": np.zeros(base.shape)}, neutral=base)
         assert moves["faces_u"].size < 1.2 * nodes
         hand = -1.0 if frame.mirrored else 1.0

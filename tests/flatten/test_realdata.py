@@ -6,7 +6,7 @@ import tifffile
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.flatten import edge_strain, geodesic_error, relax_grid
 
 

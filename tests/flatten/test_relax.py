@@ -7,12 +7,11 @@ from scipy import ndimage
 from naive import relax as slow_relax
 from naive import springs as slow_springs
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.threads import limit_threads
 from planish.flatten import RelaxationParams, cell_strain, edge_strain, relax_grid
-from planish.flatten.levels import Team
+from planish.flatten.levels import Team, make_springs
 from planish.flatten.multigrid import Multigrid
-from planish.flatten.springs import make_springs
 
 
 def cylinder(rows, cols, radius, pitch):

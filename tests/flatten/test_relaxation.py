@@ -2,7 +2,7 @@ import numpy as np
 import pytest
 
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.flatten import relax_grid
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from planish.core.area import overviews
 from planish.core.errors import FileError
 from planish.core.grid import Grid
-from planish.core.overviews import overviews
 from planish.core.tiles import tiles_of
 from planish.io import map_store
 from planish.io.map_store import HeldMaps, StoredMaps, large_groups, map_tiles, stored_group

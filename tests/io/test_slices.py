@@ -17,7 +17,7 @@ from PIL import Image
 
 from planish.core.errors import FileError, InputError, ResourceError, SizeError, VolumeError
 from planish.io import read_volume
-from planish.io.slices import list_slices
+from planish.io.slice_volume import list_slices
 
 
 def stack(dtype: str = "uint8", shape: tuple[int, ...] = (12, 7, 9)) -> NDArray[Any]:

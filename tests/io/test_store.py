@@ -12,7 +12,7 @@ from folders import bytes_of
 from planish.core.errors import FileError, InputError, ResourceError
 from planish.io import read_volume
 from planish.io import store as module
-from planish.io.checksums import missing_shards, store_fingerprint
+from planish.io.hashes import missing_shards, store_fingerprint
 from planish.io.store import halve, write_store
 
 VOXEL = [2.0, 1.5, 1.5]

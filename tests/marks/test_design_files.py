@@ -141,8 +141,7 @@ def test_a_design_is_a_whole_folder(made):
 
 def test_the_true_size_is_true(pattern):
     """The view is so many millimetres wide on the page as in the stage's coordinates."""
-    from planish.marks.design.draw import drawing_page
-    from planish.marks.design.sheet import house_style
+    from planish.marks.design.draw import drawing_page, house_style
 
     with house_style():
         page = drawing_page(pattern)

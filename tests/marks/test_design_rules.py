@@ -7,8 +7,15 @@ from hypothesis import strategies as st
 
 from planish.core.errors import MarkError
 from planish.marks.design import DesignParams, check_pattern, design_pattern, own_pattern
-from planish.marks.design.rules import CROP, crops, simple_rules
-from planish.marks.design.selfmatch import _HoleIndex, code_misfit_um, perimeter_order, self_motions
+from planish.marks.design.rules import (
+    CROP,
+    _HoleIndex,
+    code_misfit_um,
+    crops,
+    perimeter_order,
+    self_motions,
+    simple_rules,
+)
 
 
 @pytest.fixture(scope="module")

@@ -6,7 +6,7 @@ from benchmarks.holes import make_scene
 
 from marks.holes import make_hole, scene
 from planish.marks import candidates, check_holes, find_holes, holes_from_json, holes_to_json
-from planish.marks.rejected import REASONS
+from planish.marks.find import REASONS
 
 
 def row_of_holes(change=None, **more):

@@ -8,8 +8,8 @@ from planish.core.errors import MarkError, SizeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.marks import HoleParams, check_holes, find_holes, find_sheet_holes, hole_tilt
+from planish.surface.assemble import LAYERS, find_presence
 from planish.surface.columns import Columns
-from planish.surface.presence import LAYERS, find_presence
 from surface.sheets import volume
 
 PIXEL = 4.0

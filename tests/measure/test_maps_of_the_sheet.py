@@ -8,9 +8,9 @@ import xarray as xr
 
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import CannotMeasure
-from planish.measure import measure_along_rays, roughness_numbers, scale_limited, topography, two_sidedness
+from planish.measure import lengths, measure_along_rays, roughness_numbers, scale_limited, two_sidedness
+from planish.measure.lengths import smoothed
 from planish.measure.registry import find_property
-from planish.measure.topography import smoothed
 
 
 def slow_envelope(height, pitch, radius):
@@ -131,7 +131,7 @@ def test_peaks_of_both_sides_point_outwards(monkeypatch, side, outwards):
     bump = 3.0 * np.exp(-((x - 300) ** 2 + (y - 300) ** 2) / 900)
     frame = SimpleNamespace(faces={side: outwards * (40.0 + bump)}, pitch_um=(5.0, 5.0))
     params = SimpleNamespace(s_filter_um=20.0, l_filter_um=200.0)
-    monkeypatch.setattr(topography, "errors", lambda *_: np.ones(x.shape))
+    monkeypatch.setattr(lengths, "errors", lambda *_: np.ones(x.shape))
     sheet = SimpleNamespace(frame=frame, params=params, valid=np.ones(x.shape, dtype=bool))
     values = find_property(f"roughness_{side}").function(sheet).values
     assert values[60, 60] > 1.0

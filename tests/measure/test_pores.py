@@ -6,7 +6,7 @@ from scipy import ndimage
 
 from planish.measure import MeasureParams, measure_along_rays
 from planish.measure._pore_kernels import inscribed
-from planish.measure.pores import chords, distances
+from planish.measure.structure import chords, distances
 
 STEP = (3.0, 2.0, 1.0)
 

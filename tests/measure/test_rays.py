@@ -11,7 +11,7 @@ from planish.core.errors import SurfaceError
 from planish.core.status import Status
 from planish.core.tiles import Engine
 from planish.measure import MeasureParams, measure_along_rays, registered
-from planish.measure.ray_frame import RayFrame
+from planish.measure.rays import RayFrame
 
 
 def straighten(volume, surfaces, rows, *, params=None):

@@ -6,7 +6,7 @@ import xarray as xr
 from scipy import ndimage
 
 from planish.measure import measure_properties
-from planish.measure.greys import Greys
+from planish.measure.registry import Greys
 from planish.measure.uncertainty import Shared, common_errors
 from planish.pipeline.facts import property_facts
 from planish.resample.maps import _mean_se

@@ -8,7 +8,7 @@ import pytest
 from planish.core.transform import Affine, Similarity
 from planish.register import field as of_field
 from planish.register import fit_transform
-from planish.register.field import KERNELS, Field, covariance
+from planish.register.field import KERNELS, DeviationField, covariance
 from planish.register.pairs import Pairs
 
 TURN = Similarity(scale=1.012, rotation_rad=0.7, shift_um=(100.0, -40.0))
@@ -80,7 +80,7 @@ def test_it_is_the_average_of_the_dense_formulas(kind, mirrored, monkeypatch):
     points, where = marks(7), marks(5, 2) * 1.3
     seen = wavy(points * (-1 if mirrored else 1, 1)) + rng.normal(0, 3, (7, 2))
     pairs = Pairs(moving=points, fixed=seen, information=info)
-    field = Field(pairs, mirrored)
+    field = DeviationField(pairs, mirrored)
     mean, square, variance = dense(field, pairs, mirrored, where)
     fit = fit_transform(points, seen, model="averaged", mirrored=mirrored, weights=np.linalg.inv(info), robust=False)
     np.testing.assert_allclose(fit(where), mean, rtol=0, atol=1e-7)
@@ -93,11 +93,11 @@ def test_it_is_the_average_of_the_dense_formulas(kind, mirrored, monkeypatch):
 def test_marks_left_out_are_missed_as_by_the_others_with_the_same_probabilities():
     points = marks(8)
     pairs = Pairs(moving=points, fixed=wavy(points), information=np.ones(8)[:, None, None] * np.eye(2))
-    field = Field(pairs, False)
+    field = DeviationField(pairs, False)
     # Lengths are those of all marks: the twin takes one assumption and leaves out by solving the dense equations.
     mixture = np.zeros_like(field.mixture)
     mixture[2, 1, 3] = 1.0
-    missed, _ = Field(pairs, False, mixture).left_out()
+    missed, _ = DeviationField(pairs, False, mixture).left_out()
     near = covariance(KERNELS[2], np.sum((field.nodes[:, None] - field.nodes) ** 2, axis=-1))
     design = field._columns(field.nodes).reshape(-1, 6)
     v = np.eye(16) + 3.0 * design[:, 4:] @ design[:, 4:].T + of_field._FIELD[3] * np.kron(near, np.eye(2))

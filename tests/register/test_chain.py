@@ -8,7 +8,7 @@ import pytest
 from planish.core.errors import CannotRegister
 from planish.core.transform import Similarity
 from planish.register import Chain, FittedTransform, fit_transform
-from planish.register.field import Field
+from planish.register.field import DeviationField
 from planish.register.pairs import Pairs
 
 MARKS = np.array([[0.0, 0.0], [4000.0, 100.0], [3900.0, 2900.0], [-50.0, 3000.0], [1700.0, 1300.0], [900.0, 2400.0]])
@@ -50,7 +50,7 @@ def certain(fit: FittedTransform) -> FittedTransform:
     mixture = np.zeros_like(fit.field.mixture)
     mixture[0, 0, 0] = 1.0
     pairs = Pairs(moving=fit.moving, fixed=fit.fixed, information=fit.information)
-    return replace(fit, known=Field(pairs, fit.mirrored, mixture))
+    return replace(fit, known=DeviationField(pairs, fit.mirrored, mixture))
 
 
 @pytest.mark.study

@@ -10,7 +10,7 @@ import pytest
 
 from planish.report import write_report
 from planish.report.draw import Canvas
-from planish.report.files import standalone
+from planish.report.page import standalone
 from planish.report.relation import block_means
 from planish.results import Results
 from report.pages import Page

@@ -17,7 +17,7 @@ from planish.report.registration import (
     lag_places,
     machine_direction,
 )
-from planish.report.summary import lag_check
+from planish.report.summary import lag_verdict
 from planish.report.text import REGISTERED, capital, typeset
 from planish.results import RegistrationFacts
 from report.pages import Page
@@ -47,13 +47,13 @@ def a_lag(**values: Any) -> LagNumbers:
     ],
 )
 def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
-    check = lag_check(a_lag(**values), first="coating thickness", second="the image", name="check")
+    check = lag_verdict(a_lag(**values), first="coating thickness", second="the image", name="check")
     assert check is not None
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
     assert " um" not in check.sentence
-    assert lag_check(None, first="a", second="b", name="check") is None
+    assert lag_verdict(None, first="a", second="b", name="check") is None
 
 
 def test_words_units_and_levels_are_the_same_everywhere() -> None:
@@ -86,7 +86,7 @@ def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
     ground = blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), of="image")
     silent = a_lag().model_copy(update={"tiles": a_lag().tiles[1:]})
     for none in (None, silent, a_lag(tiles=[], tile_um=None)):
-        assert draw_lags(none, ground, first="a", second="b", width=HALF) is None
+        assert draw_lags(none, ground, first="a", second="b") is None
 
 
 def test_expected_error_states_its_range_and_needs_values() -> None:

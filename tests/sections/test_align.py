@@ -7,9 +7,8 @@ from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
 from planish.sections import SectionSeries, align_sections, normalise_sections
 from planish.sections._kernels import between, pair_sums, smooth, straighten
-from planish.sections.band import block_means
+from planish.sections.band import block_means, core_and_background
 from planish.sections.network import slow_part, solve_places
-from planish.sections.normalise import core_and_background
 from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
 
 MISSING = (50, 51, 52, 120)

@@ -6,8 +6,8 @@ from scipy.special import ndtr
 
 from planish.core.errors import VolumeError
 from planish.sections import SectionSeries, align_sections, fixed_places
+from planish.sections.align import _match_template
 from planish.sections.network import slow_part
-from planish.sections.reference import _match_template
 from sections.bands import PIXEL_UM, make_series, rms
 
 

@@ -5,7 +5,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from planish.core.series import Member
+from planish.core.series_results import Member
 from planish.results import Results
 from report.runs import a_run
 

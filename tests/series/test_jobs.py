@@ -10,37 +10,37 @@ import tifffile
 from formats_written import CUBE, NAME, write_hdf5, write_meta, write_nrrd, write_raw, write_zarr
 from planish.cli.series import code_of
 from planish.compute import Compute
-from planish.core.series import Member, MemberState
-from planish.series import Book, Plan, Specimen
-from planish.series.jobs import Job, Outcome, do
+from planish.core.series_results import Member, MemberState
+from planish.series import Plan, PlannedSpecimen, SeriesState
+from planish.series.jobs import Job, JobOutcome, do
 
 COMPUTE = Compute()
 
 
 @pytest.fixture
-def specimen(tmp_path: Path) -> Specimen:
+def specimen(tmp_path: Path) -> PlannedSpecimen:
     tifffile.imwrite(tmp_path / "v.tif", np.arange(504, dtype=np.uint8).reshape(9, 8, 7), imagej=True)
     tifffile.imwrite(tmp_path / "i.tif", np.zeros((8, 7), np.uint8))
-    return Specimen(name="A 1", files=(str(tmp_path / "v.tif"), str(tmp_path / "i.tif")))
+    return PlannedSpecimen(name="A 1", files=(str(tmp_path / "v.tif"), str(tmp_path / "i.tif")))
 
 
-def book(folder: Path, *specimens: Specimen, changes: tuple[str, ...] = ()) -> Book:
+def book(folder: Path, *specimens: PlannedSpecimen, changes: tuple[str, ...] = ()) -> SeriesState:
     home = folder / "out"
     home.mkdir(exist_ok=True)
-    return Book(home, Plan(specimens=specimens, home=folder, changes=changes))
+    return SeriesState(home, Plan(specimens=specimens, home=folder, changes=changes))
 
 
-def opened(one: Book, specimen: Specimen) -> Job:
+def opened(one: SeriesState, specimen: PlannedSpecimen) -> Job:
     job = one.open(specimen, COMPUTE)
     assert isinstance(job, Job)
     return job
 
 
-def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: Path, specimen: Specimen) -> None:
+def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), Outcome(state="damaged", message="memory", seconds=1.0))
+    one.close(specimen, opened(one, specimen), JobOutcome(state="damaged", message="memory", seconds=1.0))
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
-    refused = one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no hole", seconds=1.0))
+    refused = one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no hole", seconds=1.0))
     assert (refused.state, refused.message, refused.run) == ("refused", "no hole", None)
     again = book(tmp_path, specimen).open(specimen, COMPUTE)
     assert isinstance(again, Member)
@@ -51,9 +51,9 @@ def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: P
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
 
 
-def test_same_bytes_are_the_same_whatever_their_date(tmp_path: Path, specimen: Specimen) -> None:
+def test_same_bytes_are_the_same_whatever_their_date(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no hole", seconds=1.0))
+    one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no hole", seconds=1.0))
     os.utime(tmp_path / "i.tif", (1e9, 1e9))
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Member)
 
@@ -79,8 +79,8 @@ def in_parts_or_two_files(folder: Path, kind: str) -> tuple[str, Path]:
 def test_a_volume_whose_values_changed_is_done_again(tmp_path: Path, kind: str) -> None:
     """The file that changed has as many bytes as before and an older date than the header: a copy that was put back."""
     path, data = in_parts_or_two_files(tmp_path, kind)
-    one, specimen = book(tmp_path), Specimen(name="A", files=(path,))
-    one.close(specimen, opened(one, specimen), Outcome(state="refused", message="no sheet", seconds=1.0))
+    one, specimen = book(tmp_path), PlannedSpecimen(name="A", files=(path,))
+    one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no sheet", seconds=1.0))
     assert isinstance(one.open(specimen, COMPUTE), Member)
     changed = bytearray(data.read_bytes())
     changed[-1] ^= 1
@@ -89,8 +89,8 @@ def test_a_volume_whose_values_changed_is_done_again(tmp_path: Path, kind: str) 
     assert isinstance(one.open(specimen, COMPUTE), Job)
 
 
-def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: Specimen) -> None:
-    other = Specimen(name="A 1-2", files=specimen.files, changes=("correlate.point_um=50",))
+def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: PlannedSpecimen) -> None:
+    other = PlannedSpecimen(name="A 1-2", files=specimen.files, changes=("correlate.point_um=50",))
     one = book(tmp_path, specimen, other)
     foreign = one.home / "runs" / "A 1"
     foreign.mkdir(parents=True)
@@ -98,14 +98,14 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: Specimen
     assert opened(one, other).folder.name == "A 1-2"
 
 
-def test_a_missing_file_concerns_its_specimen(tmp_path: Path, specimen: Specimen) -> None:
-    gone = Specimen(name="B", files=(str(tmp_path / "gone.tif"),))
+def test_a_missing_file_concerns_its_specimen(tmp_path: Path, specimen: PlannedSpecimen) -> None:
+    gone = PlannedSpecimen(name="B", files=(str(tmp_path / "gone.tif"),))
     found = do(opened(book(tmp_path, specimen, gone), gone))
     assert found.state == "refused"
     assert "gone.tif" in found.message
 
 
-def test_a_job_never_raises(tmp_path: Path, specimen: Specimen, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_job_never_raises(tmp_path: Path, specimen: PlannedSpecimen, monkeypatch: pytest.MonkeyPatch) -> None:
     job = opened(book(tmp_path, specimen), specimen)
     assert do(job).state == "refused"  # eight pixels are no sheet
     for error, words in ((MemoryError(), "memory"), (ZeroDivisionError("x"), "fault of planish: ZeroDivisionError")):

@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from planish.core.errors import InputError
-from planish.core.series import Member
+from planish.core.series_results import Member
 from planish.series import Declared, declared_of, gather, summary_of
 from series.runs import results_of, series, two_volumes
 

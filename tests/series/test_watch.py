@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 from planish.core.errors import InputError
-from planish.series import Plan, Specimen
+from planish.series import Plan, PlannedSpecimen
 from planish.series.watch import watch_params, watched
 
 
@@ -40,7 +40,7 @@ def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path: Path
         idle_s=200, tell=said.append, clock=clock,
     )  # fmt: skip
 
-    def look(seconds: float) -> Specimen | None:
+    def look(seconds: float) -> PlannedSpecimen | None:
         clock.now += seconds
         return next(coming)
 
@@ -85,7 +85,7 @@ def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path
         clock=clock,
     )  # fmt: skip
 
-    def look(seconds: float) -> Specimen | None:
+    def look(seconds: float) -> PlannedSpecimen | None:
         clock.now += seconds
         return next(coming)
 

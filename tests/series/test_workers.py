@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from planish.compute import Compute
-from planish.series import workers
-from planish.series.jobs import Job, Note, Outcome
+from planish.series import run
+from planish.series.jobs import Job, JobOutcome, Note
 from planish.study import Study
 
 
@@ -25,17 +25,17 @@ class Workers:
     def __init__(self, at_once: int, **doomed: int) -> None:
         self.at_once, self.doomed, self.begun = at_once, doomed, list[str]()
 
-    def start(self, job: Job) -> Future[Outcome]:
+    def start(self, job: Job) -> Future[JobOutcome]:
         self.begun.append(job.name)
-        future: Future[Outcome] = Future()
+        future: Future[JobOutcome] = Future()
         if self.doomed.get(job.name, 0):
             self.doomed[job.name] -= 1
             future.set_exception(Death())
         else:
-            future.set_result(Outcome(state="whole", seconds=1.0))
+            future.set_result(JobOutcome(state="whole", seconds=1.0))
         return future
 
-    def forget(self, future: Future[Outcome]) -> None:
+    def forget(self, future: Future[JobOutcome]) -> None:
         assert future.exception() is not None
 
 
@@ -48,10 +48,10 @@ def job(name: str) -> Job:
 
 @pytest.mark.parametrize("at_once", [1, 2, 5])
 def test_every_job_has_one_outcome(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(workers, "_PAUSE", 0.001)
+    monkeypatch.setattr(run, "_PAUSE", 0.001)
     slow: Iterator[Job | None] = iter([job("a"), None, job("b"), None, None, job("c"), job("d")])
     pool = Workers(at_once, b=1, d=5)
-    found = [(one.name, outcome.state) for one, outcome in workers._worked(slow, pool)]  # type: ignore[arg-type]
+    found = [(one.name, outcome.state) for one, outcome in run._run_jobs(slow, pool)]  # type: ignore[arg-type]
     assert sorted(found) == [("a", "whole"), ("b", "whole"), ("c", "whole"), ("d", "damaged")]
     assert sorted(pool.begun) == ["a", "b", "b", "c", "d", "d"]
 
@@ -64,6 +64,6 @@ def test_jobs_are_taken_as_there_is_room() -> None:
             taken.append(name)
             yield job(name)
 
-    done = workers._worked(coming(), Workers(1))  # type: ignore[arg-type]
+    done = run._run_jobs(coming(), Workers(1))  # type: ignore[arg-type]
     next(done)
     assert taken == ["a"]

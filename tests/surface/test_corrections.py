@@ -21,9 +21,8 @@ from planish.surface import (
     read_corrections,
     uncorrected,
 )  # fmt: skip
-from planish.surface.corrections import FACES
-from planish.surface.draw import distance_to_line
-from planish.surface.kriging import Kriging, variogram_slope
+from planish.surface.draw import distance_to_line, krige, variogram_slope
+from planish.surface.params import FACES
 
 VOXEL, SHAPE, RADIUS = 3.0, (84, 120, 126), 36.0
 AIR, BASE, COAT = 40.0, 90.0, 200.0
@@ -228,11 +227,11 @@ def test_kriging_meets_its_points_and_is_as_wrong_as_it_says():
     between = [10, 20]
     off, errors = [], None
     for walk in walks:
-        kriging = Kriging(places=at[known], heights=walk[known], variances=np.zeros(2), slope=0.5)
-        height, errors = kriging(at[between])
+        kriging = {"places": at[known], "heights": walk[known], "variances": np.zeros(2), "slope": 0.5}
+        height, errors = krige(at[between], **kriging)
         off.append(height - walk[between])
         if len(off) == 1:
-            np.testing.assert_allclose(kriging(at[known])[0], walk[known], atol=1e-9)
+            np.testing.assert_allclose(krige(at[known], **kriging)[0], walk[known], atol=1e-9)
     # A bridge of length 40 has the variance t (40 - t) / 40.
     np.testing.assert_allclose(errors, np.sqrt([10 * 30 / 40, 20 * 20 / 40]), rtol=1e-9)
     np.testing.assert_allclose(np.std(off, axis=0), errors, rtol=0.04)  # three standard errors of 4000 draws

@@ -10,7 +10,7 @@ from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.surface import LabelParams, SurfaceParams, find_surfaces
-from planish.surface.slices import otsu
+from planish.surface.boundaries import otsu
 from surface.sheets import Sheet
 
 

@@ -7,8 +7,8 @@ from scipy import ndimage
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.surface import LabelParams, SurfaceParams, find_surfaces
+from planish.surface.assemble import LAYERS, find_presence
 from planish.surface.columns import Columns
-from planish.surface.presence import LAYERS, find_presence
 from surface.sheets import VOXEL, Sheet, slab, volume
 from surface.test_tiles import lazy
 

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft, ndimage
+from scipy import fft
 
 from planish.analyze.ncc import MaskedNcc
+from planish.core.robust import masked_gaussian
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -106,8 +107,7 @@ def in_band(
 
 def _low(values: Array, valid: Mask, pixel_um: tuple[float, float], half_um: float) -> Array:
     sigma = [half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi / p for p in pixel_um]
-    weight = ndimage.gaussian_filter(valid.astype(np.float64), sigma, mode="constant")
-    total = ndimage.gaussian_filter(np.where(valid, values, 0.0), sigma, mode="constant")
+    total, weight = masked_gaussian(values, valid, sigma)
     return np.asarray(total / np.maximum(weight, 1e-12), dtype=np.float64)
 
 

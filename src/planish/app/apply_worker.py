@@ -51,7 +51,7 @@ def _warm_up() -> None:
     import_module("contourpy")
     import numpy as np
 
-    from planish.core.overviews import halved_values
+    from planish.core.area import halved_values
     from planish.flatten import relax_grid
     from planish.pipeline import run_study
     from planish.report.page import report_template

@@ -10,7 +10,7 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 
 from planish.core.errors import InputError
 from planish.core.text import printable
-from planish.marks.files.content import MOST_MARKS
+from planish.marks.files.lists import MOST_MARKS
 from planish.marks.regions.model import LONGEST_TEXT
 from planish.register.params import ModelChoice
 

@@ -22,8 +22,8 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.area import count_of, halved_values
 from planish.core.lazy import LazyArray, Where
-from planish.core.overviews import count_of, halved_values
 from planish.io.map_store import map_tiles
 
 CACHE_BYTES = 8 * 2**30

@@ -7,7 +7,7 @@ from collections.abc import Mapping, Sequence
 from planish.app.changes import CorrectedPoint, Correction
 from planish.study import Study
 from planish.surface import Corrections, Stretch, read_corrections
-from planish.surface.corrections import REACH_UM, Point
+from planish.surface.params import REACH_UM, Point
 
 
 def corrections_of(study: Study) -> tuple[Correction, ...]:

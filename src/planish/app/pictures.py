@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 from planish.app.computed_levels import ComputedLevels, cache_place
 from planish.app.picture import Picture, Plane, Stored
 from planish.app.strain import strains
+from planish.core.area import count_of, middles
 from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
-from planish.core.overviews import count_of, middles
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
 from planish.io.map_store import OVERVIEWS, stored_group

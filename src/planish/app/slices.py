@@ -23,7 +23,7 @@ from planish.io.info import LOOK_BYTES
 from planish.io.map_store import stored_group
 from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
 from planish.io.sections import is_section_folder
-from planish.measure.ray_frame import directions, meet, slopes_of
+from planish.measure.rays import directions, meet, slopes_of
 from planish.pipeline.run import MAPS, is_run
 from planish.study import Study
 from planish.surface import Corrections, preview_faces, uncorrected

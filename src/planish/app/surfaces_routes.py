@@ -19,7 +19,7 @@ from planish.app.slices import Direction, Sheet, Slice, sheets_of
 from planish.core.errors import InputError, PlanishError
 from planish.core.status import Status
 from planish.surface import Corrections, Stretch
-from planish.surface.corrections import REACH_UM
+from planish.surface.params import REACH_UM
 
 _OPENING = threading.Lock()
 _MOST_TEXT = 4000  # of the points of a stretch that is not saved yet

@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from planish.core.checks import Check
 from planish.core.grid import pitch
+from planish.core.robust import mad_sd
 from planish.core.typing import Bools, Floats
 
 HEIGHT = 5.0  # MAD, as a standard deviation, over the median around
@@ -41,8 +42,7 @@ def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
     if area < _LEAST_MM2:
         return Particles(np.zeros(coating.shape, bool), 0, area)
     above = coating - _median_around(coating, pitch_um)
-    scale = 1.4826 * float(np.nanmedian(np.abs(above - np.nanmedian(above))))
-    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > HEIGHT * max(scale, 1e-6))
+    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > HEIGHT * max(mad_sd(above), 1e-6))
     sizes = np.bincount(labels.ravel(), minlength=n + 1) * cell
     large = sizes >= AREA_UM2
     large[0] = False

@@ -76,7 +76,7 @@ def compare(
     home = (Path.cwd() if out is None else out.absolute().parent).resolve()
     members = members_of(runs, home=home, table=file)
     gathered = gather(members, home)
-    if not gathered.briefs:
+    if not gathered.runs:
         raise InputError(f"None of {len(members)} runs can be read. {gathered.members[0].message}")
     results = summary_of(gathered, declared)
     if out is not None:

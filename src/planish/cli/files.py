@@ -32,7 +32,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
     it. --picture draws three sections: x and y across with z down, and x across with y down.
     """
     from planish.cli.show import fact_lines, run_facts, run_lines
-    from planish.io.preview import Section, as_text, best_section, middle_sections, write_picture
+    from planish.io.inspection import Section, as_text, best_section, middle_sections, write_picture
 
     run = run_facts(path)
     if run is None and (path / "run.toml").is_file():

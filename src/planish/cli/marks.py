@@ -124,7 +124,7 @@ def simulate(
     from planish.core.tables import read_text
     from planish.io.run_folder import refuse_existing
     from planish.marks.design import dry_run, read_pattern
-    from planish.marks.design.write import path_picture
+    from planish.marks.design.draw import path_picture
 
     stage = build_params(StageParams, values, "stage")
     if out is not None:

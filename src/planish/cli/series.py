@@ -15,8 +15,8 @@ from planish.cli.options import Option, build_params, existing, json_option, opt
 from planish.compute import Compute
 
 if TYPE_CHECKING:
-    from planish.core.series import Member
-    from planish.series import Book, Plan, Specimen
+    from planish.core.series_results import Member
+    from planish.series import Plan, PlannedSpecimen, SeriesState
 
 _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}
 
@@ -66,15 +66,15 @@ def study(
     kept: the same command goes on where it stood, and does again only what has other files or options. A specimen that
     cannot be used is named, and stops no other.
     """
-    from planish.series import Book, read_plan
-    from planish.series.folder import series_folder
+    from planish.series import SeriesState, read_plan
+    from planish.series.jobs import series_folder
     from planish.series.quantities import check_maps_known
 
     plan = read_plan(specimens, changes)
     check_maps_known(plan.declared)
     compute = build_params(Compute, values, "compute")
     if dry_run:
-        return _dry_run(Book(out, plan), plan.specimens, compute, jobs)
+        return _dry_run(SeriesState(out, plan), plan.specimens, compute, jobs)
     with series_folder(out):
         return _study(plan, out, compute, jobs, watch=watch, settle=settle, idle=idle, as_json=as_json)
 
@@ -145,11 +145,9 @@ class _ProgressLines:
         sentence(f"[{self.count}{of}] {member.name}: {words}{remaining}", err=True)
 
 
-def _dry_run(book: Book, specimens: Sequence[Specimen], compute: Compute, jobs: int) -> int:
+def _dry_run(state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int) -> int:
     """A table of what would be done; nothing is written."""
-    from planish.series.estimate import estimate
-
-    estimates = [(specimen, estimate(book, specimen, compute)) for specimen in specimens]
+    estimates = [(specimen, state.estimate(specimen, compute)) for specimen in specimens]
     rows = [
         (specimen.name, need.words, *(("-",) * 3 if need.seconds is None else (
             _time(need.seconds), f"{need.memory_bytes / 1e9:.1f} GB", f"{need.disk_bytes / 1e9:.2f} GB"

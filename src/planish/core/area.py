@@ -1,15 +1,18 @@
-"""Mask-weighted means over areas: what a larger pixel sees of smaller ones."""
+"""Mask-weighted means over areas, what a larger pixel sees of smaller ones, and smaller copies of maps for pages."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 from scipy import sparse
 
 from planish.core.bands import Rows, band_of, bands
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats, Pair
 
 
 class AreaMeans:
@@ -19,14 +22,14 @@ class AreaMeans:
     an incomplete last one is dropped. A cell is NaN unless at least ``least`` of its area is known.
     """
 
-    def __init__(self, shape: tuple[int, int], factor: tuple[float, float], *, least: float = 0.5) -> None:
+    def __init__(self, shape: tuple[int, int], factor: Pair, *, least: float = 0.5) -> None:
         self._down, self._across = (_overlap(n, f) for n, f in zip(shape, factor, strict=True))
         self._as_it_is = factor == (1, 1)  # a cell is a pixel
         self._enough = least * factor[0] * factor[1] - 1e-9
         self._weight = np.zeros((self._down.shape[0], self._across.shape[0]))
         self._totals: list[Floats] = []
 
-    def add(self, begin: int, is_known: NDArray[np.bool_], *maps: NDArray[Any]) -> None:
+    def add(self, begin: int, is_known: Bools, *maps: NDArray[Any]) -> None:
         """Add the rows from ``begin`` on of maps, which count where ``is_known``."""
         self._totals = self._totals or [np.zeros(self._weight.shape) for _ in maps]
         down = self._down[:, begin : begin + is_known.shape[0]]
@@ -47,22 +50,11 @@ class AreaMeans:
         return values if self._as_it_is else (self._across @ (down @ values).T).T
 
 
-def area_mean(values: Rows, factor: tuple[float, float], *, least: float = 0.5) -> Floats:
+def area_mean(values: Rows, factor: Pair, *, least: float = 0.5) -> Floats:
     """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
 
-    Parameters
-    ----------
-    values : (rows, cols)
-        NaN is missing.
-    factor : (float, float)
-        Height and width of a cell in pixels, at least 1.
-    least : float
-        A cell is NaN unless so much of its area is known.
-
-    Returns
-    -------
-    (int(rows / factor), int(cols / factor))
-        Cells as of :class:`AreaMeans`.
+    NaN is missing. ``factor`` is height and width of a cell in pixels, at least 1; a cell is NaN unless ``least`` of
+    its area is known. There are ``int(rows / factor), int(cols / factor)`` cells, as of :class:`AreaMeans`.
     """
     area_means = AreaMeans((values.shape[0], values.shape[1]), factor, least=least)
     for rows in bands(values.shape[0]):
@@ -81,3 +73,46 @@ def _overlap(count: int, factor: float) -> sparse.csr_array:
     cols = np.arange(rows.size) + (first - np.cumsum(many) + many)[rows]
     shares = np.minimum(cols + 1, edges[rows + 1]) - np.maximum(cols, edges[rows])
     return sparse.csr_array((shares, (rows, cols)), shape=(cells, count))
+
+
+LEAST = 512  # pixels a side: what is no larger needs no overview
+
+
+def overviews(maps: xr.Dataset, *, least: int = LEAST) -> Iterator[xr.Dataset]:
+    """Halve maps (rows, cols) on a regular grid until no side has more than ``least`` pixels; yield each copy.
+
+    Means over the pixels that have a value, NaN where none of the four has one; of truth values, whether half of the
+    four are true. Labels have no mean and are left out. Coordinates are the middles of the larger pixels.
+    """
+    for _ in range(count_of(tuple(maps.sizes.values()), least=least)):
+        maps = halved(maps)
+        yield maps
+
+
+def count_of(shape: tuple[int, ...], *, least: int = LEAST) -> int:
+    """Count the overviews that maps of a shape need."""
+    return max(math.ceil(math.log2(max(shape, default=1) / least)), 0)
+
+
+def halved(maps: xr.Dataset) -> xr.Dataset:
+    """Maps with pixels twice as wide; the last row and column of an odd number stand for themselves."""
+    names = [str(name) for name, data in maps.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"]
+    coords = {str(dim): (dim, middles(maps[dim].values), maps[dim].attrs) for dim in maps[names].dims}
+    variables = {name: (maps[name].dims, halved_values(maps[name].values), maps[name].attrs) for name in names}
+    return xr.Dataset(variables, coords=coords, attrs=maps.attrs)
+
+
+def middles(centres: Floats) -> Floats:
+    """Middles of the pixels that are twice as wide."""
+    if centres.size < 2:
+        return centres
+    return centres[0] + (centres[1] - centres[0]) * (0.5 + 2 * np.arange((centres.size + 1) // 2))
+
+
+def halved_values(values: NDArray[Any]) -> NDArray[Any]:
+    """Values (rows, cols) of pixels twice as wide, as :func:`overviews` has them; floats or truth values."""
+    from planish.core._overview_kernels import halve_truth, halve_values
+
+    out = np.empty(((values.shape[0] + 1) // 2, (values.shape[1] + 1) // 2), values.dtype)
+    (halve_truth if values.dtype == np.bool_ else halve_values)(np.ascontiguousarray(values), out)
+    return out

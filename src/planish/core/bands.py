@@ -59,4 +59,4 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     if k == 1:
         return 1, [np.asarray(data) for data in maps]
     # The band's own rows, so that a stored map is read chunk by chunk and once.
-    return k, [np.concatenate([band_of(data, at)[-at.start % k :: k, ::k] for at in bands(rows)]) for data in maps]
+    return k, [np.concatenate([band_of(data, b)[-b.start % k :: k, ::k] for b in bands(rows)]) for data in maps]

@@ -97,3 +97,99 @@ class OfMap(OfLayer):
     """What is stated of one map of a layer."""
 
     map: str = Field(description="Name of the map.")
+
+
+class InputFile(Facts):
+    """A file that was read, and the hash that tells it from every other."""
+
+    name: str = Field(description="Name of the file or folder.")
+    shape: tuple[int, ...] = Field(description="Values along each axis: (z, y, x) or (y, x).")
+    dtype: str = Field(description="Type of the values as stored.")
+    bytes: int = Field(description="Size of the file or of all files.")
+    sha256: str = Field(description="Hash of the bytes, which tells this input from every other.")
+    size_um: tuple[float, ...] = Field(description="Voxel size (z, y, x) or pixel size (y, x).")
+    size_source: str = Field(description="Where the size was taken from, such as a log or an option.")
+
+
+class ThinFacts(Facts):
+    """Shares of a coating that are thinner than some limits."""
+
+    thinner_than_um: tuple[float, ...] = Field(description="Limits of the thickness.")
+    share: tuple[Number, ...] = Field(description="Share of the area that is thinner, for each limit.")
+    support_um: float = Field(description="Size of the region that one value of the thickness stands for.")
+    warning: str | None = Field(description="Set where the noise alone makes columns thin.")
+
+
+class RoughnessFacts(Facts):
+    """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
+
+    sa: Number = Field(default=None, description="Mean absolute height, um.")
+    sq: Number = Field(default=None, description="Root mean square height, um.")
+    ssk: Number = Field(default=None, description="Skewness of the heights.")
+    sku: Number = Field(default=None, description="Kurtosis of the heights.")
+    sz: Number = Field(default=None, description="Highest less lowest height, um; grows with the field.")
+    sdq: Number = Field(default=None, description="Root mean square slope.")
+    n: int | None = Field(default=None, description="Columns with a height.")
+    s_filter_um: Number = Field(default=None, description="Shorter waves were left out.")
+    l_filter_um: Number = Field(default=None, description="Longer waves were left out.")
+    reason: str | None = Field(default=None, description="Why there are no numbers; None where there are.")
+
+
+class TwoSidesFacts(Facts):
+    """Top against bottom."""
+
+    coating_difference_um: Number = Field(default=None, description="Mean coating of the top less that of the bottom.")
+    coating_sd_ratio: Number = Field(
+        default=None, description="Standard deviation of the top's coating over that of the bottom's."
+    )
+    coating_correlation: Number = Field(default=None, description="r of both coatings.")
+    coating_n: int | None = Field(default=None, description="Columns with both coatings.")
+    topography_difference_um: Number = Field(
+        default=None, description="Mean topography of the top less that of the bottom."
+    )
+    topography_sd_ratio: Number = Field(
+        default=None, description="Standard deviation of the top's topography over that of the bottom's."
+    )
+    topography_correlation: Number = Field(default=None, description="r of both topographies, outward heights.")
+    topography_n: int | None = Field(default=None, description="Columns with both topographies.")
+
+
+class ProfileFacts(Facts):
+    """Mean of some properties over the depth of the base, 0 at the bottom interface and 1 at the top one."""
+
+    depth: tuple[float, ...] = Field(description="Middle of each layer of the base.")
+    values: dict[str, tuple[Number, ...]] = Field(description="Mean of each property in each layer.")
+
+
+class SheetNumbers(Facts):
+    """What describes a sheet and is no map; keyed by side."""
+
+    thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
+    roughness: dict[Side, RoughnessFacts] = Field(description="Roughness of the face, by side.")
+    two_sides: TwoSidesFacts = Field(description="Top against bottom.")
+    profiles: ProfileFacts | None = Field(
+        default=None, description="Porosity and filler over the depth, where their maps were measured."
+    )
+
+
+class HoleTiltFacts(Facts):
+    """What the holes of a sheet look like through its thickness."""
+
+    through: int = Field(description="Holes that are seen on both sides.")
+    closed: int = Field(description="Holes that are closed on the other side.")
+    unclear: int = Field(description="Holes whose other side is open but not round, or not known.")
+    other_side_only: int = Field(description="Holes that are seen on the other side only.")
+    offset_count: int = Field(description="Holes that the offset rests on.")
+    offset_um: tuple[Number, Number] = Field(
+        description="Median offset from the top's rims to the bottom's, along x and y."
+    )
+    offset_spread_um: tuple[Number, Number] = Field(description="Robust standard deviation of it from hole to hole.")
+    offset_error_um: tuple[Number, Number] = Field(description="Standard error of the median.")
+    to_face_um: tuple[float, float] = Field(
+        default=(0.0, 0.0), description="What was added to the places in the layer to have them at the face."
+    )
+    tilt_deg: tuple[Number, Number] | None = Field(
+        default=None, description="The same offset as an angle, along x and y."
+    )
+    side: Side = Field(description="Side whose rims were used.")
+    sentence: str = Field(description="The same in words.")

@@ -1,7 +1,8 @@
-"""Files that are written whole or not at all, and what is said of a write that failed."""
+"""Files that are written whole or not at all, with names that every system takes: a run is handed on."""
 
 from __future__ import annotations
 
+import ctypes
 import errno
 import os
 import re
@@ -10,10 +11,72 @@ import shutil
 import time
 from collections.abc import Callable, Generator
 from contextlib import contextmanager, suppress
-from pathlib import Path
+from pathlib import Path, PurePath
+from typing import Any
 
 from planish.core.errors import FileError, ResourceError
-from planish.core.names import check_name
+
+_DEVICES = {
+    *("con", "prn", "aux", "nul", "conin$", "conout$"),
+    *(f"{device}{k}" for device in ("com", "lpt") for k in "123456789¹²³"),
+}
+_NOT_ON_WINDOWS = '<>:"|?*'
+_LONGEST = 259  # characters of a path, where Windows is not set to take longer ones
+INSIDE = 120
+"""Characters that the longest path inside of a run folder takes while it is written, of a layer with a short name."""
+
+
+def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:
+    """Say why a file or folder cannot have a name, one part of a path; None where it can.
+
+    Names that no copy on Windows could have are refused everywhere, others for ``windows`` alone.
+    """
+    if name.split(".")[0].rstrip(" ").casefold() in _DEVICES:
+        return "Windows keeps that name for a device"
+    if name != name.rstrip(". "):
+        return "Windows drops a dot or a blank at the end of a name"
+    if windows and (forbidden := [sign for sign in name if sign in _NOT_ON_WINDOWS or ord(sign) < 32]):
+        return f"Windows takes no {' '.join(map(repr, forbidden))} in a name"
+    return None
+
+
+def check_name(path: Path) -> None:
+    """Raise FileError if something to be written has a name, or lies in a folder to be made, that cannot be."""
+    missing = [path.absolute()]
+    for parent in path.absolute().parents:
+        if parent.is_dir():
+            break
+        missing.append(parent)
+    refuse_name(path, [place.name for place in missing])
+
+
+def refuse_name(path: PurePath, names: list[str], *, windows: bool = os.name == "nt") -> None:
+    """Raise FileError for the first of the names that cannot be."""
+    for name in names:
+        if name and (fault := fault_of_name(name, windows=windows)):
+            raise FileError(f"{path} cannot be written: {fault}. Choose another name than {name!r}.")
+
+
+def check_length(folder: PurePath, *, longest: int | None = None) -> None:
+    """Raise FileError if files in a run folder (absolute) had longer paths than the system takes, or ``longest``."""
+    longest = longest_path() if longest is None else longest
+    # While it is written it stands in a hidden folder of twice its name.
+    needed = len(str(folder.parent)) + 2 * len(folder.name) + len("/..work/..01234567.partial/") + INSIDE
+    if longest is not None and needed > longest:
+        raise FileError(
+            f"{folder} is too deep: its files would have paths of up to {needed} characters, and Windows takes "
+            f"{longest}. Write to a shorter path such as C:\\data\\{folder.name}, or let Windows take long paths "
+            "(docs/how-to/windows.md)."
+        )
+
+
+def longest_path() -> int | None:
+    """Characters that a path may have; None where there is no limit that matters."""
+    if os.name != "nt":
+        return None
+    library: Any = getattr(ctypes, "windll").ntdll  # noqa: B009  # not known to checkers elsewhere
+    return None if library.RtlAreLongPathsEnabled() else _LONGEST
+
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
 _WAITS_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to rename what another program holds open
@@ -23,12 +86,7 @@ _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where
 def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
     """Write a file that is not there yet, or over an older one of planish's own; where that fails, nothing is left.
 
-    Raises
-    ------
-    FileError
-        If the file is there already or cannot be written.
-    ResourceError
-        If the disk is full.
+    FileError if the file is there already or cannot be written; ResourceError if the disk is full.
     """
     check_name(path)
     if not over and (path.exists() or path.is_symlink()):
@@ -77,14 +135,8 @@ def move(source: Path, target: Path, *, over: bool = False) -> None:
     """Rename a file or folder; over a file that is there only with ``over``.
 
     Windows refuses it while another program has the file, or one in the folder, open: virus scanners, indexers and
-    programs that keep folders in step with a server do so for moments after a file was written.
-
-    Raises
-    ------
-    FileError
-        If it is still refused after some three seconds.
-    OSError
-        Whatever else keeps it from being renamed.
+    programs that keep folders in step with a server do so for moments after a file was written. FileError if it is
+    still refused after some three seconds; OSError for whatever else keeps it from being renamed.
     """
     _insist(lambda: (source.replace if over else source.rename)(target), target)
 
@@ -130,19 +182,8 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
 def new_file(path: Path, *, needed: int | None = None) -> Generator[Path]:
     """Give a hidden path to write a file to, part by part; it becomes ``path`` when the block ends well.
 
-    Parameters
-    ----------
-    path : Path
-        It must not exist; its folder is made where it is not there.
-    needed : int, optional
-        About how many bytes it takes.
-
-    Raises
-    ------
-    FileError
-        If the file is there already or cannot be written.
-    ResourceError
-        If the disk is full.
+    Its folder is made where it is not there; ``needed`` is about how many bytes it takes. FileError if the file is
+    there already or cannot be written; ResourceError if the disk is full.
     """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     with writing(path, needed=needed):

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, SurfaceError
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 
 _ALL = slice(None)
 
@@ -30,12 +30,10 @@ class Grid:
 
     y_um: Floats
     x_um: Floats
-    step_um: tuple[float, float] | None = None
+    step_um: Pair | None = None
 
     @classmethod
-    def regular(
-        cls, shape: tuple[int, int], pixel_um: float | tuple[float, float], origin_um: tuple[float, float] = (0.0, 0.0)
-    ) -> Grid:
+    def regular(cls, shape: tuple[int, int], pixel_um: float | Pair, origin_um: Pair = (0.0, 0.0)) -> Grid:
         """Return a grid of ``shape`` whose first pixel has its middle at ``origin_um``, (x, y)."""
         rows, cols = (pixel_um, pixel_um) if isinstance(pixel_um, int | float) else pixel_um
         down, across = (np.arange(n, dtype=np.float64) for n in shape)
@@ -58,7 +56,7 @@ class Grid:
         return self.y_um.size, self.x_um.size
 
     @property
-    def pixel_um(self) -> tuple[float, float]:
+    def pixel_um(self) -> Pair:
         """Pitch of rows and columns; SizeError for a single row or column, which has none."""
         if self.step_um is not None:
             return self.step_um
@@ -69,7 +67,7 @@ class Grid:
         return float(self.y_um[1] - self.y_um[0]), float(self.x_um[1] - self.x_um[0])
 
     @property
-    def origin_um(self) -> tuple[float, float]:
+    def origin_um(self) -> Pair:
         """``(x, y)`` of the middle of the first pixel."""
         return float(self.x_um[0]), float(self.y_um[0])
 
@@ -79,7 +77,7 @@ class Grid:
         return {"y": ("y", self.y_um, {"units": "um"}), "x": ("x", self.x_um, {"units": "um"})}
 
 
-def pitch(data: xr.Dataset | xr.DataArray) -> tuple[float, float]:
+def pitch(data: xr.Dataset | xr.DataArray) -> Pair:
     """Distance of the rows and of the columns of maps (y, x), or (v, u), in um."""
     return Grid.of(data).pixel_um
 

@@ -72,10 +72,7 @@ def is_version_5(head: bytes) -> bool:
 def variables(file: BinaryIO) -> list[Variable]:
     """List the variables of a file of any version, without their values.
 
-    Raises
-    ------
-    Damaged
-        If a length or a type does not fit. What h5py raises for version 7.3 passes.
+    Damaged if a length or a type does not fit. What h5py raises for version 7.3 passes.
     """
     file.seek(0)
     head = file.read(520)
@@ -90,10 +87,7 @@ def variables(file: BinaryIO) -> list[Variable]:
 def values(file: BinaryIO, variable: Variable) -> NDArray[Any]:
     """Read the values of a full real array that :func:`variables` listed, in its class and the order of MATLAB.
 
-    Raises
-    ------
-    Damaged
-        If the values are not there.
+    Damaged if the values are not there.
     """
     if not variable.real:
         raise ValueError(f"{variable.name} is no full real array")
@@ -146,16 +140,14 @@ def _variables_5(file: BinaryIO, mark: bytes) -> Iterator[Variable]:
         kind, size = struct.unpack(f"{order}II", file.read(8))
         if offset + 8 + size > end:
             raise Damaged("a variable is longer than the file")
-        packed = kind == _COMPRESSED
-        if packed:
+        if kind == _COMPRESSED:
             head = zlib.decompressobj().decompress(file.read(min(size, 4 * _HEAD)), _HEAD)
         elif kind == _MATRIX:
             file.seek(offset)
             head = file.read(min(8 + size, _HEAD))
         else:
             raise Damaged(f"it holds an element of type {kind} where a variable should be")
-        variable = _variable_5(head, order)
-        if variable is not None:
+        if variable := _variable_5(head, order):
             yield variable
         offset += 8 + size
 

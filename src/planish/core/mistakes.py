@@ -1,4 +1,4 @@
-"""What is wrong with the parameters in a file: the line, the key, and the word that was probably meant."""
+"""What is wrong with the parameters in a file: the line of each key, and the word that was probably meant."""
 
 from __future__ import annotations
 
@@ -7,11 +7,86 @@ import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
 from types import UnionType
-from typing import Annotated, Any, Union, get_args, get_origin
+from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-from planish.core.toml_lines import Key
+Key = tuple[str | int, ...]
+"""A key with the tables around it; the tables of an array are numbered from 0."""
+
+_PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
+_DOTTED = re.compile(rf"[ \t]*({_PART}(?:[ \t]*\.[ \t]*{_PART})*)[ \t]*")
+_ONE = re.compile(_PART)
+_SKIPPED = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
+# What may hold a line end or a bracket that ends no value: strings of four kinds, and comments.
+_TOKEN = re.compile(
+    r'"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]|[^\[\]{}\n#"\']+',
+    re.DOTALL,
+)
+
+
+class KeyLines(NamedTuple):
+    """Lines of all keys and tables of a file, counted from 1."""
+
+    lines: dict[Key, int]
+
+    def of(self, key: Key) -> int | None:
+        """Line of a key; of the innermost table or key around it where it has no line of its own."""
+        for end in range(len(key), 0, -1):
+            if key[:end] in self.lines:
+                return self.lines[key[:end]]
+        return None
+
+
+def key_lines(text: str) -> KeyLines:
+    """Find the line of every key in a text that is TOML; keys of tables within a value count as that value."""
+    lines: dict[Key, int] = {}
+    counts: dict[Key, int] = {}
+    base: Key = ()
+    position = _end(_SKIPPED, text, 0)
+    while position < len(text):
+        line = text.count("\n", 0, position) + 1
+        brackets = 2 if text.startswith("[[", position) else 1 if text[position] == "[" else 0
+        match = _DOTTED.match(text, position + brackets)
+        if match is None:  # no TOML: what is found so far has to do
+            break
+        names = [part.strip("\"'") for part in _ONE.findall(match[1])]
+        if brackets:
+            base = _table(names, counts, array=brackets == 2)
+            for k in range(1, len(base)):
+                lines.setdefault(base[:k], line)
+            position = match.end() + brackets
+        else:
+            for k in range(1, len(names)):
+                lines.setdefault((*base, *names[:k]), line)
+            # To the end of the line on which the value ends.
+            depth, position = 0, match.end()
+            while position < len(text) and (match := _TOKEN.match(text, position)):
+                position = match.end()
+                depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0)
+                if match[0] == "\n" and depth <= 0:
+                    break
+        lines.setdefault(base if brackets else (*base, *names), line)
+        position = _end(_SKIPPED, text, position)
+    return KeyLines(lines)
+
+
+def _table(names: list[str], counts: dict[Key, int], *, array: bool) -> Key:
+    """Key of a table: within arrays of tables, that of the last one."""
+    key: Key = ()
+    for k, name in enumerate(names):
+        key = (*key, name)
+        if array and k == len(names) - 1:
+            counts[key] = counts.get(key, 0) + 1
+        if key in counts:
+            key = (*key, counts[key] - 1)
+    return key
+
+
+def _end(pattern: re.Pattern[str], text: str, position: int) -> int:
+    match = pattern.match(text, position)
+    return match.end() if match else position
+
 
 Place = Callable[[Key], tuple[Key, int | None]]
 """From where a model has a value to the key that the file has for it, and its line; None where it has no line."""
@@ -48,18 +123,13 @@ def toml_mistake(error: tomllib.TOMLDecodeError, text: str) -> str:
 def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> list[str]:
     """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
 
-    Parameters
-    ----------
-    error : ValidationError
-    model : type
-        What was validated; names that are possible are taken from it.
-    place : callable
-        Gives key and line in the file.
+    Names that are possible are taken from ``model``, that was validated; ``place`` gives key and line in the file.
     """
     sentences: list[tuple[int, str]] = []
     named_keys: set[Key] = set()
     for fault in error.errors(include_url=False):
-        loc = _within(tuple(fault["loc"]))
+        # The place of a value without the kinds that it may have, which pydantic names behind it.
+        loc = tuple(part for part in fault["loc"] if isinstance(part, int) or _NAME.fullmatch(part))
         key, line = place(loc)
         if key in named_keys and key:  # of a value that may be of several kinds, the first kind says enough
             continue
@@ -69,11 +139,6 @@ def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> li
         head = ", ".join(filter(None, (line_text, where)))
         sentences.append((line or 0, f"{head}: {_words(fault, loc, model)}" if head else _words(fault, loc, model)))
     return [text for _, text in sorted(sentences, key=lambda sentence: sentence[0])]
-
-
-def _within(loc: Key) -> Key:
-    """The place of a value without the kinds that it may have, which pydantic names behind it."""
-    return tuple(part for part in loc if isinstance(part, int) or _NAME.fullmatch(part))
 
 
 def _words(fault: Any, loc: Key, model: type[BaseModel]) -> str:
@@ -98,7 +163,12 @@ def _words(fault: Any, loc: Key, model: type[BaseModel]) -> str:
 def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
     """Say that a name is unknown: the closest one of its table, or the table that has it."""
     everywhere = dict(_tables(model, ()))
-    here = [field for one in _models_at(table, model) for field in one.model_fields]
+    # A place has names of fields, numbers, and names of alternatives.
+    models: Sequence[type[BaseModel]] = [model]
+    for part in (part for part in table if isinstance(part, str)):
+        inner = [k for m in models if part in m.model_fields for k in models_in(m.model_fields[part].annotation)]
+        models = inner or models
+    here = [field for m in models for field in m.model_fields]
     here += [] if table else [place[0] for place in everywhere if place]
     likely = difflib.get_close_matches(name.casefold(), here, 1, _ALIKE)
     if likely:
@@ -112,16 +182,6 @@ def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
         tables = " or ".join(f"[{'.'.join(place)}]" for place in owners)
         return f"unknown here; {name} belongs to {tables}"
     return f"unknown; there {'is' if len(here) == 1 else 'are'} {', '.join(sorted(set(here))[:_MOST_NAMES])}"
-
-
-def _models_at(place: Key, model: type[BaseModel]) -> list[type[BaseModel]]:
-    """Models that may stand at a place, which has names of fields, numbers, and names of alternatives."""
-    models = [model]
-    for part in place:
-        if isinstance(part, str):
-            inner = [k for m in models if part in m.model_fields for k in models_in(m.model_fields[part].annotation)]
-            models = inner or models
-    return models
 
 
 def models_in(annotation: Any) -> Sequence[type[BaseModel]]:

@@ -34,10 +34,7 @@ P = TypeVar("P", bound=Params)
 def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str) -> P:
     """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
-    Raises
-    ------
-    InputError
-        If it is something else, or has fields that are unknown or out of range; all faults are named.
+    InputError if it is something else, or has fields that are unknown or out of range; all faults are named.
     """
     if options is None or isinstance(options, model):
         return options or model()

@@ -13,8 +13,30 @@ from pydantic import Field, ValidationError
 from planish.core.checks import State
 from planish.core.errors import FileError
 from planish.core.facts import Facts, KnownPair, Number, Trust
-from planish.core.series import Member
 from planish.core.tables import read_text
+
+MemberState = Literal["whole", "withheld", "refused", "damaged", "open"]
+"""``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
+``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet."""
+
+FACTORS = ("paper", "sheet", "field", "treatment", "side")
+"""Factors that planish knows the meaning of; a table may have others, by which it only sorts."""
+
+
+class Member(Facts):
+    """One specimen of a series."""
+
+    name: str = Field(description="Name of the specimen; its run has this name, too.")
+    factors: dict[str, str] = Field(default_factory=dict, description="Factors, such as paper, sheet and treatment.")
+    state: MemberState = Field(default="open", description="whole, withheld, refused, damaged or open.")
+    message: str = Field(default="", description="Why there is no run, or what a check refuted, and what to do.")
+    seconds: float | None = Field(default=None, description="Time that the link took.")
+    run: str | None = Field(default=None, description="Folder of its run, relative to that of the series.")
+
+    def folder(self, home: Path) -> Path | None:
+        """Folder of its run."""
+        return None if self.run is None else home / self.run
+
 
 FORMAT = 1
 """Version of the schema."""
@@ -206,13 +228,7 @@ class SeriesResults(Facts):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read ``results.json`` of a series.
-
-        Raises
-        ------
-        FileError
-            If it cannot be read, or is not of a series.
-        """
+        """Read ``results.json`` of a series; FileError if it cannot be read, or is not of a series."""
         try:
             return cls.model_validate_json(read_text(path, what="results of a series"))
         except ValidationError as error:

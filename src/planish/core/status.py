@@ -1,9 +1,9 @@
-"""Status: why a column, or the ray through it, has no value; each code stands once, with its sentence."""
+"""Why a column, or the ray through it, has no value, and how a flattening ended; each with its sentence."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from enum import IntEnum
+from enum import Enum, IntEnum
 
 
 class Status(IntEnum):
@@ -46,3 +46,16 @@ def status_flags(
     values = [*range(last + 1), *range(FIRST_OWN, FIRST_OWN + len(reasons))]
     meanings = [*(status.label for status in Status if status <= last), *reasons]
     return {"long_name": title, "flag_values": values, "flag_meanings": " ".join(meanings)}
+
+
+class Outcome(Enum):
+    """End of a flattening; only ``RESTED`` is a result without reservation."""
+
+    RESTED = "The mesh came to rest."
+    OUT_OF_STEPS = "The mesh had not come to rest when the steps ran out: raise the number of steps."
+    HELD_OPEN = (
+        "At rest but for places where the springs would fold cells over: these are held open and marked invalid; "
+        "smooth the centre surface more."
+    )
+    FOLDED = "Cells of the mesh are folded over: they are marked invalid; smooth the centre surface more."
+    NOT_FINITE = "The mesh left the finite numbers: the centre surface has jumps; look at its map."

@@ -30,7 +30,7 @@ MOST_FAULTS = 8
 """Faults that one message names; of the others it gives the number."""
 
 
-class Row(NamedTuple):
+class CsvRow(NamedTuple):
     """A row and the number of its line in the file, counted from 1."""
 
     line: int
@@ -40,7 +40,7 @@ class Row(NamedTuple):
 class Rows(NamedTuple):
     """Content of a text: rows, comments without their sign, separator, and faults of single lines."""
 
-    rows: list[Row]
+    rows: list[CsvRow]
     comments: list[str]
     delimiter: str
     faults: list[str]
@@ -83,11 +83,11 @@ def decode_text(data: bytes, name: str, *, what: str = "table") -> str:
 
 def split_rows(text: str) -> Rows:
     """Rows of a text, whether the first of them is a header or not; cells without blanks at their ends."""
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
-    comments = [line.lstrip("#").strip() for _, line in lines if line.startswith("#")]
-    lines = [(number, line) for number, line in lines if not line.startswith("#")]
+    every = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1) if line.strip()]
+    comments = [line.lstrip("#").strip() for _, line in every if line.startswith("#")]
+    lines = [(number, line) for number, line in every if not line.startswith("#")]
     delimiter = max(",;\t", key=lines[0][1].count) if lines else ","
-    rows: list[Row] = []
+    rows: list[CsvRow] = []
     faults: list[str] = []
     for number, line in lines:
         try:
@@ -95,7 +95,7 @@ def split_rows(text: str) -> Rows:
         except csv.Error as error:
             faults.append(f"row {number}: {error}")
             continue
-        rows.append(Row(number, [cell.strip() for cell in cells]))
+        rows.append(CsvRow(number, [cell.strip() for cell in cells]))
     return Rows(rows, comments, delimiter, faults)
 
 
@@ -112,22 +112,22 @@ def finite(value: object, *, decimal_comma: bool = False) -> float | None:
 
 
 @dataclass(slots=True, kw_only=True)
-class Table:
+class CsvTable:
     """A table with a header. Faults are collected and raised once, by :meth:`check`."""
 
     name: str  # name of the file
     header: list[str]  # column names in small letters
-    rows: list[Row]  # rows with as many cells as the header
+    rows: list[CsvRow]  # rows with as many cells as the header
     comments: list[str] = field(default_factory=list[str])
     error: type[PlanishError] = InputError  # class of the error that names the faults
     decimal_comma: bool = False
     faults: list[str] = field(default_factory=list[str])
 
-    def text(self, row: Row, column: str, default: str = "") -> str:
+    def text(self, row: CsvRow, column: str, default: str = "") -> str:
         """Cell of a row; the default where there is no such column, or nothing in the cell."""
         return (row.cells[self.header.index(column)] if column in self.header else "") or default
 
-    def number(self, row: Row, column: str) -> float:
+    def number(self, row: CsvRow, column: str) -> float:
         """Give the finite number in a cell; anything else is a fault and NaN."""
         text = self.text(row, column)
         value = finite(text, decimal_comma=self.decimal_comma)
@@ -142,7 +142,7 @@ class Table:
         values = [[self.number(row, column) for column in columns] for row in self.rows]
         return np.array(values, dtype=np.float64).reshape(-1, len(columns))
 
-    def fault(self, row: Row, words: str) -> None:
+    def fault(self, row: CsvRow, words: str) -> None:
         """Note a fault of a row."""
         self.faults.append(f"row {row.line}: {words}")
 
@@ -153,29 +153,12 @@ class Table:
 
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
-) -> Table:  # fmt: skip
-    """Make a table of a text with a header.
+) -> CsvTable:  # fmt: skip
+    """Make a table of a text with a header, of :func:`read_text`; ``name`` is that of the file.
 
-    Parameters
-    ----------
-    text, name : str
-        Of :func:`read_text`, and the name of the file.
-    needed : sequence of str
-        Columns that have to be there; others may be.
-    error : type
-        Class of the error for what is no such table.
-    advice : str
-        What the table has to look like, one sentence; made of `needed` where not given.
-
-    Returns
-    -------
-    Table
-        With the faults of header and rows, which :meth:`Table.check` raises together with those found later.
-
-    Raises
-    ------
-    PlanishError
-        Of the class `error`, if the table is empty.
+    ``needed`` columns have to be there; others may be. ``advice`` is one sentence on what the table has to look like,
+    made of them where not given. :meth:`CsvTable.check` raises the faults of header and rows together with those noted
+    later; an empty table is an error at once, of the class ``error``.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
     parsed = split_rows(text)
@@ -184,11 +167,9 @@ def parse_table(
     first, *body = parsed.rows
     header = [cell.lower() for cell in first.cells]
     faults: list[str] = []
-    missing = [column for column in needed if column not in header]
-    twice = sorted({column for column in header if column and header.count(column) > 1})
-    if missing:
+    if missing := [column for column in needed if column not in header]:
         faults.append(f"columns missing: {', '.join(missing)} (found {', '.join(header)[:120]}). {advice.rstrip('.')}")
-    if twice:
+    if twice := sorted({column for column in header if column and header.count(column) > 1}):
         faults.append(f"columns given twice: {', '.join(twice)}")
     faults += parsed.faults
     wrong = [row for row in body if len(row.cells) != len(header)]
@@ -196,7 +177,7 @@ def parse_table(
     if parsed.delimiter == "," and any(len(row.cells) > len(header) for row in wrong):
         faults[-1] += " (decimal commas need semicolons between the columns)"
     rows = [row for row in body if len(row.cells) == len(header)]
-    return Table(
+    return CsvTable(
         name=name, header=header, rows=rows, comments=parsed.comments, error=error,
         decimal_comma=parsed.delimiter != ",", faults=faults,
     )  # fmt: skip

@@ -21,6 +21,12 @@ def quoted(path: str) -> str:
     return f'"{path}"' if " " in path else path
 
 
+def and_join(words: Iterable[str]) -> str:
+    """Words in a list: ``a, b and c``."""
+    *most, last = words
+    return f"{', '.join(most)} and {last}" if most else last
+
+
 def likely(name: str, words: Iterable[str]) -> str:
     """Name the word that was probably meant, as the end of a message; nothing where none is close.
 

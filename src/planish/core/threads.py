@@ -6,7 +6,7 @@ import os
 import sys
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import Executor, Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -28,10 +28,7 @@ _limits: list[int] = []
 def limit_threads(number: int | None) -> Generator[int]:
     """Limit all pools of this process, and those of the libraries that have a setting, to ``number`` threads.
 
-    Parameters
-    ----------
-    number : int or None
-        As many as :func:`available` says, eight at most, where None and nothing was set further out.
+    As many as :func:`available` says, eight at most, where None and nothing was set further out.
     """
     count = count_threads(number)
     _limits.append(count)
@@ -79,29 +76,31 @@ def available() -> int:
     return max(1, min([count, *_quotas(Path("/proc/self/cgroup"), Path("/sys/fs/cgroup"))]))
 
 
-def _quotas(cgroup_file: Path, groups: Path) -> list[int]:
-    """Processors that the limits of the process's control groups (version 1 and 2) amount to, rounded up."""
+def control_groups(controller: str, membership: Path, groups: Path) -> Iterator[tuple[Path, bool]]:
+    """Folders of the control groups of the process, outwards (containers, batch systems); True for version 1."""
     try:
-        lines = [line.split(":", 2) for line in cgroup_file.read_text(encoding="utf-8", errors="replace").splitlines()]
+        lines = [line.split(":", 2) for line in membership.read_text(encoding="utf-8", errors="replace").splitlines()]
     except OSError:
-        return []
-    quotas: list[int] = []
+        return
     for _, controllers, path in (line for line in lines if len(line) == 3):
-        if controllers and "cpu" not in controllers.split(","):
+        if controllers and controller not in controllers.split(","):
             continue
-        files = [f"cpu.cfs_{k}_us" for k in ("quota", "period")] if controllers else ["cpu.max"]
         # Inside a container the path may be the one outside: the group's own files then lie at the top.
         folder = Path(path.lstrip("/"))
-        for root in (groups / "cpu", groups / controllers) if controllers else (groups,):
-            for place in (root / folder, *(root / parent for parent in folder.parents), root):
-                try:
-                    limit, period = " ".join(
-                        (place / name).read_text(encoding="ascii", errors="replace") for name in files
-                    ).split()
-                    if int(limit) > 0 and int(period) > 0:
-                        quotas.append(-(-int(limit) // int(period)))
-                except (OSError, ValueError):  # not there, or "max"
-                    continue
+        for root in (groups / controller, groups / controllers) if controllers else (groups,):
+            yield from ((root / part, bool(controllers)) for part in (folder, *folder.parents))
+
+
+def _quotas(membership: Path, groups: Path) -> list[int]:
+    """Processors that the limits of the process's control groups amount to, rounded up."""
+    quotas: list[int] = []
+    for folder, is_first in control_groups("cpu", membership, groups):
+        names = ("cpu.cfs_quota_us", "cpu.cfs_period_us") if is_first else ("cpu.max",)
+        with suppress(OSError, ValueError):  # not there, or "max"
+            texts = [(folder / name).read_text(encoding="ascii", errors="replace") for name in names]
+            limit, period = map(int, " ".join(texts).split())
+            if limit > 0 and period > 0:
+                quotas.append(-(-limit // period))
     return quotas
 
 

@@ -101,15 +101,8 @@ class Engine:
     ) -> Iterator[tuple[Tile, Result]]:
         """Give every tile and its result, in the order of ``tiles``.
 
-        Parameters
-        ----------
-        step : str
-            Names the results that are kept.
-        work : callable
-            A function of a module; it gets the job of a tile and the tile, and returns one array.
-        job : callable
-            Gives what ``work`` needs to know for a tile. For an executor of other processes it is sent there.
-        tiles : sequence of Tile
+        ``work``, a function of a module, gets the job of a tile and the tile, and returns one array. ``job`` gives what
+        it needs to know for a tile; for an executor of other processes it is sent there. ``step`` names what is kept.
         """
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
 
@@ -118,7 +111,14 @@ class Engine:
             if isinstance(future, np.ndarray):
                 return tile, future
             result = future.result()
-            self._keep(step, tile, result)
+            if place := self._place(step, tile):
+                place.parent.mkdir(parents=True, exist_ok=True)
+                part = place.with_suffix(".part")
+                with part.open("wb") as file:
+                    np.save(file, result)
+                    file.flush()
+                    os.fsync(file.fileno())
+                move(part, place, over=True)
             return tile, result
 
         with thread_pool(self.threads) if self.executor is None else nullcontext(self.executor) as pool:
@@ -139,15 +139,3 @@ class Engine:
     def _place(self, step: str, tile: Tile) -> Path | None:
         # Named by what it covers: with another memory or number of threads the tiles are others.
         return None if self.kept is None else self.kept / step / ("-".join(map(str, tile)) + ".npy")
-
-    def _keep(self, step: str, tile: Tile, result: Result) -> None:
-        place = self._place(step, tile)
-        if place is None:
-            return
-        place.parent.mkdir(parents=True, exist_ok=True)
-        part = place.with_suffix(".part")
-        with part.open("wb") as file:
-            np.save(file, result)
-            file.flush()
-            os.fsync(file.fileno())
-        move(part, place, over=True)

@@ -4,13 +4,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-Floats = NDArray[np.float64]
-Pair = tuple[float, float]
+from planish.core.typing import Floats, Pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,13 +54,8 @@ class Similarity:
         # The inverse is a similarity of the same handedness; its rotation is read off the y column, which M
         # leaves alone.
         rotation = float(np.arctan2(-linear[0, 1], linear[1, 1]))
-        shift = -linear @ np.asarray(self.shift_um)
-        return Similarity(
-            scale=1.0 / self.scale,
-            rotation_rad=rotation,
-            shift_um=(float(shift[0]), float(shift[1])),
-            mirrored=self.mirrored,
-        )
+        x, y = (-linear @ np.asarray(self.shift_um)).tolist()
+        return replace(self, scale=1.0 / self.scale, rotation_rad=rotation, shift_um=(x, y))
 
 
 def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Similarity:
@@ -70,10 +64,8 @@ def nearest_similarity(linear: Floats, source: Floats, target: Floats) -> Simila
     plain = linear @ np.diag([-1.0, 1.0]) if det < 0 else linear
     rotation = float(np.arctan2(plain[1, 0] - plain[0, 1], plain[0, 0] + plain[1, 1]))
     turn = Similarity(scale=float(np.sqrt(abs(det))), rotation_rad=rotation, mirrored=det < 0)
-    shift = target - turn(source)
-    return Similarity(
-        scale=turn.scale, rotation_rad=rotation, shift_um=(float(shift[0]), float(shift[1])), mirrored=det < 0
-    )
+    x, y = (target - turn(source)).tolist()
+    return replace(turn, shift_um=(x, y))
 
 
 class NearSimilarity(ABC):

@@ -1,8 +1,8 @@
+from .params import Corrections as Corrections
 from .params import CorrectParams as CorrectParams
+from .params import Cupping as Cupping
+from .params import Ring as Ring
+from .params import Trend as Trend
 from .picture import write_picture as write_picture
-from .record import Corrections as Corrections
-from .record import Cupping as Cupping
-from .record import Ring as Ring
-from .record import Trend as Trend
 from .volume import Corrected as Corrected
 from .volume import correct_volume as correct_volume

@@ -11,20 +11,14 @@ from typing import NamedTuple
 
 import numpy as np
 
+from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
-from planish.correct.levels import Levels
-from planish.correct.record import Cupping, Trend
-from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Sums
-from planish.correct.turning import Turning
+from planish.correct.params import Cupping, Trend
+from planish.correct.sums import BASE, BRIGHT, COARSE, GREYS, MATERIALS, Counts, Levels, Sums, Turning
 
-_ROUNDS = 40  # of sorting and fitting
-_LEAST_VOXELS = 3000  # of a material
 _LEAST_RADII = 8
 _CLEAR = 3.0  # standard errors
-_UNSURE = 3.0  # times the error of the other material: then a material does not count
 _LOWEST = 0.5  # per cent: what is less does not matter
-_PURE = 0.05  # of the voxels of a depth may be of the other material
-_AGREE = 3.0  # standard errors by which base and coating may differ
 
 
 class _Fit(NamedTuple):
@@ -62,13 +56,19 @@ def find_cupping(
     # Blocks along the axis, and quarters of the turn: (group, radius, depth, grey).
     groups = sums.histogram.reshape(-1, *sums.histogram.shape[2:])
     groups = groups[groups.sum(axis=(1, 2, 3)) > 0]
-    reach = _reach(groups.sum(axis=0), turning)
+    voxels = groups.sum(axis=(0, 2, 3))
+    radii = np.flatnonzero(voxels > 0.002 * max(int(voxels.max()), 1))
+    # The largest radius at which there is some sheet.
+    reach = float((radii[-1] + 1) * turning.farthest_um / COARSE) if radii.size >= _LEAST_RADII else 0.0
     radius = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
-    offset = _mean_rings(sums, turning, rings)
+    # Mean height of the rings over the sheet's voxels at each radius of the histogram.
+    weight = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
+    middle = (np.arange(rings.size) + 0.5) * turning.step_um
+    coarse = np.minimum((middle / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
+    offset = np.bincount(coarse, weight * rings, COARSE) / np.maximum(np.bincount(coarse, weight, COARSE), 1.0)
     fits: dict[int, _Fit] = {}
     for material in (BASE, BRIGHT) if reach > 0 else ():
-        fit = _fit_material(groups, material, levels, radius / reach, offset)
-        if fit is not None:
+        if (fit := _fit_material(groups, material, levels, radius / reach, offset)) is not None:
             fits[material] = fit
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
@@ -88,22 +88,6 @@ def middle_factor(sums: Sums, turning: Turning, cupping: Cupping) -> float:
     voxels = sums.histogram.sum(axis=(0, 1, 3, 4)).astype(np.float64)
     radius = (np.arange(COARSE) + 0.5) * turning.farthest_um / COARSE
     return float(np.sum(voxels * factor(cupping.powers, radius / cupping.reach_um)) / max(voxels.sum(), 1.0))
-
-
-def _reach(histogram: Counts, turning: Turning) -> float:
-    """Largest radius in um at which there is some sheet."""
-    voxels = histogram.sum(axis=(1, 2))
-    radii = np.flatnonzero(voxels > 0.002 * max(int(voxels.max()), 1))
-    return float((radii[-1] + 1) * turning.farthest_um / COARSE) if radii.size >= _LEAST_RADII else 0.0
-
-
-def _mean_rings(sums: Sums, turning: Turning, rings: Floats) -> Floats:
-    """Mean height of the rings (COARSE,) over the sheet's voxels at each radius of the histogram."""
-    voxels = sums.count[:, :, BASE:].sum(axis=(0, 1, 2)).astype(np.float64)
-    middle = (np.arange(rings.size) + 0.5) * turning.step_um
-    coarse = np.minimum((middle / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
-    coarse_voxels = np.bincount(coarse, voxels, COARSE)
-    return np.bincount(coarse, voxels * rings, COARSE) / np.maximum(coarse_voxels, 1.0)
 
 
 def _fit_material(groups: Counts, material: int, levels: Levels, share: Floats, offset: Floats) -> _Fit | None:
@@ -135,13 +119,8 @@ def _fit_material(groups: Counts, material: int, levels: Levels, share: Floats, 
     return _Fit(power, _loss_percent(power), error)
 
 
-def _fit_powers(
-    histogram: Counts, limits: tuple[float, float], share: Floats, offset: Floats
-) -> tuple[float, Floats] | None:
-    """Fit 1 + p share² to the mean grey, less ``offset``, of a material at each depth against the radius.
-
-    Give p, and p of each depth alone; None for too few voxels.
-    """
+def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) -> tuple[float, Floats] | None:
+    """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth; give p, and p of each depth alone."""
     low, high = limits
     rows = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
     start = np.zeros((len(rows), 1))
@@ -155,7 +134,7 @@ def _fit_powers(
     mixed = _mixed_depths(count, limits, depth)
     power = 0.0
     used, grey, n = np.zeros(len(rows), bool), np.zeros(len(rows)), np.zeros(len(rows))
-    for _ in range(_ROUNDS):
+    for _ in range(40):  # of sorting and fitting
         curve = 1.0 + power * t
         ends = low * curve + offset, high * curve + offset
         n = _sum_between(count, *ends)
@@ -163,7 +142,7 @@ def _fit_powers(
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         used = (n > 0.02 * n.max()) & ~mixed[depth]
         used &= (np.bincount(depth, used, depths) >= _LEAST_RADII)[depth]
-        if n.sum() < _LEAST_VOXELS or not used.any():
+        if n.sum() < 3000 or not used.any():  # of a material
             return None
         level = np.bincount(depth, np.where(used, n * grey / curve, 0.0), depths)
         level /= np.maximum(np.bincount(depth, np.where(used, n, 0.0), depths), 1.0)
@@ -176,20 +155,18 @@ def _fit_powers(
     return power, np.array([_power_of_depth(t, grey, n, used & (depth == d)) for d in range(depths)])
 
 
-def _mixed_depths(count: Floats, limits: tuple[float, float], depth: Counts) -> Bools:
+def _mixed_depths(count: Floats, limits: Pair, depth: Counts) -> Bools:
     """Find the depths at which base and coating meet: there the least shift of a face changes the grey."""
     border = (limits[0] if np.isfinite(limits[0]) else limits[1]) * np.ones(len(count))
     whole = np.bincount(depth, count[:, -1])
     lower = np.bincount(depth, _sum_between(count, -np.inf * border, border)) if np.isfinite(border[0]) else whole
-    return np.minimum(lower, whole - lower) > _PURE * whole
+    return np.minimum(lower, whole - lower) > 0.05 * whole  # of the voxels of a depth may be of the other material
 
 
 def _power_step(level: Floats, depth: Counts, curve: Floats, t: Floats, grey: Floats, n: Floats) -> float:
-    """Change of the power by which the greys follow from the levels best.
-
-    grey = (level + its change) (curve + change of the power), to first order. A second power costs more in noise than a
-    beam hardened by a sheet of paper has.
-    """
+    """Change of the power by which the greys follow from the levels best."""
+    # grey = (level + its change) (curve + change of the power), to first order. A second power costs more in noise than
+    # a beam hardened by a sheet of paper has.
     design = np.zeros((grey.size, level.size + 1))
     design[np.arange(grey.size), depth] = curve
     design[:, -1] = level[depth] * t
@@ -224,10 +201,10 @@ def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
         return fits[0], True
     a, b = fits
     for surer, other in ((a, b), (b, a)):
-        if other.se > _UNSURE * max(surer.se, 0.3):
+        if other.se > 3.0 * max(surer.se, 0.3):  # times the error of the other material: then a material does not count
             return surer, True
     difference = abs(a.percent - b.percent)
-    if difference <= _AGREE * float(np.hypot(a.se, b.se)):
+    if difference <= 3.0 * float(np.hypot(a.se, b.se)):  # standard errors by which base and coating may differ
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
         power = float((w[0] * a.power + w[1] * b.power) / w.sum())
         return _Fit(power, _loss_percent(power), float(1.0 / np.sqrt(w.sum()))), True

@@ -16,9 +16,10 @@ from PIL import Image
 
 from planish.core.area import area_mean
 from planish.core.errors import FileError
+from planish.core.robust import percentiles
+from planish.core.transform import Pair
 from planish.core.typing import Floats
-from planish.correct.sums import MATERIALS, UNIT, Sums
-from planish.correct.turning import Turning
+from planish.correct.sums import MATERIALS, UNIT, Sums, Turning
 from planish.correct.volume import Corrected
 
 _WIDTH, _DPI = 10.4, 135
@@ -64,7 +65,8 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
             corner = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
             axes = _add_axes(figure, total, *corner, width, height)
             if k == 2:
-                limit = max(_largest_difference(picture), 0.005 * contrast)
+                (largest,) = percentiles(np.abs(picture), 99.8)
+                limit = max(0.005 * contrast, largest)  # NaN, where the pictures share no voxel, is not the larger one
                 title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
                 _draw_slice(axes, picture, title, cols, "RdBu_r", (-limit, limit))
             else:
@@ -78,12 +80,6 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
         raise FileError(
             f"{path} cannot be written: {error.strerror or error}. Give another place with --out."
         ) from error
-
-
-def _largest_difference(picture: Floats) -> float:
-    """Size of the differences in a picture but for the largest 0.2 %; 0 where there is none."""
-    magnitudes = np.abs(picture[np.isfinite(picture)])
-    return float(np.percentile(magnitudes, 99.8)) if magnitudes.size else 0.0
 
 
 def _add_axes(figure: Figure, total: float, x: float, y: float, width: float, height: float) -> Axes:
@@ -103,7 +99,11 @@ def _draw_profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: floa
     record, turning = corrected.record, corrected.turning
     radius = (np.arange(turning.bins) + 0.5) * turning.step_um
     for stage, (colour, name) in zip(sums, ((_BEFORE, "before"), (_AFTER, "after")), strict=False):
-        for m, means in enumerate(_mean_greys(stage)):
+        # Mean grey (material, bin) above air, as if every depth were as frequent at every radius; NaN for few voxels.
+        count, total = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
+        level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
+        above = np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)
+        for m, means in enumerate((level[:, None] + above) / UNIT):
             grey = air + contrast * means
             axes.plot(radius, grey, color=colour, lw=0.9, label=name if m == 0 else None)
             bins = np.flatnonzero(np.isfinite(grey))
@@ -122,16 +122,7 @@ def _draw_profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: floa
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _mean_greys(sums: Sums) -> Floats:
-    """Mean (material, bin) of the grey above air, as if every depth were as frequent at every radius; NaN for few."""
-    count, total = sums.count.sum(axis=(0, 1)), sums.total.sum(axis=(0, 1))
-    level = sums.level[:, 1] / np.maximum(sums.level[:, 0], 1)
-    return (level[:, None] + np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)) / UNIT
-
-
-def _draw_slice(
-    axes: Axes, picture: Floats, title: str, width_um: float, colours: str, limits: tuple[float, float]
-) -> None:
+def _draw_slice(axes: Axes, picture: Floats, title: str, width_um: float, colours: str, limits: Pair) -> None:
     """Draw a slice without axes, with a bar for its scale."""
     axes.imshow(picture, colours, interpolation="nearest", aspect="auto", vmin=limits[0], vmax=limits[1])
     axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)

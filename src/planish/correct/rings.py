@@ -14,11 +14,9 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.typing import Floats
-from planish.correct.record import Ring
-from planish.correct.sums import UNIT, Sums
-from planish.correct.turning import Turning
+from planish.correct.params import Ring
+from planish.correct.sums import UNIT, Sums, Turning
 
-_ROUNDS = (0.5, 0.2, 0.1, 0.0)  # of the highest ring: what is lower waits for the next round
 _WINDOW, _AFTERWARDS = 49, 13  # bins of half a voxel: the running median, and the mean over it
 _LEAST = 6  # voxels of a part of a circle
 _INNERMOST = 6  # bins; a smaller circle has too few voxels
@@ -26,7 +24,6 @@ _CLEAR = 5.0  # standard errors: among thousands of radii chance reaches four
 _LOWEST = 0.003  # of the contrast: what is lower does not matter, and a byte does not hold it
 _AROUND = 81  # bins whose usual scatter is the least error of the one in their middle
 _NARROWEST = 3  # bins: no ring is narrower than the blur
-_FOOT = 1.5  # standard errors at which a ring ends
 _PARTS = 4.0  # parts of circles that have to agree, counted by their weight
 _CHI2 = 0.4549  # median of the square of a standard normal number
 _SHOWN = 0.5  # of its height that a ring shows in every material
@@ -71,9 +68,7 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     materials: list[tuple[Floats, Floats]] = []
     if intervals:
         parts = [_robust_mean(r.reshape(-1, bins), w.reshape(-1, bins)) for r, w in zip(residual, weight, strict=True)]
-        materials = [
-            _robust_mean(residual[:, :, m].reshape(-1, bins), weight[:, :, m].reshape(-1, bins)) for m in range(3)
-        ]
+        materials = [_robust_mean(*(a[:, :, m].reshape(-1, bins) for a in (residual, weight))) for m in range(3)]
     for first, last in intervals:
         where = slice(first, last + 1)
         heights = [_height_factor(profile[where], p[where], e[where]) for p, e in materials]
@@ -99,17 +94,15 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
 
 
 def _find_intervals(sums: Sums) -> tuple[Floats, Floats, Floats, Floats, list[tuple[int, int]]]:
-    """Residual and weight of the parts, their mean profile and its error, and the bins of the rings in it.
-
-    A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are taken
-    off first.
-    """
+    """Residual and weight of the parts, their mean profile and its error, and the bins of the rings in it."""
+    # A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are
+    # taken off first.
     bins = sums.count.shape[-1]
     heights = np.zeros(bins)
     residual = weight = np.zeros((0, 0, 0, bins))
     profile = error = heights
     intervals: list[tuple[int, int]] = []
-    for share in _ROUNDS:
+    for share in (0.5, 0.2, 0.1, 0.0):  # of the highest ring: what is lower waits for the next round
         residual, weight = _residuals(sums, heights)
         profile, error = _robust_mean(residual.reshape(-1, bins), weight.reshape(-1, bins))
         profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
@@ -132,10 +125,8 @@ def remaining_rings(before: RingFit, after: RingFit) -> tuple[Ring, ...]:
 
 
 def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
-    """Mean grey (block, sector, material, bin) over its running median, and its weight: one over the variance.
-
-    The running median is that of the grey without ``rings`` (bin,), which are known already.
-    """
+    """Mean grey (block, sector, material, bin) over its running median, and its weight: one over the variance."""
+    # The running median is that of the grey without the rings (bin,), which are known already.
     count = sums.count.astype(np.float64)
     is_measured = count >= _LEAST
     mean = np.where(is_measured, sums.total / np.maximum(count, 1.0), np.nan) / UNIT
@@ -162,9 +153,8 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
 def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
     """Robust mean (bin,) over parts (part, bin) and its standard error; NaN where too few parts have values."""
     total = weight.sum(axis=0)
-    sure = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0) >= min(
-        _PARTS, 0.6 * len(weight)
-    )
+    parts = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0)
+    sure = parts >= min(_PARTS, 0.6 * len(weight))
     mean = _weighted_median(residual, weight)
     robust = weight
     for _ in range(5):
@@ -200,7 +190,7 @@ def _intervals(profile: Floats, error: Floats, share: float) -> list[tuple[int, 
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
     highest = float(np.abs(height[clear]).max()) if clear.any() else 0.0
     seeds = np.flatnonzero(clear & (np.abs(height) >= share * highest))
-    in_ring = clarity > _FOOT
+    in_ring = clarity > 1.5  # standard errors at which a ring ends
     intervals: list[tuple[int, int]] = []
     for seed in seeds:
         if intervals and seed <= intervals[-1][1]:

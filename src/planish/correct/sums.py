@@ -1,12 +1,14 @@
-"""One pass over the slices across the axis: means on parts of circles, and the greys of the sheet at each radius.
+"""What slices across the axis of rotation show: the greys of air and sheet, means on parts of circles, greys by radius.
 
 All sums are whole numbers. They do not depend on the order in which slices are read, nor on threads or memory.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import partial
 from itertools import islice
 from typing import Any
 
@@ -15,10 +17,232 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.errors import InputError, SizeError, VolumeError
+from planish.core.robust import MAD_TO_SD, mad_sd
 from planish.core.threads import thread_pool
-from planish.core.typing import Floats
-from planish.correct.levels import Levels, missing, smoothed
-from planish.correct.turning import SECTORS, Turning
+from planish.core.typing import Bools, Floats
+from planish.correct.params import Axis
+
+SMOOTHING_PX = 1.5  # gaussian in a slice after which a single voxel shows its material in spite of the noise
+_BINS = 160
+_WINDOW = 9
+_TWO = 0.25  # a second material stands out from the base by so much of its own contrast
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Levels:
+    """Greys of a volume."""
+
+    air: float
+    sheet: float  # of the brightest material that is common: coating where there is one, or base
+    split: float  # between air and sheet
+    middle: float  # between base and coating; infinite where there is one material only
+    padding: float  # of voxels that hold nothing; NaN for none
+    air_cut: bool  # whether the export has cut off the air's noise, so that its mean is biased
+
+    @property
+    def contrast(self) -> float:
+        """Grey between air and sheet."""
+        return self.sheet - self.air
+
+
+def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
+    """Smooth a slice; what is not finite counts as 0 and has to be masked."""
+    finite = np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
+    return ndimage.gaussian_filter(finite, SMOOTHING_PX)
+
+
+def missing(plane: NDArray[Any], padding: float) -> Bools:
+    """Voxels of a slice that hold nothing, and those too near to them to be smoothed."""
+    empty = ~np.isfinite(plane) if plane.dtype.kind == "f" else np.zeros(plane.shape, bool)
+    if np.isfinite(padding):
+        empty |= _without_specks(plane == padding)
+    return ndimage.maximum_filter(empty, 9) if empty.any() else empty
+
+
+def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
+    """Find the greys in some slices; None where no sheet stands out from the air."""
+    padding = _padding(slices, radius)
+    levels = _estimate_levels(slices, padding)
+    if levels is None:
+        return None
+    lowest = _lowest_grey(slices)
+    dark = cut = 0
+    for s in slices:
+        below = (smoothed(s) < levels.split) & ~missing(s, padding)
+        dark += np.count_nonzero(below)
+        cut += np.count_nonzero(below & (s == lowest))
+    # Where all of the air has the same value it has no noise: nothing was cut off.
+    return replace(levels, padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
+
+
+def _lowest_grey(slices: list[NDArray[Any]]) -> float:
+    return min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan"))
+
+
+def _padding(slices: list[NDArray[Any]], radius: Floats) -> float:
+    """Value of the corners outside the scanner's circle: the lowest one, everywhere outside and nowhere inside."""
+    lowest = _lowest_grey(slices)
+    spike = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
+    share = float(spike.mean())
+    if share < 0.01:  # of all voxels: so much padding at least
+        return float("nan")
+    outside = radius > np.quantile(radius, 1.0 - share)
+    return lowest if spike[outside].mean() > 0.9 and spike[~outside].mean() < 0.1 * share else float("nan")
+
+
+def _without_specks(mask: Bools) -> Bools:
+    """Mask without the single voxels that noise has cut off: nearly all of a neighbourhood has to be in it."""
+    share = ndimage.uniform_filter(mask.astype(np.float32), _WINDOW)
+    return mask & (ndimage.maximum_filter(share, _WINDOW) > 0.95)
+
+
+def _estimate_levels(slices: list[NDArray[Any]], padding: float) -> Levels | None:
+    """Read the levels off the histogram of smoothed slices; None where no sheet stands out from the air."""
+    parts = [smoothed(s)[~missing(s, padding)] for s in slices]
+    greys = np.concatenate([p.ravel() for p in parts])
+    if greys.size < 1000:
+        return None
+    low, high = (float(q) for q in np.percentile(greys, [0.02, 99.98]))
+    if not high > low:
+        return None
+    count, edges = np.histogram(greys, _BINS, (low, high))
+    first, second = _three_classes(count.astype(np.float64))
+    split, middle = float(edges[first]), float(edges[second])
+    air = _centre(greys[greys <= split])
+    base, bright = greys[(greys > split) & (greys <= middle)], greys[greys > middle]
+    if not bright.size or not base.size:
+        return None
+    low_level, high_level = float(np.median(base)), float(np.median(bright))
+    scatter = mad_sd(greys[greys <= split], air)
+    if high_level - low_level < _TWO * (low_level - air):
+        middle, sheet = np.inf, float(np.median(greys[greys > split]))
+    else:
+        sheet = high_level
+    if sheet - air < max(6.0 * scatter, 1e-9):  # the sheet stands out from air by so many scatters of the smoothed air
+        return None
+    # The lower border lies half way: a border between classes is drawn towards the wider one.
+    split = 0.5 * (air + (low_level if np.isfinite(middle) else sheet))
+    return Levels(air=air, sheet=sheet, split=split, middle=middle, padding=np.nan, air_cut=False)
+
+
+def _centre(greys: NDArray[np.float32]) -> float:
+    """Mean of what lies near the median."""
+    median = float(np.median(greys))
+    near = np.abs(greys - median) <= max(3 * MAD_TO_SD * float(np.median(np.abs(greys - median))), 1e-6)
+    return float(np.mean(greys[near], dtype=np.float64))
+
+
+def _three_classes(count: Floats) -> tuple[int, int]:
+    """Borders of three classes with the largest variance between them (Otsu 1979)."""
+    n = np.concatenate([[0.0], np.cumsum(count)])
+    s = np.concatenate([[0.0], np.cumsum(count * np.arange(count.size))])
+
+    def gain(a: Any, b: Any) -> Floats:
+        size = n[b] - n[a]
+        return np.where(size > 0, (s[b] - s[a]) ** 2 / np.maximum(size, 1.0), 0.0)
+
+    i, j = np.triu_indices(count.size, 1)
+    i, j = i[i > 0], j[i > 0]
+    zero, end = np.zeros_like(i), np.full_like(i, count.size)
+    best = int(np.argmax(gain(zero, i) + gain(i, j) + gain(j, end)))
+    return int(i[best]), int(j[best])
+
+
+SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
+
+_LEAST_PLANE, _LEAST_LENGTH = 24, 8
+_FAR = 0.5  # of the field's width; an axis further outside is taken for a mistake
+_AXES: dict[Axis, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": ("z", "y")}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Turning:
+    """The axis of rotation.
+
+    ``centre_um`` and ``pitch_um`` are its place and the voxel size along the two other axes, in array order; ``shape``
+    are the voxels along the axis of rotation and along the two others.
+    """
+
+    axis: Axis
+    centre_um: tuple[float, float]
+    pitch_um: tuple[float, float]
+    shape: tuple[int, int, int]
+
+    @property
+    def plane(self) -> tuple[Axis, Axis]:
+        """The two axes across the axis of rotation, in array order."""
+        return _AXES[self.axis]
+
+    @property
+    def order(self) -> tuple[int, int, int]:
+        """Axes of the array (z, y, x) in the order axis of rotation, plane."""
+        a, b, c = ("zyx".index(name) for name in (self.axis, *self.plane))
+        return a, b, c
+
+    @property
+    def step_um(self) -> float:
+        """Width of a bin of the radius: half a voxel, so that a ring of one voxel keeps its height."""
+        return 0.5 * min(self.pitch_um)
+
+    @property
+    def bins(self) -> int:
+        """Number of bins of the radius."""
+        return int(np.ceil(self.farthest_um / self.step_um)) + 1
+
+    @property
+    def farthest_um(self) -> float:
+        """Largest radius in the field."""
+        ends = [
+            max(abs(c), abs((n - 1) * p - c))
+            for c, n, p in zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
+        ]
+        return math.hypot(*ends)
+
+    def radius_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Floats:
+        """Distance (rows, cols) from the axis in um."""
+        r, c = self._offsets(rows, cols)
+        return np.hypot(r[:, None], c[None, :])
+
+    def sectors(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.int64]:
+        """Number (rows, cols) of the part of the turn; parts begin at the axes of the array."""
+        r, c = self._offsets(rows, cols)
+        angle = np.arctan2(r[:, None], c[None, :]) / (2 * np.pi) % 1.0
+        return np.minimum((angle * SECTORS).astype(np.int64), SECTORS - 1)
+
+    def _offsets(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        (a, b), (p, q) = self.centre_um, self.pitch_um
+        return rows.astype(np.float64) * p - a, cols.astype(np.float64) * q - b
+
+
+def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None) -> Turning:
+    """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
+    if "voxel_um" not in volume.attrs:
+        raise SizeError("The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for one.")
+    size = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    plane = _AXES[axis]
+    shape = (volume.sizes[axis], volume.sizes[plane[0]], volume.sizes[plane[1]])
+    if shape[0] < _LEAST_LENGTH:
+        raise VolumeError(
+            f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least {_LEAST_LENGTH} are "
+            "needed to separate a ring from the sheet. Give the whole stack, or another axis with --rotation-axis."
+        )
+    if min(shape[1:]) < _LEAST_PLANE:
+        raise VolumeError(
+            f"The volume has {shape[1]} x {shape[2]} voxels along {plane[0]} and {plane[1]}, across the axis of "
+            f"rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another --rotation-axis."
+        )
+    pitch = (size[plane[0]], size[plane[1]])
+    ends = [(n - 1) * p for n, p in zip(shape[1:], pitch, strict=True)]
+    centre = (0.5 * ends[0], 0.5 * ends[1]) if centre_um is None else centre_um
+    for name, position, end in zip(plane, centre, ends, strict=True):
+        if not -_FAR * end <= position <= (1 + _FAR) * end:
+            raise InputError(
+                f"The axis of rotation would stand at {name} = {position:g} um; the field runs from 0 to {end:g} um. "
+                f"Give --rotation-centre-um as {plane[0]},{plane[1]} in um from the first voxel."
+            )
+    return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)
+
 
 Counts = NDArray[np.int64]
 Slice = NDArray[Any]
@@ -35,12 +259,9 @@ DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
 """Depths below a face in voxels, from which on each class of the histogram begins."""
 
 _BLOCKS, _LEAST_BLOCK = 8, 24  # parts of the axis, and the fewest slices of one
-_INSIDE_PX = 3  # from a face: so far reaches its blur
 _NEAR_AIR = 0.15  # contrasts by which the smoothed air may be off
 _MOST = 2**29  # voxels that are looked at
 _DEEPEST = 24  # voxels; deeper, a material does not change with the depth
-_LEAST_LAYER = 32  # voxels of a material at one depth, for its mean grey
-_GROUP = 16  # slices that are worked on together
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,12 +309,9 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     level = np.zeros((len(MATERIALS), 2), np.int64)
     done = 0
 
-    def classify(numbered: tuple[int, Slice]) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
-        return numbered[0], *_classify(numbered[1], levels)
-
     with thread_pool(threads) as pool:
-        while group := list(islice(slices, _GROUP)):
-            for number, grey, kind, depth in pool.map(classify, group):
+        while group := list(islice(slices, 16)):  # slices that are worked on together
+            for number, grey, kind, depth in pool.map(partial(_classify, levels=levels), group):
                 k = min(int(number * middles.size / length), middles.size - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
                 _add_to_histogram(grey, kind, depth, quarters, coarse, histogram[k])
@@ -105,11 +323,9 @@ def _add_to_rings(
     grey: Counts, kind: NDArray[np.uint8], depth: Counts, bins: Counts, sectors: Counts,
     count: Counts, total: Counts, level: Counts,
 ) -> None:  # fmt: skip
-    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice.
-
-    Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth, and
-    so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
-    """
+    """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice."""
+    # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
+    # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.
     is_classified = kind > 0
     greys, material = grey[is_classified], kind[is_classified].astype(np.int64) - 1
     deepest = _DEEPEST + 1
@@ -118,7 +334,7 @@ def _add_to_rings(
     sums = np.bincount(layer, greys, len(MATERIALS) * deepest)
     level[:, 0] += n.reshape(-1, deepest).sum(axis=1)
     level[:, 1] += sums.reshape(-1, deepest).sum(axis=1).astype(np.int64)
-    enough = n[layer] >= _LEAST_LAYER
+    enough = n[layer] >= 32  # voxels of a material at one depth, for its mean grey
     mean = np.rint(sums / np.maximum(n, 1)).astype(np.int64)
     cells = np.ravel_multi_index((sectors[is_classified], material, bins[is_classified]), count.shape)[enough]
     count += np.bincount(cells, minlength=count.size).reshape(count.shape)
@@ -136,11 +352,10 @@ def _add_to_histogram(
     histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
 
 
-def _classify(plane: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], Counts]:
-    """Grey above air in whole numbers, material of each voxel well inside one, and its depth below the face.
-
-    The material comes from the smoothed slice and with wide limits: a ring of some per cent does not choose its voxels.
-    """
+def _classify(numbered: tuple[int, Slice], levels: Levels) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
+    """Number, grey above air in whole numbers, material of each voxel well inside one, and its depth below the face."""
+    # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not choose its voxels.
+    number, plane = numbered
     smooth, empty = smoothed(plane), missing(plane, levels.padding)
     solid = (smooth > levels.split) & ~empty
     air = (np.abs(smooth - levels.air) < _NEAR_AIR * levels.contrast) & ~empty
@@ -150,9 +365,9 @@ def _classify(plane: Slice, levels: Levels) -> tuple[Counts, NDArray[np.uint8], 
         deep = np.asarray(ndimage.distance_transform_cdt(mask, "chessboard"), np.int64)
         if mask.all():
             deep[:] = _DEEPEST
-        inside = deep > _INSIDE_PX
+        inside = deep > 3  # from a face: so far reaches its blur
         depth[inside] = np.minimum(deep[inside], _DEEPEST)
         kind[inside] = 1 + AIR if mask is air else np.where(smooth[inside] > levels.middle, 1 + BRIGHT, 1 + BASE)
     share = (np.nan_to_num(plane.astype(np.float64), posinf=0.0, neginf=0.0) - levels.air) / levels.contrast
     grey = np.rint(np.clip(share, GREYS[0], GREYS[-1]) * UNIT).astype(np.int64)
-    return grey, kind, depth
+    return number, grey, kind, depth

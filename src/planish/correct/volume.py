@@ -16,12 +16,9 @@ from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.threads import count_threads
 from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
-from planish.correct.levels import Levels, find_levels
-from planish.correct.params import CorrectParams
-from planish.correct.record import Corrections, Cupping
+from planish.correct.params import Corrections, CorrectParams, Cupping
 from planish.correct.rings import RingFit, find_rings, remaining_rings
-from planish.correct.sums import Slice, Sums, slices_of, take_sums
-from planish.correct.turning import Turning, make_turning
+from planish.correct.sums import Levels, Slice, Sums, Turning, find_levels, make_turning, slices_of, take_sums
 
 Progress = Callable[[str, str], None]
 

@@ -14,7 +14,7 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
-from planish.core.overviews import count_of, halved_values
+from planish.core.area import count_of, halved_values
 from planish.core.threads import thread_pool
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.params import ExportParams

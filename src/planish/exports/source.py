@@ -30,8 +30,7 @@ from planish.measure import straightened
 from planish.pipeline.registration import Registration
 from planish.pipeline.run import MAPS, Run, marks_file, open_results
 from planish.pipeline.volume import read_sheet_volume
-from planish.report.colours import Scale
-from planish.report.maps import colours_of, partner_of
+from planish.report.colours import Scale, colours_of, partner_of
 from planish.resample import image_attrs, resample_image
 from planish.results import LayerFacts, Results
 from planish.study import LayerParams, Study, read_study, to_dict

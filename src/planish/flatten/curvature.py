@@ -9,15 +9,12 @@ from pydantic import Field
 from scipy import ndimage
 
 from planish.core.facts import Facts, Value
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats
 from planish.flatten.distortion import row_blocks
 
 # Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the upper left.
 _LOW, _HIGH = slice(-1), slice(1, None)
-_HALVES = (
-    ((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)),
-    ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)),
-)
+_HALVES = (((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)), ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)))
 _TRUNCATE = 3.0  # Gaussian windows end after so many standard deviations
 _RIM = 1 / 3  # width, in half-sizes of a patch, over which patches fade towards the outline
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
@@ -83,9 +80,7 @@ class CurvatureCheck:
     @property
     def saved(self) -> CurvatureVerdict:
         """What stands in the results of a run."""
-        return CurvatureVerdict(
-            patch_um=self.patch_um, limit=self.limit, share=self.share, largest=self.largest, verdict=self.verdict
-        )
+        return CurvatureVerdict(**{name: getattr(self, name) for name in CurvatureVerdict.model_fields})
 
 
 def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureCheck:
@@ -119,8 +114,12 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     inside = np.isfinite(lacking)
     curvature = np.full((rows, cols), np.nan)
     if inside.any():
-        pitch = _pitch(points)
-        weight = _soft_outline(inside, pitch, patch_um * _RIM)
+        lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
+        pitch = [float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)]
+        # Weights rise smoothly from 0 beside the nodes without a full turn to 1 at the rim's width from them.
+        away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
+        share = np.minimum(away / (patch_um * _RIM), 1.0)
+        weight = share * share * (3 - 2 * share)
         window = [patch_um / np.sqrt(3) / p for p in pitch]
 
         def over_patch(values: Floats) -> Floats:
@@ -132,20 +131,15 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     strain = np.abs(curvature) * patch_um**2 / 16
     is_judged = np.isfinite(strain)
     return CurvatureCheck(
-        curvature=curvature,
-        strain=strain,
-        patch_um=patch_um,
-        limit=_LIMIT,
+        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT,
         share=float(area[strain > _LIMIT].sum() / area[is_judged].sum()) if is_judged.any() else np.nan,
         largest=float(strain[is_judged].max()) if is_judged.any() else np.nan,
-    )
+    )  # fmt: skip
 
 
 def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:
-    """Give what the angles about each node lack of a full turn, and the area of a third of its triangles.
-
-    Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
-    """
+    """Give what the angles about each node lack of a full turn, and the area of a third of its triangles."""
+    # Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
     rows, cols = points.shape[:2]
     angles, area = np.zeros((rows, cols)), np.zeros((rows, cols))
     for part in row_blocks(rows - 1, cols):
@@ -168,20 +162,6 @@ def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:
         lacking[k], lacking[:, k] = np.nan, np.nan
     area[np.isnan(lacking)] = np.nan
     return lacking, area
-
-
-def _soft_outline(inside: Bools, pitch: tuple[float, float], rim_um: float) -> Floats:
-    """Weights that rise smoothly from 0 beside the nodes that are not ``inside`` to 1 at a distance of ``rim_um``."""
-    away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
-    share = np.minimum(away / rim_um, 1.0)
-    return share * share * (3 - 2 * share)
-
-
-def _pitch(points: Floats) -> tuple[float, float]:
-    """Median length in um of the edges from row to row and from column to column; infinite where there is none."""
-    lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
-    down, across = (float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths))
-    return down, across
 
 
 def _dot(p: Floats, q: Floats) -> Floats:

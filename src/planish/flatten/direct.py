@@ -102,7 +102,6 @@ class Network:
 
 
 _NEWTON_STEPS = 60
-_FEW = 200  # nodes up to which a full matrix is quicker than a sparse one
 
 
 class StiffnessSolver:
@@ -117,7 +116,7 @@ class StiffnessSolver:
         flat = rigid.reshape(-1, 3)
         self._rigid = flat / np.maximum(np.sqrt(np.sum(flat * flat, axis=0)), 1e-300)
         self._matrix: Floats | None = None
-        if len(uv) <= _FEW:
+        if len(uv) <= 200:  # nodes up to which a full matrix is quicker than a sparse one
             # Stiff against moves of the whole, which neither forces nor moves contain.
             matrix = network.full_matrix(uv, exact=exact) + self._rigid @ self._rigid.T
             self._matrix = matrix + _TIE * np.eye(len(matrix))

@@ -1,16 +1,185 @@
-"""The strain of each cell of the mesh by flattening, and the growth of the sheet against its projection."""
+"""The strain of each cell by flattening, growth against the projection, and lengths of lines, flat and curved."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 from pydantic import Field
 
 from planish.core.facts import Facts, Value
-from planish.core.typing import Floats
-from planish.flatten.geodesics import GeodesicError, geodesic_error, triangle_areas, whole_cells
+from planish.core.robust import percentiles
+from planish.core.typing import Bools, Floats
+
+Index = NDArray[np.intp]
+
+# Cell (i, j) has the corners a = (i, j), b = (i, j + 1), c = (i + 1, j + 1), d = (i + 1, j) and is cut along a-c:
+# half 0 is (a, b, c), half 1 is (a, c, d). Edge k of a half runs from its corner k to its corner k + 1.
+_CORNERS = np.array([[[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 1], [1, 0]]], dtype=np.intp)
+# Behind each edge of each half: rows down, columns across, and which half.
+_BEHIND = np.array([[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [0, -1, 0]]], dtype=np.intp)
+_LONGEST = 20  # times rows + cols: no line crosses so many triangles unless it winds through folded cells
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MeshPoints:
+    """Places (n,) on a mesh: cell, its half (0 above the first diagonal, 1 below), shares (n, 3) of its corners."""
+
+    row: Index
+    col: Index
+    half: Index
+    weights: Floats
+
+    def on(self, nodes: Floats) -> Floats:
+        """Interpolate ``nodes`` (rows, cols, k) at the places: (n, k)."""
+        corner = _CORNERS[self.half]
+        corner_values = nodes[self.row[:, None] + corner[..., 0], self.col[:, None] + corner[..., 1]]
+        return np.einsum("nc,nck->nk", self.weights, corner_values)
+
+
+class GeodesicError(Facts):
+    """Relative errors of long distances: flat against along the surface."""
+
+    p50: Value = Field(description="Median relative error.")
+    p95: Value = Field(description="95th percentile of the relative error.")
+    largest: Value = Field(description="Largest relative error.")
+    used: int = Field(description="Lines that stay on the sheet from end to end.")
+    dropped: int = Field(description="Lines that leave it through a hole or the outline.")
+
+
+def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pairs: int = 1000) -> GeodesicError:
+    """Compare the lengths of straight lines in the plane with the lengths of the same lines on the surface.
+
+    Parameters
+    ----------
+    points : (rows, cols, 3)
+        Nodes in space, um; NaN where there is no sheet.
+    uv : (rows, cols, 2)
+        The same nodes in the plane, um.
+    rng : Generator
+    pairs : int
+        Number of lines. Their ends are random places in random triangles; between nodes of a regular mesh, many lines
+        would run along the mesh.
+
+    Returns
+    -------
+    GeodesicError
+
+    Notes
+    -----
+    The line traced on the surface is not the geodesic between its ends but close to it. A geodesic is stationary: its
+    length and that of the traced line differ in the second order of the strain, so that for a nearly isometric map
+    the number is the error of the geodesic's length. Lengths are those of the mesh: chords of the two triangles of each
+    cell, which on a surface of radius R are shorter than arcs by up to (pitch / R)^2 / 24.
+    """
+    whole = whole_cells(points, uv)
+    error = np.empty(0)
+    if whole.any():
+        flat, space = trace_lines(points, uv, random_places(whole, pairs, rng), random_places(whole, pairs, rng))
+        used = np.isfinite(space) & (space > 0)
+        error = np.abs(flat[used] / space[used] - 1)
+    p50, p95, largest = percentiles(error, 50, 95, 100)
+    return GeodesicError(p50=p50, p95=p95, largest=largest, used=error.size, dropped=pairs - error.size)
+
+
+def whole_cells(points: Floats, uv: Floats) -> Bools:
+    """Cells (rows - 1, cols - 1) whose four corners are known both in space and in the plane."""
+    is_node: Bools = np.asarray(np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1))
+    return is_node[:-1, :-1] & is_node[:-1, 1:] & is_node[1:, 1:] & is_node[1:, :-1]
+
+
+def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
+    """Twice the signed areas of the triangles (a, b, c) and (a, c, d) of each cell; NaN where a corner is missing."""
+    a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
+
+    def area(p: Floats, q: Floats) -> Floats:
+        return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
+
+    return area(b - a, c - a), area(c - a, d - a)
+
+
+def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float = 0.0) -> Bools:
+    """Cells of ``uv`` (rows, cols, 2) with a triangle (a, b, c) or (a, c, d) that is empty or turned over.
+
+    ``side`` is -1 where columns and rows of the grid run in the opposite sense to u and v; ``floor`` is the share of
+    a cell's half area in space, from the product of its diagonals, that a triangle must exceed.
+    """
+    least = 0.0
+    if floor:
+        across, rising = points[1:, 1:] - points[:-1, :-1], points[1:, :-1] - points[:-1, 1:]
+        least = floor * 0.5 * np.linalg.norm(across, axis=-1) * np.linalg.norm(rising, axis=-1)
+    with np.errstate(invalid="ignore"):
+        first, second = triangle_areas(uv)
+        return np.minimum(side * first, side * second) <= least
+
+
+def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoints:
+    """Draw ``count`` places: every triangle of the whole cells is as likely, and every place in it."""
+    cells = np.flatnonzero(whole)
+    row, col = np.divmod(cells[rng.integers(cells.size, size=count)], whole.shape[1])
+    half = rng.integers(2, size=count)
+    return MeshPoints(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
+
+
+def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) -> tuple[Floats, Floats]:
+    """Trace straight lines of the plane through the triangles of the mesh, from inside of one to inside of another.
+
+    Gives the lengths (n,) in the plane and on the surface, um; the latter is NaN where a line leaves the sheet.
+
+    All lines walk at the same time, a triangle a step. Each corner lies to the left of the line or not, and a line
+    leaves a triangle by the one edge that runs from its right to its left (the other way round where it starts in a
+    triangle that is turned over); no intersection is ever searched, and corners on the line do no harm. In folded cells
+    a line follows the sheet there and back.
+    """
+    inside = np.pad(whole_cells(points, uv), 1)
+    first, goal = start.on(uv), end.on(points)
+    along = end.on(uv) - first
+    flat = np.hypot(along[:, 0], along[:, 1])
+    space = np.full(flat.size, np.nan)
+    target = np.stack([end.row, end.col, end.half], axis=1)
+    turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
+
+    # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
+    walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half], axis=1)
+    path: Floats = np.column_stack([start.on(points), np.zeros(flat.size)])
+    for _ in range(_LONGEST * sum(points.shape[:2])):
+        has_arrived = (walk[:, 1:] == target[walk[:, 0]]).all(axis=1)
+        arrived = walk[has_arrived, 0]
+        space[arrived] = path[has_arrived, 3] + np.linalg.norm(goal[arrived] - path[has_arrived, :3], axis=1)
+        walk, path = walk[~has_arrived], path[~has_arrived]
+        if walk.size == 0:
+            break
+        line = walk[:, 0]
+        exits, walk, crosses = _leave_triangles(points, uv, walk, first[line], along[line], turned[line])
+        path = np.column_stack([exits, path[:, 3] + np.linalg.norm(exits - path[:, :3], axis=1)])
+        is_on_sheet = crosses & inside[walk[:, 1] + 1, walk[:, 2] + 1]
+        walk, path = walk[is_on_sheet], path[is_on_sheet]
+    return flat, space
+
+
+def _leave_triangles(
+    points: Floats, uv: Floats, walk: Index, first: Floats, along: Floats, turned: Bools
+) -> tuple[Floats, Index, Bools]:
+    """Give the points (n, 3) at which lines leave their triangles, the triangles behind, and which cross an edge."""
+    # Those that are turned began in a triangle that is turned over.
+    line, row, col, half = walk.T
+    corner = row[:, None] + _CORNERS[half, :, 0], col[:, None] + _CORNERS[half, :, 1]
+    x, y = np.moveaxis(uv[corner] - first[:, None], -1, 0)
+    left = along[:, :1] * y - along[:, 1:] * x
+    right = (left > 0) == turned[:, None]
+    leaves = right & ~right[:, [1, 2, 0]]
+    edge = np.argmax(leaves, axis=1)
+    begin, stop = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
+    crosses = leaves.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
+    share = left[begin] / np.where(crosses, left[begin] - left[stop], 1.0)
+    a = points[corner][begin]
+    exits = a + share[:, None] * (points[corner][stop] - a)
+    down, across, half = _BEHIND[half, edge].T
+    return exits, np.stack([line, row + down, col + across, half], axis=1), crosses
+
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
 
@@ -80,25 +249,16 @@ def measure_distortion(
     strain = cell_strain(points, uv) if strain is None else strain
     area = strain["signed_area"].values
     grown, uneven, direction, moved = _against_projection(points, uv)
-    median, p95, largest = np.percentile(moved, [50, 95, 100]) if moved.size else (np.nan, np.nan, np.nan)
+    median, p95, largest = percentiles(moved, 50, 95, 100)
     in_space, in_plane = boundary_lengths(points, uv)
     return Distortion(
-        area=_spread(strain["area_ratio"].values - 1),
-        axial_u=_spread(strain["axial_u"].values),
-        axial_v=_spread(strain["axial_v"].values),
-        shear=_spread(strain["shear"].values),
-        cells=int(np.count_nonzero(np.isfinite(area))),
-        inverted_cells=int(np.count_nonzero(area <= 0)),
-        boundary_space_um=in_space,
-        boundary_flat_um=in_plane,
-        growth_percent=100 * (grown - 1),
-        growth_anisotropy_percent=100 * (uneven - 1),
-        growth_direction_deg=direction,
-        displacement_median_um=float(median),
-        displacement_p95_um=float(p95),
-        displacement_max_um=float(largest),
-        geodesics=geodesic_error(points, uv, rng=rng),
-    )
+        area=_spread(strain["area_ratio"].values - 1), axial_u=_spread(strain["axial_u"].values),
+        axial_v=_spread(strain["axial_v"].values), shear=_spread(strain["shear"].values),
+        cells=int(np.count_nonzero(np.isfinite(area))), inverted_cells=int(np.count_nonzero(area <= 0)),
+        boundary_space_um=in_space, boundary_flat_um=in_plane, growth_percent=100 * (grown - 1),
+        growth_anisotropy_percent=100 * (uneven - 1), growth_direction_deg=direction, displacement_median_um=median,
+        displacement_p95_um=p95, displacement_max_um=largest, geodesics=geodesic_error(points, uv, rng=rng),
+    )  # fmt: skip
 
 
 def edge_strain(points: Floats, uv: Floats) -> tuple[Floats, Floats]:
@@ -186,15 +346,12 @@ def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
         high, low = conformal + anticonformal, np.abs(conformal - anticonformal)
         area = au * dv - av * du
         return {
-            "stretch_max": high,
-            "stretch_min": low,
-            "area_ratio": high * low,
-            "axial_u": np.hypot(au, av) / side - 1,
+            "stretch_max": high, "stretch_min": low, "area_ratio": high * low, "axial_u": np.hypot(au, av) / side - 1,
             "axial_v": np.hypot(du, dv) / np.sqrt(g22) - 1,
             "shear": np.arctan2(side * height, g12) - np.arctan2(np.abs(area), au * du + av * dv),
             "signed_area": np.where(np.isfinite(g11), 0.5 * np.minimum(*triangle_areas(uv)), np.nan),
             "anisotropy": high / low,
-        }
+        }  # fmt: skip
 
 
 def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
@@ -204,16 +361,13 @@ def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(values: Floats) -> Spread:
-    values = values[np.isfinite(values)] if np.isfinite(values).any() else np.array([np.nan])
-    (median, p5, p95), (p95_abs, max_abs) = np.percentile(values, [50, 5, 95]), np.percentile(np.abs(values), [95, 100])
+    (median, p5, p95), (p95_abs, max_abs) = percentiles(values, 50, 5, 95), percentiles(np.abs(values), 95, 100)
     return Spread(median=median, p5=p5, p95=p95, p95_abs=p95_abs, max_abs=max_abs)
 
 
 def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:
-    """Scale of the similarity from (x, y) to (u, v), ratio of the affine map's singular values, direction of the first.
-
-    And the distances (n,) in um that are left after the rotation and shift that make them smallest.
-    """
+    """Scale of the similarity from (x, y) to (u, v), ratio and first direction of the affine map's singular values."""
+    # And the distances (n,) in um that are left after the rotation and shift that make them smallest.
     is_node = np.isfinite(points).all(axis=-1) & np.isfinite(uv).all(axis=-1)
     a, b = points[..., :2][is_node], uv[is_node]
     if len(a) < 3:

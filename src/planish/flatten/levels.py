@@ -1,4 +1,7 @@
-"""A mesh and its coarser copies: the arrays that the compiled passes work on, and the threads that share the rows."""
+"""A mesh of springs and its coarser copies: springs and stiffness, the arrays of the compiled passes, threads for rows.
+
+The eight-spring mesh is that of Hirn et al. (2009), section 2.3.1.
+"""
 
 from __future__ import annotations
 
@@ -6,14 +9,17 @@ import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage, sparse
+from scipy.sparse.linalg import splu
 
+from planish.core.errors import CannotFlatten
 from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import FAR
-from planish.flatten._mesh_kernels import coarsen
+from planish.flatten._mesh_kernels import coarsen, rest_lengths
 
 Single = NDArray[np.float32]
 
@@ -141,3 +147,117 @@ def hierarchy(level: Level, team: Team) -> list[Level]:
     while min(levels[-1].rows, levels[-1].cols) > _LEAST:
         levels.append(halve(levels[-1], team))
     return levels
+
+
+TRUSTED = 0.1  # share of the median weight below which a node does not count in the flattening
+_BRACE = 0.01  # stiffness of springs to made-up nodes: enough to hold a loose corner, too little to steer the sheet
+
+
+def mean_pitch(points: Floats) -> float:
+    """Mean distance of neighbours along rows and columns, from some ten of either, in the unit of ``points``."""
+    for lines in (10, max(points.shape)):
+        rows, cols = (max(1, n // lines) for n in points.shape[:2])
+        with np.errstate(invalid="ignore", over="ignore"):
+            steps = [np.diff(points[::rows], axis=1), np.diff(points[:, ::cols], axis=0)]
+            long = np.concatenate([np.sqrt(np.sum(step * step, axis=-1)).ravel() for step in steps])
+        long = long[np.isfinite(long)]
+        if long.size > 1000:
+            break
+    pitch = float(long.mean()) if long.size else 0.0
+    if not np.isfinite(pitch) or pitch <= 0:
+        raise CannotFlatten(
+            "No two neighbours of the mesh have a distance. Give a grid of points (rows, cols, 3) in um, in which "
+            "neighbours in the grid are neighbours in the sheet."
+        )
+    return pitch
+
+
+def make_springs(points: Floats, pitch: float, rest: Literal["arc", "chord"], team: Team) -> tuple[Level, int, float]:
+    """Tie the nodes of ``points`` (rows, cols, 3) to their neighbours; each spring is stored once.
+
+    Gives a level with rest lengths in pitches and stiffness 1, the number of springs, and the share of them that kept
+    their chord although the surface bends there, NaN for ``rest="chord"``.
+    """
+    rows, cols = points.shape[:2]
+    parts = team.parts(rows, cols)
+    lengths, counts = padded(4, rows, cols, np.float64), np.zeros((rows + 2, 2))
+    team.run(rest_lengths, parts, points, 1 / pitch, rest == "arc", lengths, counts)
+    springs, straight = counts.sum(axis=0)
+    if springs == 0:
+        raise CannotFlatten("No two neighbours of the mesh are known. Fill the gaps or use a coarser mesh.")
+    even = np.ones((4, 1, lengths.shape[2]), np.float32)
+    return Level(rows, cols, parts, lengths, even), int(springs), straight / springs if rest == "arc" else np.nan
+
+
+def stiffen(level: Level, weights: Floats) -> None:
+    """Give every spring the weight of its less certain end."""
+    stiff = padded(4, level.rows, level.cols, np.float32)
+    of_springs(weights.astype(np.float32), np.minimum, stiff[:, 1 : level.rows + 1, 1 : level.cols + 1])
+    stiff[level.rest == 0] = 0.0
+    level.stiff = stiff
+
+
+def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
+    """Find the nodes whose place the springs do not settle: what hangs on the sheet by a single node or spring.
+
+    A cell with three corners is stiff, and so are cells that share an edge; everything else can turn freely. The
+    largest stiff part is the sheet. Gives the known nodes outside of it, and the number of cells of every stiff part.
+    """
+    corners = sum(is_node[i : i + is_node.shape[0] - 1, j : j + is_node.shape[1] - 1].astype(np.int8)
+                  for i in (0, 1) for j in (0, 1))  # fmt: skip
+    # Cells at odd places and the edges between them; a path may pass an edge whose two nodes are known.
+    paths = np.zeros((2 * is_node.shape[0] - 1, 2 * is_node.shape[1] - 1), dtype=bool)
+    paths[1::2, 1::2] = corners >= 3
+    paths[1::2, ::2] = is_node[:-1] & is_node[1:]
+    paths[::2, 1::2] = is_node[:, :-1] & is_node[:, 1:]
+    labels = ndimage.label(paths)[0][1::2, 1::2]
+    sizes = np.bincount(labels[corners >= 3])
+    if sizes.size == 0:
+        return is_node.copy(), np.zeros(0, dtype=np.intp)
+    cells = (labels == np.argmax(sizes)) & (corners >= 3)
+    is_held = np.zeros_like(is_node)
+    for i in (0, 1):
+        for j in (0, 1):
+            is_held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
+    return is_node & ~is_held, sizes[sizes > 0]
+
+
+def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_missing: Bools) -> tuple[Floats, Floats]:
+    """Lay the missing nodes of ``points`` so that rows and columns bend least, and give them next to no weight.
+
+    Least sum of squared second differences along rows and columns, to which trusted neighbours up to two nodes away
+    contribute; nodes that are neither trusted nor missing become NaN. What is linear in row and column is met exactly.
+    """
+    weights = np.where(is_trusted, 1.0 if weights is None else weights, 0.0)
+    points = np.where(is_trusted[..., None], points, np.nan)
+    if not is_missing.any():
+        return points, weights
+    around = ndimage.binary_dilation(is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    part = is_missing | (is_trusted & around)
+    number = np.full(is_missing.shape, -1)
+    number[part] = np.arange(np.count_nonzero(part))
+    size = int(np.count_nonzero(part))
+
+    def differences(weights: tuple[float, ...]) -> sparse.csr_array:
+        """Sums of as many nodes in a row or a column, with these weights, wherever all of them take part."""
+        count = len(weights)
+        lines = [[n[k : len(n) + 1 + k - count].ravel() for k in range(count)] for n in (number, number.T)]
+        nodes = np.concatenate([np.stack(line) for line in lines], axis=1)
+        nodes = nodes[:, (nodes >= 0).all(axis=0)]
+        place = (np.tile(np.arange(nodes.shape[1]), count), nodes.ravel())
+        return sparse.csr_array((np.repeat(weights, nodes.shape[1]), place), shape=(nodes.shape[1], size))
+
+    bend = differences((1.0, -2.0, 1.0))
+    # A faint pull towards the neighbours settles what no second difference reaches.
+    slope = differences((1.0, -1.0))
+    is_free = is_missing[part]
+    # The pull acts on the deviation from a plane, which leaves linear maps alone.
+    rows, cols = np.nonzero(part)
+    fixed = points[part][~is_free]
+    basis = np.stack([np.ones(size), rows, cols], axis=1)
+    plane = basis @ np.linalg.lstsq(basis[~is_free], fixed, rcond=None)[0]
+    matrix = (bend.T @ bend + 1e-8 * (slope.T @ slope)).tocsc()
+    solve = splu((matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()).solve
+    values = solve(-(matrix[is_free][:, ~is_free] @ (fixed - plane[~is_free])))
+    points[is_missing] = plane[is_free] + values
+    return points, np.where(is_missing, _BRACE * weights.max(), weights)

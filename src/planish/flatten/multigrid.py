@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from scipy import ndimage
 
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Floats
 from planish.flatten._kernels import FAR, advance, descend, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import hold_open, interpolate
@@ -39,7 +39,6 @@ _TWICE = _weights(2, _LOW)
 _FOUR = _weights(4, 0.15)
 
 _STILL = 3e-6  # mean error of places, in pitches, below which a mesh is at rest whatever its energy
-_RATE = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
 _ROUGHLY = 0.1  # tolerance on the coarser levels: one step, as a rule
 # Levels handed to ``descend``, the last one repeated: another number would be compiled anew. No mesh has more that are
 # the work of one thread.
@@ -66,21 +65,6 @@ def _dot(a: Single, b: Single) -> float:
     return float(np.sum(a * b, dtype=np.float64))
 
 
-_Direction = tuple[Single, Single, float]  # forces, move and their product at a step
-
-
-def _conjugate(level: Level, last: _Direction | None) -> _Direction:
-    """Add the share of the ``last`` direction to the move by the conjugate gradient method (Polak and Ribiere).
-
-    A multigrid cycle deals badly with a few movements only: of parts that hang together by a strip, or near many holes.
-    These are what the method collects.
-    """
-    work = _dot(level.force, level.move)
-    if last is not None and last[2] > 0:
-        level.move += np.float32(max((work - _dot(last[0], level.move)) / last[2], 0.0)) * last[1]
-    return level.force.copy(), level.move.copy(), work
-
-
 class Multigrid:
     """Relaxation of a hierarchy of meshes."""
 
@@ -91,7 +75,7 @@ class Multigrid:
         self.side = side
         self.guarded = guarded
         self.history: list[Step] = []
-        self.rate = _RATE
+        self.rate = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
         self._twice = True
         self._rough = False
         self._chains: dict[int, tuple[Any, ...]] = {}
@@ -99,8 +83,17 @@ class Multigrid:
         self._small = next((k for k, level in enumerate(levels) if k and len(level.parts) == 1), len(levels))
 
     def run(self, tolerance: float) -> Outcome:
-        """Relax all levels, from the lengths along the grid; the finest one to ``tolerance``."""
-        self.start(self.levels[-1], along_grid(self.levels[-1], self.side))
+        """Relax all levels, from the mean rest lengths between columns and rows; the finest one to ``tolerance``."""
+        level = self.levels[-1]
+        inside = level.rest[:, 1 : level.rows + 1, 1 : level.cols + 1]
+        places: list[Floats] = []
+        for lengths, axis, count in ((inside[0], 0, level.cols), (inside[1], 1, level.rows)):
+            is_spring = lengths > 0
+            mean = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
+            typical = lengths[is_spring].mean() if is_spring.any() else 1.0
+            mean = np.where(mean > 0, mean, typical)[: count - 1]
+            places.append(np.concatenate([[0.0], np.cumsum(mean)]))
+        self.start(level, np.stack(np.meshgrid(self.side * places[0], places[1]), axis=-1)[level.nodes])
         outcome = Outcome.RESTED
         for k in range(len(self.levels) - 2, -1, -1):
             self.refine(self.levels[k + 1], self.levels[k])
@@ -137,7 +130,7 @@ class Multigrid:
         count = level.rows * level.cols
         gains: list[float] = []
         slow = 0
-        last: _Direction | None = None
+        last: tuple[Single, Single, float] | None = None  # forces, move and their product at the step before
         for step in range(most):
             energy = self.balance(level)
             short = k == 0 and step == 0 and self._rough
@@ -153,7 +146,12 @@ class Multigrid:
             if self.guarded:
                 wanted = self._guard(level, energy)
             elif slow:
-                last = _conjugate(level, last)
+                # By conjugate gradients (Polak and Ribiere): a cycle deals badly with a few movements only, of parts
+                # that hang together by a strip, or near many holes; these are what the method collects.
+                work = _dot(level.force, level.move)
+                if last is not None and last[2] > 0:
+                    level.move += np.float32(max((work - _dot(last[0], level.move)) / last[2], 0.0)) * last[1]
+                last = level.force.copy(), level.move.copy(), work
             gain, square = self.advance(level)
             if slow and not self.guarded:
                 gain, square = self._reach(level, gain, square)
@@ -222,13 +220,18 @@ class Multigrid:
         return float(work), float(square)
 
     def _cycle(self, k: int, depth: int = 0) -> None:
-        """Correct level ``k`` for its forces by smoothing, a correction from the level below, and smoothing again.
-
-        The level below is corrected twice where it counts: else its own errors, and those below it, add up.
-        """
+        """Correct level ``k`` for its forces by smoothing, a correction from the level below, and smoothing again."""
+        # The level below is corrected twice where it counts: else its own errors, and those below it, add up.
         level = self.levels[k]
         if depth > 1 and k >= self._small:
-            descend(*self._chain(k), *_TWICE, _ONCE)  # pyright: ignore[reportCallIssue]
+            if k not in self._chains:
+                last = len(self.levels) - 1 - k
+                part = [*self.levels[k:], *self.levels[-1:] * (_CHAIN - 1 - last)]
+                names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
+                arrays = (tuple(getattr(level, name) for level in part) for name in names)
+                nodes = (1 + index for index in np.nonzero(self._network.mask))
+                self._chains[k] = (*arrays, last, self._exact.inverse, *nodes)
+            descend(*self._chains[k], *_TWICE, _ONCE)  # pyright: ignore[reportCallIssue]
             return
         if k == len(self.levels) - 1:
             inside = np.s_[:, 1 : level.rows + 1, 1 : level.cols + 1]
@@ -243,17 +246,6 @@ class Multigrid:
             self._cycle(k + 1, depth + 1)
             self._smooth(1, level, coarse, _ONCE, _ONCE)
 
-    def _chain(self, k: int) -> tuple[Any, ...]:
-        """Arrays of the levels from ``k`` on, as ``descend`` wants them."""
-        if k not in self._chains:
-            last = len(self.levels) - 1 - k
-            part = [*self.levels[k:], *self.levels[-1:] * (_CHAIN - 1 - last)]
-            names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-            arrays = (tuple(getattr(level, name) for level in part) for name in names)
-            nodes = (1 + index for index in np.nonzero(self._network.mask))
-            self._chains[k] = (*arrays, last, self._exact.inverse, *nodes)
-        return self._chains[k]
-
     def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:
         fixed = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
         if len(level.parts) == 1:
@@ -266,21 +258,6 @@ class Multigrid:
             [(*fixed, edge, first, weight, level.cols, r0, r1)
              for edge, (r0, r1) in zip(edges, level.parts, strict=True)],
         )  # fmt: skip
-
-
-def along_grid(level: Level, handedness: float) -> Floats:
-    """Places (nodes, 2) of a mesh laid out by the mean rest lengths between its columns and between its rows."""
-    rows, cols = level.rows, level.cols
-    inside = level.rest[:, 1 : rows + 1, 1 : cols + 1]
-    places = []
-    for lengths, axis, count in ((inside[0], 0, cols), (inside[1], 1, rows)):
-        is_spring = lengths > 0
-        mean = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
-        typical = lengths[is_spring].mean() if is_spring.any() else 1.0
-        mean = np.where(mean > 0, mean, typical)[: count - 1]
-        places.append(np.concatenate([[0.0], np.cumsum(mean)]))
-    u, v = np.meshgrid(handedness * places[0], places[1])
-    return np.stack([u, v], axis=-1)[level.nodes]
 
 
 def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:

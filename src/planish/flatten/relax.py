@@ -9,19 +9,29 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.threads import count_threads
 from planish.core.typing import Bools, Floats
 from planish.flatten._kernels import GONE
 from planish.flatten._mesh_kernels import lay_down, moments
-from planish.flatten.geodesics import folded_cells
-from planish.flatten.levels import Level, Team, hierarchy
+from planish.flatten.distortion import folded_cells
+from planish.flatten.levels import (
+    TRUSTED,
+    Level,
+    Team,
+    hierarchy,
+    impute_nodes,
+    loose_nodes,
+    make_springs,
+    mean_pitch,
+    stiffen,
+)
 from planish.flatten.multigrid import OPEN, Multigrid, Step, count_folds
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically
-from planish.flatten.springs import TRUSTED, impute_nodes, loose_nodes, make_springs, mean_pitch, stiffen
 
 Method = Literal["multigrid", "relaxation"]
 Rest = Literal["arc", "chord"]
+Run = tuple[int, Outcome, tuple[Step, ...]]  # steps on the finest mesh, how it ended, all steps
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -67,15 +77,9 @@ class Relaxed:
 
 
 def relax_grid(
-    points: Floats,
-    *,
-    method: Method | RelaxationParams = "multigrid",
-    rest: Rest = "arc",
-    start: Floats | None = None,
-    weights: Floats | None = None,
-    tolerance: float = 1e-6,
-    least_share: float = 0.02,
-) -> Relaxed:
+    points: Floats, *, method: Method | RelaxationParams = "multigrid", rest: Rest = "arc", start: Floats | None = None,
+    weights: Floats | None = None, tolerance: float = 1e-6, least_share: float = 0.02,
+) -> Relaxed:  # fmt: skip
     """Flatten a grid of points in space.
 
     Parameters
@@ -203,15 +207,6 @@ def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
 def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
     """Add nodes around those that hang loosely on the sheet; give points, weights and the added nodes, if any."""
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
-    loose = _check_whole(is_node)
-    if not loose.any():
-        return points, weights, None
-    braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
-    return (*impute_nodes(points, weights, is_node, braces), braces)
-
-
-def _check_whole(is_node: Bools) -> Bools:
-    """Raise unless the nodes are one piece that is stiff as a whole; give those that hang on it loosely."""
     if (nodes := np.count_nonzero(is_node)) < 4:
         raise CannotFlatten(
             f"The mesh has {nodes} nodes in {is_node.shape[0]} rows and {is_node.shape[1]} columns; at "
@@ -226,7 +221,7 @@ def _check_whole(is_node: Bools) -> Bools:
         places = ", ".join(
             f"{size} nodes in rows {box[0].start}-{box[0].stop - 1} and columns {box[1].start}-{box[1].stop - 1}"
             for box, size in largest
-        ) + (" ..." if count > 6 else "")  # fmt: skip
+        ) + (" ..." if count > 6 else "")
         raise CannotFlatten(
             f"The sheet falls into {count} unconnected pieces: {places}. Their distance in the plane is not known: "
             "flatten each of them by itself, or drop the smaller ones with least_share."
@@ -238,7 +233,10 @@ def _check_whole(is_node: Bools) -> Bools:
             "most. How they are turned against each other is not known: cut them apart there, and flatten each by "
             "itself."
         )
-    return loose
+    if not loose.any():
+        return points, weights, None
+    braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
+    return (*impute_nodes(points, weights, is_node, braces), braces)
 
 
 def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
@@ -267,9 +265,7 @@ def _handedness(target: Floats) -> float:
     return -1.0 if area < 0 else 1.0
 
 
-def _multigrid(
-    level: Level, side: float, team: Team, tolerance: float, *, gaps: bool
-) -> tuple[int, Outcome, tuple[Step, ...]]:
+def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps: bool) -> Run:
     """Relax by multigrid, and once more with steps that may close no cell where cells folded."""
     finest = level.rows * level.cols
     history: tuple[Step, ...] = ()
@@ -283,9 +279,7 @@ def _multigrid(
     return sum(step.nodes == finest for step in history), outcome, history
 
 
-def _relaxation(
-    level: Level, points: Floats, start: Floats, method: Method | RelaxationParams
-) -> tuple[int, Outcome, tuple[Step, ...]]:
+def _relaxation(level: Level, points: Floats, start: Floats, method: Method | RelaxationParams) -> Run:
     """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
     start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()

@@ -8,14 +8,16 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from planish.core.errors import CannotFlatten
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Bools, Floats
 from planish.flatten._relaxation_kernels import mix, set_force
-from planish.flatten.geodesics import folded_cells, triangle_areas
+from planish.flatten.distortion import folded_cells, triangle_areas
 from planish.flatten.levels import of_springs
 
 # How the time step follows in the feedback reading of Eq. (4). The paper has no numbers for it; any come to a halt.
 _CUT, _GROW = 0.5, 1.1
+
+Springs = tuple[Floats, Floats]  # rest lengths and constants, framed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -165,9 +167,7 @@ def relax_dynamically(
     return Relaxation(uv=uv, energy=energy * unit, outcome=outcome, steps=len(log), history=history, inverted=inverted)
 
 
-def _motion(
-    x: Floats, springs: tuple[Floats, Floats], mask: Floats, p: RelaxationParams
-) -> tuple[Outcome, float, Floats]:  # fmt: skip
+def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> tuple[Outcome, float, Floats]:
     """Move ``x`` (2, rows + 2, cols + 2) until it rests; give the energy, and time step, damping ... of each step."""
     side, nodes, period = _sides(mask), np.count_nonzero(mask), 2.0 * (max(mask.shape) - 2)
     v, next_v, f = np.zeros_like(x), np.zeros_like(x), np.zeros_like(x)
@@ -227,9 +227,7 @@ def _accelerate(
     return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), side, out)
 
 
-def _runge_kutta(
-    x: Floats, v: Floats, f: Floats, springs: tuple[Floats, Floats], dt: float, c: float
-) -> tuple[Floats, Floats]:  # fmt: skip
+def _runge_kutta(x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float) -> tuple[Floats, Floats]:
     """Places and velocities after ``dt`` by the classical method of fourth order; ``f``, the force, is overwritten."""
     place, speed, new_x, new_v = x, v, x, v
     for stage, (weight, reach) in enumerate(((dt / 6, dt / 2), (dt / 3, dt / 2), (dt / 3, dt), (dt / 6, 0.0))):

@@ -17,7 +17,7 @@ from planish.core.facts import Facts, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Bools, Floats
 from planish.flatten.curvature import CurvatureCheck, CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
@@ -148,18 +148,15 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     neutral = neutral_of(surfaces, params)
     y, x = surfaces["y"].values, surfaces["x"].values
     mesh = sheet_mesh(surfaces, params.mesh_um)
-    rows, cols, is_sheet = mesh.rows, mesh.cols, mesh.is_sheet
     points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
     flip = -1.0 if frame.mirrored else 1.0
     offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
     fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
-    moved = [_carried(relaxed.uv[..., i] - mesh.points[..., i], rows, cols, (y.size, x.size)) for i in range(2)]
-    is_folded = _fold_mask(relaxed.folded, rows, cols, (y.size, x.size))
-    inside = is_sheet & ~is_folded
+    across, down, inside = _carried(mesh, relaxed)
     layout = {
-        "u": (offset + flip * (fine_x + moved[0]), "Flat coordinate u"),
-        "v": (fine_y + moved[1], "Flat coordinate v"),
+        "u": (offset + flip * (fine_x + across), "Flat coordinate u"),
+        "v": (fine_y + down, "Flat coordinate v"),
         "projected_u": (offset + flip * fine_x, "Projected coordinate u"),
         "projected_v": (fine_y, "Projected coordinate v"),
     }
@@ -169,8 +166,8 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
         attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored), "neutral": neutral, "rest": params.rest},
     )
     strain = cell_strain(points, relaxed.uv).assign_coords(
-        y=("row", 0.5 * (y[rows][1:] + y[rows][:-1]), {"units": "um"}),
-        x=("col", 0.5 * (x[cols][1:] + x[cols][:-1]), {"units": "um"}),
+        y=("row", 0.5 * (mesh.y_um[1:] + mesh.y_um[:-1]), {"units": "um"}),
+        x=("col", 0.5 * (mesh.x_um[1:] + mesh.x_um[:-1]), {"units": "um"}),
     )
     # The same lines in the same sheet every time.
     distortion = measure_distortion(points, relaxed.uv, rng=np.random.default_rng(0), strain=strain)
@@ -180,22 +177,12 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     strain = strain.assign(_progress(relaxed))
     edges = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
     return Flattened(
-        flat=flat,
-        strain=strain,
-        distortion=distortion,
-        curvature=curvature,
-        method=params.method,
-        neutral=neutral,
-        outcome=relaxed.outcome,
-        steps=relaxed.steps,
-        energy=relaxed.energy,
-        springs=relaxed.springs,
-        straight_share=relaxed.straight_share,
-        mesh_um=mesh.step[0] * pitch(surfaces)[0],
-        folded_cells=int(np.count_nonzero(relaxed.folded)),
-        edge_strain_p95=float(np.percentile(edges, 95)),
+        flat=flat, strain=strain, distortion=distortion, curvature=curvature, method=params.method, neutral=neutral,
+        outcome=relaxed.outcome, steps=relaxed.steps, energy=relaxed.energy, springs=relaxed.springs,
+        straight_share=relaxed.straight_share, mesh_um=mesh.step[0] * pitch(surfaces)[0],
+        folded_cells=int(np.count_nonzero(relaxed.folded)), edge_strain_p95=float(np.percentile(edges, 95)),
         edge_strain_max=float(edges.max()),
-    )
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -241,14 +228,19 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     y, x = surfaces["y"].values, surfaces["x"].values
     centre = surfaces["centre"].values
     is_sheet = _largest_piece(np.isfinite(centre))
-    step = _strides(surfaces, int(np.count_nonzero(is_sheet)), mesh_um)
-    rows, cols = _every(y.size, step[0]), _every(x.size, step[1])
+    steps = pitch(surfaces)
+    wanted = mesh_um or max(4 * max(steps), np.sqrt(np.count_nonzero(is_sheet) * steps[0] * steps[1] / _MOST_NODES))
+    # Columns per mesh cell, along rows and columns, so that cells are about square.
+    down, across = (
+        int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2))) for step, n in zip(steps, centre.shape, strict=True)
+    )
+    rows, cols = _every(y.size, down), _every(x.size, across)
     mesh_y, mesh_x = np.meshgrid(y[rows], x[cols], indexing="ij")
     height = np.where(is_sheet, centre, np.nan)[np.ix_(rows, cols)]
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
     return SheetMesh(
-        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=step, is_sheet=is_sheet, points=points,
+        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=(down, across), is_sheet=is_sheet, points=points,
         weights=node_weights(surfaces, rows, cols),
     )  # fmt: skip
 
@@ -285,37 +277,24 @@ def _largest_piece(mask: Bools) -> Bools:
     return labels == 1 + int(np.argmax(np.bincount(labels.ravel())[1:])) if count > 1 else mask
 
 
-def _strides(surfaces: xr.Dataset, nodes: int, mesh_um: float | None) -> tuple[int, int]:
-    """Columns per mesh cell, along rows and columns, so that cells are about square."""
-    steps = pitch(surfaces)
-    wanted = mesh_um or max(4 * max(steps), np.sqrt(nodes * steps[0] * steps[1] / _MOST_NODES))
-    rows, cols = (
-        int(np.clip(round(wanted / step), 1, max(1, (n - 1) // 2)))
-        for step, n in zip(steps, surfaces["centre"].shape, strict=True)
-    )
-    return rows, cols
-
-
 def _every(count: int, step: int) -> NDArray[np.intp]:
     """Indices of the mesh's nodes: every ``step``-th column, and the last one."""
     indices = np.arange(0, count, step)
     if indices[-1] != count - 1:
         # The last cell would be a sliver: it is widened instead.
-        indices = np.append(
-            indices[:-1] if count - 1 - indices[-1] < step / 2 and indices.size > 2 else indices, count - 1
-        )
+        is_sliver = count - 1 - indices[-1] < step / 2 and indices.size > 2
+        indices = np.append(indices[:-1] if is_sliver else indices, count - 1)
     return indices
 
 
-def _carried(move: Floats, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Floats:
-    """Displacement of every column, bilinear between the nodes of the mesh (filled by the nearest node outside)."""
-    r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))
-    c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))
-    return bilinear(filled(move), r[:, None], c[None, :])
-
-
-def _fold_mask(folded: Bools, rows: NDArray[np.intp], cols: NDArray[np.intp], shape: tuple[int, int]) -> Bools:
-    mask = np.zeros(shape, dtype=bool)
-    for i, j in zip(*np.nonzero(folded), strict=True):
-        mask[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = True
-    return mask
+def _carried(mesh: SheetMesh, relaxed: Relaxed) -> tuple[Floats, Floats, Bools]:
+    """Displacement of every column along x and y, and the columns of the sheet that lie in no folded cell."""
+    shape, rows, cols = mesh.is_sheet.shape, mesh.rows, mesh.cols
+    # Bilinear between the nodes of the mesh, filled by the nearest node outside.
+    r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))[:, None]
+    c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))[None, :]
+    across, down = (bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2))
+    inside = mesh.is_sheet.copy()
+    for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
+        inside[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
+    return across, down, inside

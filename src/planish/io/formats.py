@@ -1,6 +1,6 @@
 """The table of formats: which module reads which file, the part of a path that chooses in a file, what a reader gives.
 
-A format is one line here and one module with the function
+A format is one line here and a module, its own or that of formats like it, with the function
 ``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
 :data:`CHANNELS`, for formats in colour; ``memory_bytes`` is the largest decoded size, three quarters
 of the memory available where it is None. Values that stay in their file are given unread. It raises FileError for a
@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, InputError, VolumeError
 from planish.core.text import printable
 from planish.io.guard import quiet
-from planish.io.lazy import FileArray, read_if_small
+from planish.io.lazy import Values, read_if_small
 from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
@@ -54,13 +54,13 @@ HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx")
 
 # The first line that fits is taken, so longer suffixes stand before shorter ones.
 FORMATS = (
-    VolumeFormat(name="raw with a header", module="raw_volume", suffixes=(".toml", ".raw", ".vol")),
+    VolumeFormat(name="raw with a header", module="header_volume", suffixes=(".toml", ".raw", ".vol")),
     VolumeFormat(name="OME-Zarr", module="zarr_volume", suffixes=(".zarr",), members=ZARR_MEMBERS, parts=True),
     VolumeFormat(name="NRRD", module="header_volume", suffixes=(".nrrd", ".nhdr")),
     VolumeFormat(name="MetaImage", module="header_volume", suffixes=(".mha", ".mhd")),
     VolumeFormat(name="HDF5 or NeXus", module="hdf5_volume", suffixes=HDF5_SUFFIXES, parts=True),
-    VolumeFormat(name="NIfTI", module="nifti_volume", suffixes=(".nii", ".nii.gz")),
-    VolumeFormat(name="MRC", module="mrc_volume", suffixes=MRC_SUFFIXES),
+    VolumeFormat(name="NIfTI", module="binary_volume", suffixes=(".nii", ".nii.gz")),
+    VolumeFormat(name="MRC", module="binary_volume", suffixes=MRC_SUFFIXES),
     VolumeFormat(name="MATLAB", module="matlab_volume", suffixes=(".mat",), parts=True),
 )
 TIFF = VolumeFormat(name="TIFF", module="tiff_volume", suffixes=(".tif", ".tiff", ".btf", ".tf8"))
@@ -166,7 +166,7 @@ def extra(module: str, path: Path) -> ModuleType:
 class LoadedVolume:
     """Values of a volume and what its files say about them."""
 
-    values: NDArray[Any] | FileArray  # dims (z, y, x)
+    values: Values  # dims (z, y, x)
     stated: Sequence[Stated]  # voxel size along z, y, x in the metadata
     files: Sequence[Path]  # all that it is made of
     bits: int = 64  # of a whole number, where the file uses fewer than its type has

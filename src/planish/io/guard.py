@@ -8,11 +8,12 @@ import os
 import threading
 import warnings
 from collections.abc import Generator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.threads import control_groups
 
 MEMORY_SHARE = 0.75  # part of the available memory that one file may fill; the rest is for the work on it
 MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
@@ -119,9 +120,8 @@ def default_memory_limit() -> int:
 
 def _available_memory_bytes() -> int:
     """Physical memory that is free or can be freed, or a cautious number where the system does not report it."""
-    table = Path("/proc/meminfo")
-    if table.is_file():
-        for line in table.read_text(encoding="ascii", errors="replace").splitlines():
+    with suppress(OSError):
+        for line in Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("MemAvailable:"):
                 return int(line.split()[1]) * 1024
     if os.name == "nt":
@@ -152,24 +152,11 @@ def _control_group_limit_bytes(
     membership: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
 ) -> int:  # fmt: skip
     """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
-    try:
-        lines = [line.split(":", 2) for line in membership.read_text(encoding="utf-8", errors="replace").splitlines()]
-    except OSError:
-        lines = []
-    # Inside a container the path may be the one outside: the group's own files then lie at the top.
-    places = [(groups, "memory.max"), (groups / "memory", "memory.limit_in_bytes")]
-    for _, controllers, path in (line for line in lines if len(line) == 3):
-        if controllers and "memory" not in controllers.split(","):
-            continue
-        root, name = places[1] if controllers else places[0]
-        folder = Path(path.lstrip("/"))
-        places += [(root / part, name) for part in (folder, *folder.parents)]
     limits = [2**62]
-    for folder, name in places:
-        try:
+    ends = ((groups, False), (groups / "memory", True))
+    for folder, is_first in (*ends, *control_groups("memory", membership, groups)):
+        with suppress(OSError):
+            name = "memory.limit_in_bytes" if is_first else "memory.max"
             text = (folder / name).read_text(encoding="ascii", errors="replace").strip()
-        except OSError:
-            continue
-        if text.isdigit():
-            limits.append(int(text))
+            limits += [int(text)] if text.isdigit() else []
     return min(limits)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE
 from planish.io.guard import check_blown_up, reading, size_of_file
-from planish.io.lazy import FileArray, WholeArray, mapped
+from planish.io.lazy import Values, WholeArray, mapped
 from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
@@ -64,7 +64,7 @@ def packing_of(path: Path) -> str:
     return {".gz": "deflate", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
 
 
-def values_behind(path: Path, header: Header) -> NDArray[Any] | FileArray:
+def values_behind(path: Path, header: Header) -> Values:
     """Map values, or leave them to be unpacked."""
     data, needed = header.data, header.needed_bytes
     if not header.packing:
@@ -74,9 +74,7 @@ def values_behind(path: Path, header: Header) -> NDArray[Any] | FileArray:
     return WholeArray(path, header.shape, header.stored.newbyteorder("="), partial(_unpacked, path, header))
 
 
-def raw_values(
-    path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int
-) -> NDArray[Any] | FileArray:
+def raw_values(path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> Values:
     """Map values that lie in a file as they are and fill it from an offset to its end."""
     needed = math.prod(shape) * stored.itemsize
     stored_bytes = size_of_file(data) - offset

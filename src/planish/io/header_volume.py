@@ -1,11 +1,19 @@
-"""Volumes behind a header of text, NRRD and MetaImage: raw values are mapped, compressed ones unpacked at once.
+"""Volumes behind a header of text, NRRD, MetaImage and TOML: raw values are mapped, compressed ones unpacked at once.
 
 Header and values are one file or two. Compressed values of a MetaImage that do not fit into the memory are read in
-parts by SimpleITK.
+parts by SimpleITK. Raw binary values are described by a small TOML file beside them::
+
+    file = "sheet.raw"          # in the same folder; without it: the TOML's own name without .toml
+    shape = [400, 1200, 900]    # z, y, x; x runs fastest
+    dtype = "uint16"
+    byte_order = "little"       # or "big"; needed for types of more than one byte
+    offset = 0                  # bytes before the first value
+    voxel_um = 1.65             # or [z, y, x]
 """
 
 from __future__ import annotations
 
+import tomllib
 from collections.abc import Mapping
 from io import BytesIO
 from pathlib import Path
@@ -17,9 +25,9 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
-from planish.io.guard import default_memory_limit, reading
-from planish.io.headed import Header, axes_of, head_of, unpacked_parts, values_behind
-from planish.io.lazy import FileArray
+from planish.io.guard import default_memory_limit, reading, size_of_file
+from planish.io.headed import Header, axes_of, head_of, raw_values, unpacked_parts, values_behind
+from planish.io.lazy import FileArray, Values
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
@@ -45,10 +53,12 @@ SPATIAL = frozenset({"domain", "space", "???", "none", ""})
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
     path = place.path
+    if path.suffix.lower() not in (".nrrd", ".nhdr", ".mha", ".mhd"):
+        return _load_raw(path)
     head = head_of(path, LARGEST_HEADER)
     header = (_nrrd_header if path.suffix.lower() in (".nrrd", ".nhdr") else _meta_header)(head, path)
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    values: NDArray[Any] | FileArray = values_behind(path, header)
+    values: Values = values_behind(path, header)
     if header.packing and header.needed_bytes > limit and path.suffix.lower() in (".mha", ".mhd"):
         # SimpleITK reads on behind the end of values that are shorter than declared.
         for _ in unpacked_parts(path, header):
@@ -78,9 +88,8 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     header_lines: list[str] = []
     end = 0
     for line in BytesIO(head):
-        header_lines.append(
-            line.decode("utf-8", errors="replace")
-        )  # pynrrd would drop what is not ASCII, as in file names
+        # pynrrd would drop what is not ASCII, as in file names.
+        header_lines.append(line.decode("utf-8", errors="replace"))
         end += len(line)
         if not line.strip():
             break
@@ -210,3 +219,50 @@ class MetaArray(FileArray):
         values = np.asarray(itk.GetArrayFromImage(reader.Execute()))
         values = values.reshape([range(s.start, s.stop, s.step)[-1] + 1 - s.start for s in where])
         return values[tuple(slice(None, None, s.step) for s in where)]
+
+
+RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
+KEYS = ("file", "shape", "dtype", "byte_order", "offset", "voxel_um")
+LARGEST_TOML = 100_000
+
+EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
+
+
+def _load_raw(path: Path) -> LoadedVolume:
+    """Map raw values as their TOML header says; either of the two files is given."""
+    header = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
+    if not header.is_file() and header != path:
+        size_of_file(path)
+        raise FileError(
+            f"{path.name} has raw values and no header. Write {header.name} beside it, with lines such as: {EXAMPLE}."
+        )
+    if size_of_file(header) > LARGEST_TOML:
+        raise FileError(
+            f"{header.name} is larger than {LARGEST_TOML // 1000} kB and no header. Give lines such as: {EXAMPLE}."
+        )
+    with reading(header), header.open("rb") as file:
+        keys = tomllib.load(file)
+    data = referenced_file(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
+    faults = [f"unknown key {key!r}" for key in keys if key not in KEYS]
+    shape, dtype, order = keys.get("shape"), keys.get("dtype"), keys.get("byte_order")
+    offset, voxel_um = keys.get("offset", 0), keys.get("voxel_um")
+    if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
+        faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
+    if dtype not in RAW_TYPES:
+        faults.append(f"dtype is {dtype!r}, needed is one of {', '.join(RAW_TYPES)}")
+    elif np.dtype(dtype).itemsize > 1 and order not in ("little", "big"):
+        faults.append(f'byte_order is {order!r}, needed is "little" or "big"')
+    if type(offset) is not int or offset < 0:
+        faults.append(f"offset is {offset!r}, needed is a number of bytes")
+    sizes: list[Any] = voxel_um if isinstance(voxel_um, list) else [voxel_um] * 3
+    if voxel_um is not None and not (len(sizes) == 3 and all(type(v) in (int, float) and v > 0 for v in sizes)):
+        faults.append(f"voxel_um is {voxel_um!r}, needed is a number or [z, y, x], in um")
+    if not isinstance(keys.get("file", ""), str):
+        faults.append("file is no name")
+    if faults:
+        raise FileError(f"{header.name}: {'; '.join(faults)}. Correct the header; it has lines such as: {EXAMPLE}.")
+    stored = np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<")
+    values = raw_values(header, data, tuple(int(n) for n in shape or ()), stored, offset=int(offset))
+    voxel = tuple(None if v is None else float(v) for v in sizes)
+    stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
+    return LoadedVolume(values=values, stated=[stated], files=[header, data])

@@ -13,6 +13,7 @@ from planish.core.arrays import check_path
 from planish.core.errors import FileError, InputError, check_choice
 from planish.core.facts import SIDES, Side
 from planish.core.lazy import labelled
+from planish.core.typing import Pair
 from planish.io.formats import COLOURS, LUMINANCE
 from planish.io.guard import check_memory, size_of_file
 from planish.io.picture import DecodedPicture, load_picture
@@ -28,7 +29,7 @@ GREY = "Relative grey"
 def read_image(
     path: str | Path,
     *,
-    pixel_um: float | tuple[float, float] | None = None,
+    pixel_um: float | Pair | None = None,
     channel: str = "luminance",
     override_size: bool = False,
     unusual_size: bool = False,
@@ -85,12 +86,7 @@ def read_image(
         check_choice("side", side, SIDES)
     picture = load_picture(path, memory_bytes=memory_bytes)
     size, source = agreed_size(
-        across(picture.stated),
-        pixel_um,
-        file_name=path.name,
-        asked=PIXEL,
-        override=override_size,
-        unusual=unusual_size,
+        across(picture.stated), pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
     )
     height, width = picture.values.shape[:2]
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
@@ -117,10 +113,10 @@ def across(stated: Sequence[Stated]) -> list[Stated]:
 
 def pick_channel(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
     """Take one channel as float32, and name it; FileError where no pixel has a number."""
-    picked, long_name = channel_of(picture, channel, file_name=file_name)
-    if not np.isfinite(picked).any():
+    picked = channel_of(picture, channel, file_name=file_name)
+    if not np.isfinite(picked[0]).any():
         raise FileError(f"{file_name} has no pixel with a number in it, all are missing. Export it again.")
-    return picked, long_name
+    return picked
 
 
 def channel_of(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:

@@ -12,9 +12,10 @@ from typing import Any
 
 import numpy as np
 
-from planish.core.axis import likely_through
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
+from planish.core.frame import likely_through
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, bytes_to_map
+from planish.core.typing import Pair
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
@@ -23,7 +24,7 @@ from planish.io.lazy import FileArray, unmapped
 from planish.io.picture import is_picture, kind_of, load_picture
 from planish.io.sections import is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
-from planish.io.slices import list_slices, slice_numbers, slice_step
+from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
 from planish.io.volume import declared_volume, load_volume
 
@@ -47,7 +48,7 @@ def describe(
     path: str | Path,
     *,
     voxel_um: float | tuple[float, float, float] | None = None,
-    pixel_um: float | tuple[float, float] | None = None,
+    pixel_um: float | Pair | None = None,
     channel: str | None = None,
     override_size: bool = False,
     memory_bytes: int | None = None,
@@ -125,8 +126,7 @@ def _describe_volume(
             look(grey)
     else:
         facts = facts_without_values(grey, warnings if wanted else [], dims=VOXEL.axes)
-    size = _size_facts(partial(agreed, loaded.stated), grey.shape, warnings)
-    warnings += _size_doubts(size["size_um"], "Voxels", USUAL_VOXEL_UM)
+    size = _size_facts(partial(agreed, loaded.stated), grey.shape, warnings, ("Voxels", USUAL_VOXEL_UM))
     window = loaded.attrs.get("attenuation_window")
     if window is not None and is_read and grey.dtype == np.uint8:
         warnings.append(
@@ -139,6 +139,12 @@ def _describe_volume(
             "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
             "'planish import' first."
         )
+    # How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis.
+    values, columns = loaded.values, math.prod(grey.shape) // min(grey.shape)
+    stored, whole_bytes = "decoded in memory", values.nbytes
+    if isinstance(values, (np.memmap, FileArray)):
+        stored = "mapped from its file" if isinstance(values, np.memmap) else "read in parts when they are needed"
+        whole_bytes = values.nbytes if isinstance(values, FileArray) and values.whole_slices else 0
     return {
         "kind": "volume",
         "file_name": place.path.name,
@@ -146,43 +152,13 @@ def _describe_volume(
         "format": file_format.name,
         **facts,
         **size,
-        **_storage_facts(loaded.values),
+        "stored": stored,
+        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(whole_bytes)),
+        "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,
         "through": likely_through(grey) if is_read else None,
         "metadata": dict(loaded.attrs),
         "warnings": warnings,
     }
-
-
-def _storage_facts(values: Values) -> dict[str, Any]:
-    """Say how a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis."""
-    columns = math.prod(values.shape) // min(values.shape)
-    stored, kept_bytes = "decoded in memory", values.nbytes
-    if isinstance(values, (np.memmap, FileArray)):
-        stored = "mapped from its file" if isinstance(values, np.memmap) else "read in parts when they are needed"
-        kept_bytes = values.nbytes if isinstance(values, FileArray) and values.whole_slices else 0
-    return {
-        "stored": stored,
-        "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(kept_bytes)),
-        "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,
-    }
-
-
-def _size_doubts(size_um: Sequence[float] | None, elements: str, usual_um: tuple[float, float]) -> list[str]:
-    """Sentences about sizes that are possible but unusual."""
-    doubts: list[str] = []
-    low, high = usual_um
-    if size_um is not None and (min(size_um) < low or max(size_um) > high):
-        doubts.append(
-            f"{elements} of {' x '.join(f'{v:g}' for v in size_um)} um are unusual for paper ({low:g} to {high:g} um). "
-            "Is the unit right?"
-        )
-    if size_um is not None and max(size_um) > MOST_UNEQUAL * min(size_um):
-        edge = "z size" if elements == "Voxels" else "size"
-        doubts.append(
-            f"The edges of {elements.lower()} differ by a factor of {max(size_um) / min(size_um):.3g}. Is the {edge} "
-            "right?"
-        )
-    return doubts
 
 
 def _describe_sections(
@@ -244,8 +220,7 @@ def _describe_image(
             look(values)
     else:
         facts = facts_without_values(whole, warnings if wanted else [], dims=PIXEL.axes)
-    size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings)
-    warnings += _size_doubts(size["size_um"], "Pixels", PIXEL.usual_um)
+    size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
     return {
         "kind": "image",
         "file_name": path.name,
@@ -272,13 +247,28 @@ def is_image(place: Place) -> bool:
         return is_picture(series)
 
 
-def _size_facts(agreed: Size, shape: Sequence[int], warnings: list[str]) -> dict[str, Any]:
-    """Voxel or pixel size and where it comes from, or why there is none."""
+def _size_facts(
+    agreed: Size, shape: Sequence[int], warnings: list[str], usual: tuple[str, Pair] | None = None
+) -> dict[str, Any]:
+    """Voxel or pixel size and where it comes from, or why there is none; with ``usual``, unusual ones are doubted."""
     try:
         size, source = agreed()
     except SizeError as error:
         warnings.append(error.text)
         return {"size_um": None, "size_source": None, "size_problem": error.text, "extent_um": None}
+    if usual is not None:
+        elements, (low, high) = usual
+        least, most = min(size), max(size)
+        if least < low or most > high:
+            warnings.append(
+                f"{elements} of {' x '.join(f'{v:g}' for v in size)} um are unusual for paper ({low:g} to {high:g} "
+                "um). Is the unit right?"
+            )
+        if most > MOST_UNEQUAL * least:
+            edge = "z size" if elements == "Voxels" else "size"
+            warnings.append(
+                f"The edges of {elements.lower()} differ by a factor of {most / least:.3g}. Is the {edge} right?"
+            )
     return {
         "size_um": list(size),
         "size_source": source,

@@ -5,13 +5,17 @@ from __future__ import annotations
 import hashlib
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from pathlib import Path
+from typing import Any, NamedTuple
 
+import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.io.lazy import EAGER_BYTES, FileArray
-from planish.io.slices import first_few
+from planish.core.files import write_whole
+from planish.core.typing import Ints
+from planish.io.lazy import EAGER_BYTES, Values
+from planish.io.slice_volume import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
@@ -24,8 +28,6 @@ SATURATED_SHARE = 0.001  # above this share of values at the end of the range, g
 FEW_LEVELS = 16
 
 TELLING_PIXELS = 1000  # slices with fewer pixels may well be alike, or of one grey
-
-Values = NDArray[Any] | FileArray
 
 
 @dataclass(kw_only=True)
@@ -74,8 +76,11 @@ def inspect_values(
     values: Values, full_scale: int | None, warnings: list[str], *, dims: tuple[str, ...]
 ) -> dict[str, Any]:
     """Shape, type and distribution of the values; what looks wrong is added to `warnings`."""
-    numbers = _planes_to_read(values)
     total = values.shape[0]
+    numbers = [*range(total)]
+    if values.ndim > 2 and values.nbytes > EAGER_BYTES:  # evenly spread ones, where reading all would take long
+        count = max(LEAST_PLANES, SAMPLE_BYTES // (values.nbytes // total))
+        numbers = numbers if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
     share = len(numbers) / total
     stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
     statistics = Statistics(full_scale=full_scale, stride=stride)
@@ -140,10 +145,93 @@ def facts_without_values(values: Values, warnings: list[str], *, dims: tuple[str
     return facts | dict.fromkeys(of_values) | {"sampled": "none"}
 
 
-def _planes_to_read(values: Values) -> list[int]:
-    """Numbers of the planes to look at: all, or evenly spread ones where reading all would take long."""
-    total = values.shape[0]
-    if values.ndim < 3 or values.nbytes <= EAGER_BYTES:
-        return list(range(total))
-    count = max(LEAST_PLANES, SAMPLE_BYTES // (values.nbytes // total))
-    return list(range(total)) if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
+_SIDE = 480  # pixels along the longer side of a section
+_SLICES = 96  # that are read of a file for the two sections across them
+_GAP = 8
+_SHADES = " ░▒▓█"
+_HIGH_AS_WIDE = 2.1  # height of a letter in widths
+_WIDE, _HIGH = 72, 18  # letters
+Grey = NDArray[np.uint8]
+
+
+class Section(NamedTuple):
+    """A section through the middle: the axes down and across it, grey from 0 to 255, and voxels in one of its steps."""
+
+    down: str
+    across: str
+    grey: Grey
+    step: tuple[int, int]
+
+
+def middle_sections(values: Values) -> list[Section]:
+    """Sections (z, x), (z, y) and (y, x) through the middle of a volume (z, y, x), or an image (y, x) itself.
+
+    Of a volume in slices, at most 96 of them are read.
+    """
+    if len(values.shape) == 2:
+        return [_section("y", "x", np.asarray(values), (1, 1))]
+    depth, rows, cols = values.shape
+    every = -(-depth // _SLICES)
+    planes = (np.asarray(values[k]) for k in range(0, depth, every))
+    along_x, along_y = zip(*((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True)
+    return [
+        _section("z", "x", np.stack(along_x), (every, 1)),
+        _section("z", "y", np.stack(along_y), (every, 1)),
+        _section("y", "x", np.asarray(values[depth // 2]), (1, 1)),
+    ]
+
+
+def best_section(sections: list[Section], through: str | None) -> Section:
+    """The section in which a sheet shows as a line: across its normal, and first the one that reads down the normal."""
+    candidates = [s for s in sections if through in (s.down, s.across)]
+    return next((s for s in candidates if s.down == through), (candidates or sections)[0])
+
+
+def write_picture(sections: list[Section], path: Path) -> None:
+    """Write sections side by side as a PNG, all on one scale, with voxels as squares.
+
+    Raises
+    ------
+    FileError
+        If the file is there already or cannot be written.
+    ResourceError
+        If the disk is full.
+    """
+    scale = _SIDE / max(n * k for s in sections for n, k in zip(s.grey.shape, s.step, strict=True))
+    shown = [_resized(s, scale) for s in sections]
+    out = np.full((max(p.shape[0] for p in shown), sum(p.shape[1] + _GAP for p in shown) - _GAP), 255, np.uint8)
+    col = 0
+    for part in shown:
+        out[: part.shape[0], col : col + part.shape[1]] = part
+        col += part.shape[1] + _GAP
+    write_whole(path, bytes(imagecodecs.png_encode(out)))
+
+
+def as_text(section: Section) -> list[str]:
+    """A section in shades of letters, at most 72 wide and 18 high; the last line names its axes."""
+    rows, cols = (n * k for n, k in zip(section.grey.shape, section.step, strict=True))
+    scale = min(_WIDE / cols, _HIGH * _HIGH_AS_WIDE / rows)
+    grey = _resized(section, scale, squeeze=_HIGH_AS_WIDE)
+    shade = np.minimum(grey.astype(int) * len(_SHADES) // 256, len(_SHADES) - 1)
+    lines = ["".join(_SHADES[k] for k in row) for row in shade]
+    return [*lines, f"middle of the volume: {section.down} down, {section.across} across"]
+
+
+def _section(down: str, across: str, plane: NDArray[Any], step: tuple[int, int]) -> Section:
+    """Thin a plane out, and spread its grey over 0 to 255."""
+    thin = [max(1, -(-n * k // _SIDE) // k) for n, k in zip(plane.shape, step, strict=True)]
+    plane = plane[:: thin[0], :: thin[1]].astype(np.float64)
+    finite = plane[np.isfinite(plane)]
+    low, high = np.percentile(finite, [1, 99]) if finite.size else (0.0, 1.0)
+    grey = np.clip((plane - low) / max(high - low, 1e-300), 0.0, 1.0)
+    step = (step[0] * thin[0], step[1] * thin[1])
+    return Section(down, across, (255 * np.nan_to_num(grey)).astype(np.uint8), step)
+
+
+def _resized(section: Section, scale: float, *, squeeze: float = 1.0) -> Grey:
+    """The nearest pixels, so many per voxel; rows are squeezed for letters, which are higher than wide."""
+    nearest: list[Ints] = []
+    for n, step, per in zip(section.grey.shape, section.step, (scale / squeeze, scale), strict=True):
+        count = max(1, round(n * step * per))
+        nearest.append(np.minimum(((np.arange(count) + 0.5) * n / count).astype(np.intp), n - 1))
+    return section.grey[np.ix_(*nearest)]

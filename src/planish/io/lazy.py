@@ -35,6 +35,10 @@ class FileArray(LazyArray):
         return reading(self.path)
 
 
+Values = NDArray[Any] | FileArray
+"""Values in memory, mapped, or left in their file."""
+
+
 class PagedArray(FileArray):
     """A volume stored page by page, in strips of `unit_rows` rows; 1 where single rows can be read without loss."""
 
@@ -53,17 +57,16 @@ class PagedArray(FileArray):
         pages, rows, columns = where
         last = range(rows.start, rows.stop, rows.step)[-1] + 1
         values = np.empty([len(range(w.start, w.stop, w.step)) for w in where], self.dtype)
+        first = rows.start // self.unit_rows
+        begin, end = rows.start - first * self.unit_rows, last - first * self.unit_rows
         for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
-            values[i] = self._rows(page, rows.start, last)[:: rows.step, columns]
+            if self.unit_rows == 1:
+                block = self.rows(page, rows.start, last)
+            else:
+                strips = [self._strip(page, k) for k in range(first, (last - 1) // self.unit_rows + 1)]
+                block = (strips[0] if len(strips) == 1 else np.concatenate(strips))[begin:end]
+            values[i] = block[:: rows.step, columns]
         return values
-
-    def _rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        if self.unit_rows == 1:
-            return self.rows(page, start, stop)
-        first = start // self.unit_rows
-        strips = [self._strip(page, k) for k in range(first, (stop - 1) // self.unit_rows + 1)]
-        block = strips[0] if len(strips) == 1 else np.concatenate(strips)
-        return block[start - first * self.unit_rows : stop - first * self.unit_rows]
 
     def _decoded(self, page: int, number: int) -> NDArray[Any]:
         return self.rows(page, number * self.unit_rows, min((number + 1) * self.unit_rows, self.shape[1]))
@@ -100,7 +103,7 @@ class StoredArray(FileArray):
         return out
 
 
-def unmapped(array: NDArray[Any] | FileArray) -> NDArray[Any] | FileArray:
+def unmapped(array: Values) -> Values:
     """The values of a mapped file, read part by part; anything else as it is."""
     # A part or a turned view of a mapped file still carries its name and offset, but lies elsewhere in it.
     if not isinstance(array, np.memmap) or array.filename is None or not array.flags.c_contiguous:
@@ -108,7 +111,7 @@ def unmapped(array: NDArray[Any] | FileArray) -> NDArray[Any] | FileArray:
     return StoredArray(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
 
-def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> NDArray[Any] | FileArray:
+def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> Values:
     """Map values that lie in a file as they are; a memmap where the machine has their byte order."""
     if stored == stored.newbyteorder("=") and stored != np.float16:
         with reading(path):
@@ -181,12 +184,11 @@ def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
     return np.dtype(np.float32) if dtype == np.float16 else dtype
 
 
-def read_if_small(array: FileArray | NDArray[Any], *, memory_bytes: int | None) -> FileArray | NDArray[Any]:
+def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
     """Read an array at once where it is small, and leave it in its file otherwise; float16 becomes float32."""
     wide = supported_type(array.dtype)
     limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    if not isinstance(array, FileArray) and array.nbytes > limit:
-        array = unmapped(array)
+    array = unmapped(array) if array.nbytes > limit else array
     if not isinstance(array, FileArray):
         return array.astype(wide, copy=False)
     if wide != array.dtype:

@@ -13,12 +13,13 @@ import zarr
 from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
+from planish.core.area import count_of, halved, middles
 from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
-from planish.core.overviews import count_of, halved, middles
 from planish.core.tiles import Tile, tiles_of
+from planish.core.typing import Floats
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
 COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
@@ -94,12 +95,14 @@ class StoredMaps(HeldMaps):
             super().add(name, grid, tile, maps)
             if name not in self.stored:
                 return
+            coarser = grid
             for k in range(1, count_of(grid.shape) + 1):
                 # Tiles begin at multiples of more pixels than there are in one of the last overview.
                 maps = halved(maps)
                 part = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
                 part = part._replace(c1=part.c0 + maps.sizes["x"])
-                super().add(f"{OVERVIEWS}/{name}/{k}", _coarser_grid(grid, k), part, maps)
+                coarser = Grid(y_um=middles(coarser.y_um), x_um=middles(coarser.x_um))
+                super().add(f"{OVERVIEWS}/{name}/{k}", coarser, part, maps)
 
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         size = sum(data.dtype.itemsize for data in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
@@ -136,12 +139,8 @@ class StoredMaps(HeldMaps):
 def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:
     """Give a group of a store whose maps stay there: each part is read when it is asked for.
 
-    Parts that were read stay in memory as far as ``cache`` has room for them.
-
-    Raises
-    ------
-    FileError
-        If it is not there, or damaged; the latter also when a part is read.
+    Parts that were read stay in memory as far as ``cache`` has room for them. FileError if it is not there, or damaged;
+    the latter also when a part is read.
     """
     cache = cache or PartCache(0)
     with readable(path):
@@ -171,17 +170,12 @@ def large_groups(path: Path) -> Iterator[str]:
         root = zarr.open_group(path, mode="r")
         for name, group in root.members(max_depth=None):
             if isinstance(group, zarr.Group):
-                size = _map_bytes(group)
-                of_large = name.startswith(f"{OVERVIEWS}/") and size and _is_large(root, name.split("/", 1)[1])
-                if size >= LARGE or of_large:
+                # An overview, ``overviews/GROUP/LEVEL``, is as large as its group.
+                is_overview = name.startswith(f"{OVERVIEWS}/") and _map_bytes(group) > 0
+                shown = root[name.split("/", 1)[1].rsplit("/", 1)[0]] if is_overview else group
+                assert isinstance(shown, zarr.Group)
+                if _map_bytes(group) >= LARGE or _map_bytes(shown) >= LARGE:
                     yield name
-
-
-def _is_large(root: zarr.Group, overview: str) -> bool:
-    """True if the maps are large of which ``GROUP/LEVEL`` is an overview."""
-    group = root[overview.rsplit("/", 1)[0]]
-    assert isinstance(group, zarr.Group)
-    return _map_bytes(group) >= LARGE
 
 
 def _map_bytes(group: zarr.Group) -> int:
@@ -236,18 +230,10 @@ def readable(path: Path) -> Generator[None]:
         raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
 
 
-def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, NDArray[np.float64], dict[str, Any]]]:
+def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, Floats, dict[str, Any]]]:
     """Coordinates of all of a grid, with the attributes of those of some maps on it."""
     axes = zip(("y", "x"), (grid.y_um, grid.x_um), strict=True)
     return {axis: (axis, values, dict(maps[axis].attrs)) for axis, values in axes}
-
-
-def _coarser_grid(grid: Grid, times: int) -> Grid:
-    """A grid with pixels that are so many times twice as wide."""
-    y, x = grid.y_um, grid.x_um
-    for _ in range(times):
-        y, x = middles(y), middles(x)
-    return Grid(y_um=y, x_um=x)
 
 
 def _json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:

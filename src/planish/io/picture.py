@@ -13,21 +13,13 @@ import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 from PIL import BmpImagePlugin, ImageFile, JpegImagePlugin, PngImagePlugin
-from tifffile import PHOTOMETRIC, TiffPage, TiffPageSeries
+from tifffile import PHOTOMETRIC, TiffPageSeries
 
 from planish.core.errors import FileError
 from planish.io.formats import full_scale
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
 from planish.io.sizes import UNKNOWN_NOTE, Stated, from_density, stated_by_tiff
-from planish.io.tiff import (
-    has_rgb,
-    is_tiff,
-    long_axes,
-    map_or_decode,
-    mapped_from,
-    open_series,
-    shape_words,
-)
+from planish.io.tiff import has_rgb, is_tiff, long_axes, map_or_decode, mapped_from, open_series, shape_words
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile
@@ -94,14 +86,27 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
             values = np.moveaxis(values, 0, -1)
         if values.dtype.kind not in "buif":
             raise FileError(f"{path.name} has {values.dtype} values. Export it with integer or real values.")
-        colour: Colour = "grey" if len(axes) == 2 else _sample_meaning(page, samples=values.shape[-1], axes=axes)
+        colour: Colour = "grey"
+        if len(axes) == 3:
+            with_samples, samples = "S" in axes, values.shape[-1]
+            is_grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK} and samples == 2
+            colour = "grey" if is_grey and with_samples else "other"
+            if has_rgb(page):
+                colour = "rgb" if samples >= 3 and with_samples else "other"
         bits = int(page.bitspersample)
         with reading(path):
             if page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2:
-                values, bits, colour = _apply_palette(values, np.asarray(page.colormap))
+                # Palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey.
+                colormap, bits = np.asarray(page.colormap), 16
+                if np.all(colormap % 257 == 0):
+                    colormap, bits = (colormap // 257).astype(np.uint8), 8
+                colour = "grey" if (colormap == colormap[0]).all() else "rgb"
+                index = values.astype(np.intp)
+                values = colormap[0][index] if colour == "grey" else np.moveaxis(colormap[:, index], 0, -1)
             orientation = page.tags.valueof(274, default=1)
         stated = stated_by_tiff(tif, page, path)
-    return _picture(values, colour, bits, stated, orientation)
+    orientation = orientation if isinstance(orientation, int) else 1
+    return DecodedPicture(values=values, colour=colour, bits=bits, stated=stated, orientation=orientation)
 
 
 def is_mapped(path: Path) -> bool:
@@ -124,40 +129,11 @@ def constant_zeros(shape: Sequence[int], dtype: np.dtype[Any]) -> NDArray[Any]:
     return np.broadcast_to(np.zeros((), dtype.newbyteorder("=")), tuple(shape))
 
 
-def _picture(
-    values: NDArray[Any], colour: Colour, bits: int, stated: Sequence[Stated], orientation: Any
-) -> DecodedPicture:
-    return DecodedPicture(
-        values=values,
-        colour=colour,
-        bits=bits,
-        stated=tuple(stated),
-        orientation=orientation if isinstance(orientation, int) else 1,
-    )
-
-
 def is_picture(series: TiffPageSeries) -> bool:
     """True if a series is one picture, with up to four samples or channels a pixel."""
     axes = long_axes(series)
     plane = math.prod(n for a, n in zip(series.axes, series.shape, strict=True) if a in "YX")
     return axes in PICTURE_AXES and (len(axes) == 2 or series.size <= 4 * plane)
-
-
-def _sample_meaning(page: TiffPage, *, samples: int, axes: str) -> Colour:
-    if has_rgb(page):
-        return "rgb" if samples >= 3 and "S" in axes else "other"
-    grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK} and samples == 2 and "S" in axes
-    return "grey" if grey else "other"
-
-
-def _apply_palette(index: NDArray[Any], colormap: NDArray[Any]) -> tuple[NDArray[Any], int, Colour]:
-    """Replace palette entries by their 16-bit colours, or 8-bit where nothing is lost; grey stays grey."""
-    bits = 16
-    if np.all(colormap % 257 == 0):
-        colormap, bits = (colormap // 257).astype(np.uint8), 8
-    if np.array_equal(colormap[0], colormap[1]) and np.array_equal(colormap[0], colormap[2]):
-        return colormap[0][index.astype(np.intp)], bits, "grey"
-    return np.moveaxis(colormap[:, index.astype(np.intp)], 0, -1), bits, "rgb"
 
 
 def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> DecodedPicture:
@@ -199,14 +175,11 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     else:
         colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
-    return _picture(values, colour, bits, [_stated_by_dpi(dpi, source=f"the {kind.upper()} resolution")], orientation)
-
-
-def _stated_by_dpi(dpi: Any, *, source: str) -> Stated:
-    """Read a resolution that Pillow gives as dots per inch along x, y."""
-    try:
-        x, y = float(dpi[0]), float(dpi[1])
+    try:  # dots per inch along x, y
+        across = [from_density(float(dpi[axis]), "inch") for axis in (1, 0)]
     except (TypeError, ValueError, IndexError):
-        return Stated(source=source, um=(None, None, None), note=UNKNOWN_NOTE)
-    um = (None, from_density(y, "inch"), from_density(x, "inch"))
-    return Stated(source=source, um=um, note="" if None not in um[1:] else UNKNOWN_NOTE)
+        across = [None, None]
+    note = UNKNOWN_NOTE if None in across else ""
+    stated = (Stated(source=f"the {kind.upper()} resolution", um=(None, *across), note=note),)
+    orientation = orientation if isinstance(orientation, int) else 1
+    return DecodedPicture(values=values, colour=colour, bits=bits, stated=stated, orientation=orientation)

@@ -22,8 +22,7 @@ from filelock import FileLock, Timeout
 from zarr.errors import ZarrUserWarning
 
 from planish.core.errors import FileError
-from planish.core.files import DiskFull, delete, disk_full, move, writing
-from planish.core.names import check_length, check_name
+from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
 from planish.io.formats import find_place
 from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
 
@@ -37,14 +36,8 @@ def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = N
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
 
     ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
-    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes.
-
-    Raises
-    ------
-    FileError
-        If ``path`` exists or cannot be written.
-    ResourceError
-        If the disk is full.
+    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes. FileError if ``path``
+    exists or cannot be written; ResourceError if the disk is full.
     """
     refuse_existing(path)
     check_length(path.absolute())
@@ -67,22 +60,29 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     """Give a hidden folder for what a run would not like to work out twice.
 
     It vanishes when the block ends, well or not. Only a process that was killed leaves it behind; the next run to
-    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one.
-
-    Raises
-    ------
-    FileError
-        If another process is writing to ``path`` at this moment, the folder cannot be made, or something that is not
-        planish's has its name: a link, a file, or a folder without the marker. Nothing is touched then.
+    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one. FileError if another
+    process is writing to ``path`` at this moment, the folder cannot be made, or something that is not planish's has its
+    name: a link, a file, or a folder without the marker. Nothing is touched then.
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
-        _check_work_folder(work, path)
+        # Everything in it has to be planish's own.
+        names = {entry.name for entry in work.iterdir()}
+        foreign = sorted(name for name in names if is_link(work / name) or not _is_work_name(name))
+        marker = work / WORK_MARKER
+        # Versions before the marker wrote a key of 64 digits and a lock.
+        marked = marker.read_text(encoding="utf-8") == _WORK_TEXT if marker.name in names else {"key", "lock"} <= names
+        if foreign or not marked:
+            reason = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
+            raise FileError(
+                f"{work} was not made by planish ({reason}); planish needs that name for a folder of its own while it "
+                f"writes {path.name}. Nothing was changed. Move that folder away or give another name with --out."
+            )
         lock = acquire_lock(work / "lock", path)
         try:
-            (work / WORK_MARKER).write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
+            marker.write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
             note = work / "key"
             if not (note.is_file() and note.read_text(encoding="utf-8") == key):
                 shutil.rmtree(work / "tiles", ignore_errors=True)
@@ -110,10 +110,7 @@ def acquire_lock(lock: Path, path: Path) -> FileLock:
 def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
     """Make a folder that carries a marker from its first moment, or leave the one that is there.
 
-    Raises
-    ------
-    FileError
-        If a link or a file stands at ``folder``: a link is never followed.
+    FileError if a link or a file stands at ``folder``: a link is never followed.
     """
     if is_link(folder) or (folder.exists() and not folder.is_dir()):
         kind = "a link" if is_link(folder) else "a file"
@@ -139,22 +136,6 @@ def is_link(path: Path) -> bool:
     """True if a path is a symbolic link or, on Windows, a junction."""
     isjunction: Callable[[Path], bool] = getattr(os.path, "isjunction", lambda _path: False)  # from Python 3.12 on
     return path.is_symlink() or isjunction(path)
-
-
-def _check_work_folder(work: Path, path: Path) -> None:
-    """Raise FileError unless everything in a folder was written by :func:`work_folder`."""
-    entries = list(work.iterdir())
-    foreign = sorted(entry.name for entry in entries if is_link(entry) or not _is_work_name(entry.name))
-    names = {entry.name for entry in entries}
-    marker = work / WORK_MARKER
-    # Versions before the marker wrote a key of 64 digits and a lock.
-    marked = marker.read_text(encoding="utf-8") == _WORK_TEXT if marker.name in names else {"key", "lock"} <= names
-    if foreign or not marked:
-        reason = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
-        raise FileError(
-            f"{work} was not made by planish ({reason}); planish needs that name for a folder of its own while it "
-            f"writes {path.name}. Nothing was changed. Move that folder away or give another name with --out."
-        )
 
 
 def sweep(path: Path) -> None:
@@ -269,12 +250,7 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     """Read all groups of a store into memory, without the smaller copies of maps.
 
     Groups of half a gigabyte and more stay in the store, with their smaller copies: of those, each part is read when it
-    is asked for.
-
-    Raises
-    ------
-    FileError
-        If there is no store, or it is damaged.
+    is asked for. FileError if there is no store, or it is damaged.
     """
     _check_store(path)
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
@@ -302,10 +278,7 @@ def group_names(path: Path) -> list[str]:
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
     """Read one group of a store, or some of its variables; of half a gigabyte and more, part by part when asked for.
 
-    Raises
-    ------
-    FileError
-        If it is damaged.
+    FileError if it is damaged.
     """
     with readable(path):
         if name in large_groups(path):

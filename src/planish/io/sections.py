@@ -13,18 +13,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
-from planish.core.tables import Table, parse_table, read_text
+from planish.core.tables import CsvTable, parse_table, read_text
+from planish.core.typing import Floats, Pair
 from planish.io.formats import check_channel, colour_attrs, full_scale
 from planish.io.guard import size_of_file
-from planish.io.lazy import FileArray
+from planish.io.lazy import Values
 from planish.io.picture import DecodedPicture
 from planish.io.sizes import VOXEL, Stated, agreed_size, size_per_axis
-from planish.io.slice_volume import load_pictures
-from planish.io.slices import first_few, is_slice_name
+from planish.io.slice_volume import first_few, is_slice_name, load_pictures
 
 COUNTER = "sections.csv"
 COLUMNS = ("file", "position_um")
@@ -41,9 +40,9 @@ class SectionStack:
     ``file_bytes``, ``section_kind``; ``channel`` and ``colour`` where the files are in colour.
     """
 
-    values: NDArray[Any] | FileArray
-    positions_um: NDArray[np.float64]  # along the cut, increasing; missing sections are gaps
-    pixel_um: tuple[float, float]  # (row, col)
+    values: Values
+    positions_um: Floats  # along the cut, increasing; missing sections are gaps
+    pixel_um: Pair  # (row, col)
     kind: str  # "block-face", "cut", or empty where the counter does not say
     attrs: dict[str, Any]
 
@@ -72,25 +71,14 @@ def read_section_stack(
         One number is the pixel size in um; of three, z has to be the median step of the counter. Not needed where the
         metadata state the pixel size.
     channel, override_size, unusual_size, memory_bytes
-        As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays in the files.
-
-    Returns
-    -------
-    SectionStack
+        As in :func:`planish.io.read_volume`, also for the errors. The counter cannot be overridden; more than fits
+        stays in the files.
 
     Raises
     ------
-    FileError
-        If the counter or a file is missing, damaged, or no picture.
     VolumeError
         If counter and folder do not agree, positions do not increase, kinds are mixed, or sections differ in size or
         type.
-    SizeError
-        If the pixel size is missing, contradictory or impossible.
-    InputError
-        If there is no such channel.
-    ResourceError
-        If not even some photographs fit into the memory.
 
     Notes
     -----
@@ -121,9 +109,9 @@ class Sections:
     """Sections whose size is not settled; `first` is the first photograph."""
 
     folder: Path
-    values: NDArray[Any] | FileArray
+    values: Values
     first: DecodedPicture
-    positions_um: NDArray[np.float64]
+    positions_um: Floats
     kind: str
     file_bytes: int
 
@@ -178,20 +166,28 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
                 "in the order of the cuts: correct the counter, or sort its rows by position."
             )
     kind = _kind_of_sections(table)
-    _check_pictures(folder, names)
     files = [folder / name for name in names]
+    if missing := [file.name for file in files if not file.is_file()]:
+        raise VolumeError(
+            f"{folder.name} lacks {len(missing)} of {len(names)} files named in {COUNTER}: {first_few(missing)}. Add "
+            "them, or take their rows out: a gap in the positions is understood as a missing section."
+        )
+    if odd := sorted(p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()):
+        raise VolumeError(
+            f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {first_few(odd)}. Add a row for "
+            "each with its position, or move them elsewhere."
+        )
     channel = check_channel(channel)
     values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
     file_bytes = sum(size_of_file(file) for file in [*files, folder / COUNTER])
     return Sections(folder=folder, values=values, first=first, positions_um=positions, kind=kind, file_bytes=file_bytes)
 
 
-def _kind_of_sections(table: Table) -> str:
+def _kind_of_sections(table: CsvTable) -> str:
     """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
     split = [comment.partition(":") for comment in table.comments]
     kinds = sorted({value.strip().lower() for key, colon, value in split if colon and key.strip().lower() == "kind"})
-    unknown = [kind for kind in kinds if kind not in KINDS]
-    if unknown:
+    if unknown := [kind for kind in kinds if kind not in KINDS]:
         raise VolumeError(
             f"{table.name} has the kind {', '.join(map(repr, unknown))}. Known are {' and '.join(KINDS)}."
         )
@@ -201,18 +197,3 @@ def _kind_of_sections(table: Table) -> str:
             "leaves the block's face as it is: put each kind into a folder of its own."
         )
     return kinds[0] if kinds else ""
-
-
-def _check_pictures(folder: Path, names: list[str]) -> None:
-    missing = [name for name in names if not (folder / name).is_file()]
-    if missing:
-        raise VolumeError(
-            f"{folder.name} lacks {len(missing)} of {len(names)} files named in {COUNTER}: {first_few(missing)}. Add "
-            "them, or take their rows out: a gap in the positions is understood as a missing section."
-        )
-    odd = sorted(p.name for p in folder.iterdir() if is_slice_name(p.name) and p.is_file() and p.name not in set(names))
-    if odd:
-        raise VolumeError(
-            f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {first_few(odd)}. Add a row for "
-            "each with its position, or move them elsewhere."
-        )

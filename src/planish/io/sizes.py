@@ -6,7 +6,7 @@ A missing size is never taken as 1, and of two sizes that disagree none is prefe
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
@@ -17,6 +17,8 @@ import numpy as np
 
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError
+from planish.core.text import and_join
+from planish.core.typing import Pair
 from planish.io.guard import reading
 
 if TYPE_CHECKING:
@@ -59,7 +61,7 @@ class Asked:
     name: str
     axes: tuple[str, ...]
     option: str
-    usual_um: tuple[float, float]
+    usual_um: Pair
 
 
 VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", usual_um=(0.01, 100.0))
@@ -122,13 +124,9 @@ def agreed_size(
 ) -> tuple[tuple[float, ...], str]:
     """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
 
-    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
-    that paper does not have is taken with `unusual` only.
-
-    Raises
-    ------
-    SizeError
-        If it is missing on an axis, contradictory, or outside the possible range.
+    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size that
+    paper does not have is taken with `unusual` only. SizeError if it is missing on an axis, contradictory, or outside
+    the possible range.
     """
     stating = [s for s in stated if any(v is not None for v in s.um)]
     sources = " and ".join(s.source for s in stating)
@@ -137,7 +135,7 @@ def agreed_size(
         missing = [axis for axis, value in zip(asked.axes, merged, strict=True) if value is None]
         if missing:
             notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            along = f" along {_and_join(missing)}: {_in_words(stating, asked)} only" if stating else ""
+            along = f" along {and_join(missing)}: {_in_words(stating, asked)} only" if stating else ""
             raise SizeError(
                 f"{file_name} states no {asked.name} size{along}{f' ({notes})' if notes else ''}. Give it with "
                 f"{asked.option} SIZE (or {','.join(a.upper() for a in asked.axes)}), in um."
@@ -156,10 +154,8 @@ def agreed_size(
         )
     _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
     if contradicting:
-        return (
-            size,
-            f"given, in place of {_and_join(f'{s.source} ({_axes_words(s.um, asked)})' for s in contradicting)}",
-        )
+        replaced = and_join(f"{s.source} ({_axes_words(s.um, asked)})" for s in contradicting)
+        return size, f"given, in place of {replaced}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
     return size, sources if _merge_stated(stating, file_name=file_name, asked=asked) == size else "given"
 
@@ -219,7 +215,7 @@ def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual
 
 
 def _in_words(stated: Sequence[Stated], asked: Asked) -> str:
-    return _and_join(f"{s.source} states {_axes_words(s.um, asked)}" for s in stated)
+    return and_join(f"{s.source} states {_axes_words(s.um, asked)}" for s in stated)
 
 
 def _axes_words(size: Sequence[float | None], asked: Asked) -> str:
@@ -228,18 +224,23 @@ def _axes_words(size: Sequence[float | None], asked: Asked) -> str:
     return ", ".join(parts) + " um"
 
 
-def _and_join(parts: Iterable[str]) -> str:
-    words = list(parts)
-    return words[0] if len(words) == 1 else f"{', '.join(words[:-1])} and {words[-1]}"
-
-
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:
     """Collect what the metadata state, along z, y, x."""
     with reading(path):
         ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata
         density = _rational(page, 283), _rational(page, 282)
-        stated = [] if ome is None else [_stated_by_ome(ome, path)]
+        stated: list[Stated] = []
+        if ome is not None:  # the first image; the unit is um where none is written, as OME has it
+            if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
+                raise FileError(
+                    f"{path.name}: its OME metadata define entities, which OME never does. Export it again."
+                )
+            pixels = (e.attrib for e in ElementTree.fromstring(ome).iter() if e.tag.rpartition("}")[2] == "Pixels")
+            keys: Mapping[str, str] = next(pixels, {})
+            sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
+            units = [keys.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"]
+            stated = [stated_in("OME metadata", sizes, units)]
         if imagej is not None and str(imagej.get("unit", "")).strip():
             return (*stated, _stated_by_imagej(imagej, density))
         # The resolution tags, with their unit, never state z.
@@ -249,17 +250,6 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
         return *stated, Stated(
             source="the TIFF resolution", um=(None, *across), note=UNKNOWN_NOTE if None in across else ""
         )
-
-
-def _stated_by_ome(xml: str, path: Path) -> Stated:
-    """Read PhysicalSizeX, Y and Z of the first image; the unit is um where none is written, as OME has it."""
-    if "<!ENTITY" in xml or "<!DOCTYPE" in xml:
-        raise FileError(f"{path.name}: its OME metadata define entities, which OME never does. Export it again.")
-    pixels = (e for e in ElementTree.fromstring(xml).iter() if e.tag.rpartition("}")[2] == "Pixels")
-    first = next(pixels, None)
-    keys: Mapping[str, str] = {} if first is None else first.attrib
-    sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
-    return stated_in("OME metadata", sizes, [keys.get(f"PhysicalSize{axis}Unit", "um") for axis in "ZYX"])
 
 
 def _stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float | None]) -> Stated:

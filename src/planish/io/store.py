@@ -30,7 +30,7 @@ from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
-from planish.io.checksums import Array, ShardLists, Where
+from planish.io.hashes import Array, ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
 CHUNK = (64, 96, 96)
@@ -68,15 +68,11 @@ def write_store(
     path : Path
         Folder to make. While it is written it stands beside its place under a hidden name, where a second call with
         the same volume finds it and goes on if the first one was killed.
-    memory_bytes : int
-        What the blocks in memory may take.
-    threads : int, optional
-        Blocks are compressed on so many threads; the bytes do not depend on it.
-    executor : Executor, optional
-        Of other processes, such as those of a cluster, which see the same folders; ``volume`` is sent there. Local
-        threads where not given.
-    workers : int
-        Blocks that this executor works on at the same time, as far as the memory holds them.
+    memory_bytes, threads : int
+        What the blocks in memory may take, and how many threads compress them; the bytes do not depend on either.
+    executor, workers
+        Other processes, such as those of a cluster, which see the same folders, and how many blocks they work on at the
+        same time, as far as the memory holds them; ``volume`` is sent there. Local threads where not given.
     ome : {"0.5", "0.4"}
         Version of OME-Zarr. 0.4 has no shards, and so many more files.
     progress : callable, optional
@@ -84,19 +80,30 @@ def write_store(
 
     Raises
     ------
-    FileError
-        If ``path`` exists or cannot be written, or another process is writing it.
-    InputError
-        If an import of another volume stopped half-way under this name.
-    ResourceError
-        If the memory does not hold one block, or the disk is full.
+    FileError, InputError, ResourceError
+        If ``path`` exists, cannot be written, or another process is writing it; an import of another volume stopped
+        half-way under this name; the memory does not hold one block, or the disk is full.
     """
     refuse_existing(path)
     partial = path.with_name(f".{path.name}.partial")
     source = _identity(volume)
     with writing(path, needed=int(1.2 * volume.nbytes)):
         claim_folder(partial, _SOURCE, json.dumps(source), for_what=path)
-        _check_source(partial, source)
+        note = partial / _SOURCE  # of what an import that stopped has read
+        try:
+            noted = None if is_link(note) else json.loads(note.read_text(encoding="utf-8"))
+        except (OSError, ValueError):
+            noted = None
+        if not isinstance(noted, dict) or not source.keys() - {"corrections"} <= noted.keys():
+            raise InputError(
+                f"{partial} is in the way and no import that stopped. Nothing was changed. Move that folder away, or "
+                "give another name with --out."
+            )
+        if noted != json.loads(json.dumps(source)):
+            raise InputError(
+                f"An import of another volume stopped half-way at {partial}. Remove that folder, or give another name "
+                "with --out."
+            )
         lock = acquire_lock(partial / _LOCK, path)
         try:
             levels = _make_levels(partial, volume, ome)
@@ -107,7 +114,12 @@ def write_store(
                     progress=progress,
                 )  # fmt: skip
                 for fine, coarse in pairwise(levels[1:]):
-                    _write_coarser_level(fine, coarse, done)
+                    folder = done.folder / coarse.basename
+                    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
+                        if not done.has(coarse, where):
+                            twice = (slice(2 * w.start, 2 * w.stop) for w in where)
+                            values = halve(np.asarray(fine[tuple(twice)]))
+                            done.add(coarse, _write_shards(coarse, where, values, folder, done.names(coarse, where)))
             done.settle()
         except Exception:  # only an import that was killed or interrupted is gone on with
             lock.release()
@@ -115,8 +127,8 @@ def write_store(
             raise
         finally:
             lock.release()
-        for note in (_LOCK, _SOURCE):
-            delete(partial / note)
+        delete(partial / _LOCK)
+        delete(note)
         move(partial, path)
 
 
@@ -191,16 +203,6 @@ def _write_block(volume: xr.DataArray, where: Where, folder: Path, names: list[l
             values = halve(values)
         written.append(_write_shards(_level(folder, k), _halved(where, k), values, folder / str(k), of_level))
     return written
-
-
-def _write_coarser_level(fine: Array, coarse: Array, done: ShardLists) -> None:
-    for where in _blocks(coarse.shape, coarse.shards or coarse.chunks):
-        if not done.has(coarse, where):
-            source = tuple(slice(2 * w.start, min(2 * w.stop, n)) for w, n in zip(where, fine.shape, strict=True))
-            values = halve(np.asarray(fine[source]))
-            done.add(
-                coarse, _write_shards(coarse, where, values, done.folder / coarse.basename, done.names(coarse, where))
-            )
 
 
 def _write_shards(level: Array, where: Where, values: NDArray[Any], folder: Path, names: list[str]) -> dict[str, str]:
@@ -286,22 +288,3 @@ def _identity(volume: xr.DataArray) -> dict[str, Any]:
     identity = {"shape": list(volume.shape), "dtype": str(volume.dtype), **{k: volume.attrs.get(k) for k in keys}}
     corrections = volume.attrs.get("corrections")
     return identity if corrections is None else identity | {"corrections": corrections}  # other options, other voxels
-
-
-def _check_source(folder: Path, source: dict[str, Any]) -> None:
-    """Compare what is imported with what an import that stopped has noted."""
-    note = folder / _SOURCE
-    try:
-        noted = None if is_link(note) else json.loads(note.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
-        noted = None
-    if not isinstance(noted, dict) or not source.keys() - {"corrections"} <= noted.keys():
-        raise InputError(
-            f"{folder} is in the way and no import that stopped. Nothing was changed. Move that folder away, or give "
-            "another name with --out."
-        )
-    if noted != json.loads(json.dumps(source)):
-        raise InputError(
-            f"An import of another volume stopped half-way at {folder}. Remove that folder, or give another name with "
-            "--out."
-        )

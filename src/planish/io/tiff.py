@@ -59,8 +59,13 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         full = [s for s in every if not s.keyframe.is_reduced] or every
         if not full:
             raise damaged(path, "it holds no image")
+        series = first = full[0]
         with reading(path):
-            series = _join_series(full)
+            if len(full) > 1:  # slices may be written one by one, each as an image of its own
+                alike = all(len(s.pages) == 1 and s.ndim == 2 and s.keyframe.hash == first.keyframe.hash for s in full)
+                pages_of = [s.pages[0] for s in full]
+                shape = (len(full), *first.shape)
+                series = TiffPageSeries(pages_of, shape, first.dtype, "IYX", kind="uniform") if alike else None
         if series is None:
             odd_series = next((s for s in full[1:] if s.shape != full[0].shape), full[1])
             with reading(path):
@@ -73,17 +78,6 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
         yield tif, series
     finally:
         tif.close()
-
-
-def _join_series(full: Sequence[TiffPageSeries]) -> TiffPageSeries | None:
-    """Give the one series, or join slices that were written one by one, each as an image of its own."""
-    first = full[0]
-    if len(full) == 1:
-        return first
-    if any(len(s.pages) != 1 or s.ndim != 2 or s.keyframe.hash != first.keyframe.hash for s in full):
-        return None
-    pages = [s.pages[0] for s in full]
-    return TiffPageSeries(pages, (len(pages), *first.shape), first.dtype, "IYX", kind="uniform")
 
 
 def is_tiff(head: bytes) -> bool:
@@ -119,24 +113,20 @@ def _count_pages(path: Path) -> int:
             table = file.read(tags * (tag.size + pointer.size) + pointer.size)
             if len(table) != tags * (tag.size + pointer.size) + pointer.size:
                 raise damaged(path, f"the file ends within the table of page {len(offsets)}")
-            _check_table(table, tag, pointer, f"of page {len(offsets)}", path, size)
+            for start in range(0, len(table) - pointer.size, tag.size + pointer.size):
+                code, kind, values = tag.unpack_from(table, start)
+                length = values * TYPE_BYTES.get(kind, 0)
+                if code not in NEEDED_TAGS:
+                    continue
+                if length == 0:
+                    raise damaged(path, f"tag {code} of page {len(offsets)} has no value")
+                # Values that are short enough stand in the table itself.
+                if length > pointer.size and pointer.unpack_from(table, start + tag.size)[0] + length > size:
+                    raise damaged(path, f"tag {code} of page {len(offsets)} lies outside the file of {size} bytes")
             offset = pointer.unpack_from(table, len(table) - pointer.size)[0]
     if not offsets:
         raise damaged(path, "it holds no page")
     return len(offsets)
-
-
-def _check_table(table: bytes, tag: struct.Struct, pointer: struct.Struct, page: str, path: Path, size: int) -> None:
-    for start in range(0, len(table) - pointer.size, tag.size + pointer.size):
-        code, kind, count = tag.unpack_from(table, start)
-        if code not in NEEDED_TAGS:
-            continue
-        length = count * TYPE_BYTES.get(kind, 0)
-        if length == 0:
-            raise damaged(path, f"tag {code} {page} has no value")
-        # Values that are short enough stand in the table itself.
-        if length > pointer.size and pointer.unpack_from(table, start + tag.size)[0] + length > size:
-            raise damaged(path, f"tag {code} {page} lies outside the file of {size} bytes")
 
 
 def damaged(path: Path, fault: str) -> FileError:
@@ -153,13 +143,11 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
         sizes = {k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)}
         planes = math.prod(sizes.get(k, 1) for k in "ZCT")
-        if planes > MOST_PAGES or any(
-            sizes.get(k, 1) > 10 * n for k, n in (("Y", first.imagelength), ("X", first.imagewidth))
-        ):
+        rows, columns = sizes.get("Y", 1), sizes.get("X", 1)
+        if planes > MOST_PAGES or rows > 10 * first.imagelength or columns > 10 * first.imagewidth:
             pages = f"{len(tif.pages)} pages of {size_words(first.shape)}"
-            raise damaged(
-                path, f"its OME metadata declare {size_words([*sizes.values()])} values, the file has {pages}"
-            )
+            declared = size_words([*sizes.values()])
+            raise damaged(path, f"its OME metadata declare {declared} values, the file has {pages}")
     meta: Any = tif.imagej_metadata
     images = meta.get("images", 1) if meta else 1
     if not isinstance(images, int) or images <= max(1, len(tif.pages)) or not first.dataoffsets:
@@ -191,46 +179,31 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
         raise damaged(path, f"{series.size} pixels are declared, its pages hold {len(pages) * math.prod(key.shape)}")
     with reading(path):
         segments = math.prod(key.chunked)
-    needed = _uncompressed_bytes(key)
-    total = 0
+    needed = total = 0
+    if key.compression == 1 and not key.is_subsampled:  # bytes that the strips of a page must have
+        samples, planes = (key.samplesperpixel, 1) if key.planarconfig == 1 else (1, key.samplesperpixel)
+        row_bytes = math.ceil(key.imagewidth * key.bitspersample * samples / 8)
+        needed = key.imagelength * key.imagedepth * planes * row_bytes
     for number, page in enumerate(pages, start=1):
         if page is None:
             raise FileError(
                 f"{path.name}: image {number} of {len(pages)} is declared but not in this file. "
                 "Export all slices into one file."
             )
-        total += _check_page_data(page, path, number=number, segments=segments, needed=needed, size=size)
+        offsets, counts = page.dataoffsets, page.databytecounts
+        if len(offsets) < segments or len(counts) < segments:
+            lengths = min(len(offsets), len(counts))
+            raise damaged(path, f"data missing: page {number} has {lengths} of {segments} strips or tiles")
+        for start, count in zip(offsets, counts, strict=False):
+            if start == 0 or count == 0:
+                raise damaged(path, f"data missing: a strip or tile of page {number} is empty")
+            if start < 8 or start + count > size:
+                raise damaged(path, f"data of page {number} end at byte {start + count}, the file has {size}")
+        if sum(counts) < needed:
+            raise damaged(path, f"data missing: page {number} has {sum(counts)} bytes of {needed}")
+        total += sum(counts)
     if key.compression != 1:
         check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total)
-
-
-def _check_page_data(
-    page: TiffPage | TiffFrame, path: Path, *, number: int, segments: int, needed: int | None, size: int
-) -> int:
-    """Check the strips or tiles of one page; return their bytes."""
-    offsets, counts = page.dataoffsets, page.databytecounts
-    if len(offsets) < segments or len(counts) < segments:
-        raise damaged(
-            path, f"data missing: page {number} has {min(len(offsets), len(counts))} of {segments} strips or tiles"
-        )
-    for offset, count in zip(offsets, counts, strict=False):
-        if offset == 0 or count == 0:
-            raise damaged(path, f"data missing: a strip or tile of page {number} is empty")
-        if offset < 8 or offset + count > size:
-            raise damaged(path, f"data of page {number} end at byte {offset + count}, the file has {size}")
-    total = sum(counts)
-    if needed is not None and total < needed:
-        raise damaged(path, f"data missing: page {number} has {total} bytes of {needed}")
-    return total
-
-
-def _uncompressed_bytes(page: TiffPage) -> int | None:
-    """Bytes that the strips of an uncompressed page must have; None if it is compressed."""
-    if page.compression != 1 or page.is_subsampled:
-        return None
-    row_bits = page.imagewidth * page.bitspersample * (page.samplesperpixel if page.planarconfig == 1 else 1)
-    rows = page.imagelength * page.imagedepth * (1 if page.planarconfig == 1 else page.samplesperpixel)
-    return rows * math.ceil(row_bits / 8)
 
 
 def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | None) -> NDArray[Any]:

@@ -9,7 +9,7 @@ import math
 from collections.abc import Callable
 from functools import partial
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,7 +18,7 @@ from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, reading
-from planish.io.lazy import ChangedArray, FileArray, PagedArray, StoredArray, is_small, mapped, transposed
+from planish.io.lazy import ChangedArray, PagedArray, StoredArray, Values, is_small, mapped, transposed
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
@@ -63,7 +63,7 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
 
 def _series_values(
     series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
-) -> NDArray[Any] | FileArray:
+) -> Values:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
     key = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
@@ -72,7 +72,10 @@ def _series_values(
     with reading(path):
         offset = series.dataoffset
         stored = series.dtype.newbyteorder(key.parent.byteorder)
-        paged = offset is None and _can_page(series, shape[0])
+        # One page for each slice, and one plane in each page.
+        paged = offset is None and key.imagedepth == 1 and not key.is_subsampled and len(series) == shape[0]
+        paged = paged and (key.planarconfig == 1 or key.samplesperpixel == 1)
+        paged = paged and all(type(p) in (TiffPage, TiffFrame) for p in series)
     if offset is not None and colour is None and not white:
         return mapped(path, shape, stored, offset=offset)
     if offset is not None and colour is not None:
@@ -97,13 +100,16 @@ def _series_values(
 def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
     axes = long_axes(series)
+    sizes = dict(zip(series.axes, series.shape, strict=True))
     grey = axes.replace("S", "")
-    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or _is_rgb(series, axes)):
+    # The samples of a pixel may be red, green and blue, with or without further ones.
+    is_rgb = axes.find("S") in (1, 3) and sizes["S"] in (3, 4) and has_rgb(series.keyframe)
+    if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or is_rgb):
         return axes
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
-    if len(axes) == 3 and axes[0] == "C" and axes[1:] == "YX" and series.shape[series.axes.index("C")] >= MANY_CHANNELS:
+    if axes == "CYX" and sizes["C"] >= MANY_CHANNELS:
         return axes
-    further = {a: n for a, n in zip(series.axes, series.shape, strict=True) if n > 1 and a in MEANINGS}
+    further = {a: n for a, n in sizes.items() if n > 1 and a in MEANINGS}
     if further:
         content = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further.items())
         hint = (
@@ -117,11 +123,6 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
             f"{path.name} has one page, not a stack: {shape_words(series)}. Give all slices, in one file or one folder."
         )
     raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape_words(series)}. {ADVICE}")
-
-
-def _is_rgb(series: TiffPageSeries, axes: str) -> bool:
-    """True if the samples of a pixel are red, green and blue, with or without further ones."""
-    return has_rgb(series.keyframe) and series.shape[series.axes.index("S")] in (3, 4) and axes.index("S") in (1, 3)
 
 
 def _is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
@@ -171,44 +172,30 @@ class TiffPages(PagedArray):
     def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
         """Decode rows of a page, dims (y, x)."""
         values = np.empty((stop - start, self.shape[2], self._samples), self.dtype)
-        fill = self._fill_plain if self._plain else self._fill_coded
+        offsets, counts, tables = self._segments[page]
+        row = 0
         with self.path.open("rb") as file:
-            fill(file, page, start, values)
+            while self._plain and row < len(values):
+                strip, inside = divmod(start + row, self._strip_rows)
+                part = values[row : row + self._strip_rows - inside]
+                offset = offsets[strip] + inside * values[0].size * self._stored.itemsize
+                part[...] = stored_rows(file, self.path, offset, part.shape, self._stored)
+                row += len(part)
+            first, last = start // self._strip_rows, -(-stop // self._strip_rows)
+            for index in () if self._plain else range(first * self._across, last * self._across):
+                file.seek(offsets[index])
+                data = file.read(counts[index])
+                if len(data) < counts[index]:
+                    raise damaged(self.path, f"data of page {page + 1} are missing")
+                part, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
+                if part is None:
+                    raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
+                height, width = min(height, stop - y), min(width, self.shape[2] - x)
+                values[y - start : y - start + height, x : x + width] = part[0, :height, :width]
         values = turn_white(values, path=self.path, bits=self._bits, out=values) if self._white else values
         return self._change(values) if self._change is not None else values[..., 0]
-
-    def _fill_plain(self, file: BinaryIO, page: int, start: int, values: NDArray[Any]) -> None:
-        row_bytes = values[0].size * self._stored.itemsize
-        row = 0
-        while row < len(values):
-            strip, inside = divmod(start + row, self._strip_rows)
-            part = values[row : row + self._strip_rows - inside]
-            offset = self._segments[page][0][strip] + inside * row_bytes
-            part[...] = stored_rows(file, self.path, offset, part.shape, self._stored)
-            row += len(part)
-
-    def _fill_coded(self, file: BinaryIO, page: int, start: int, values: NDArray[Any]) -> None:
-        offsets, counts, tables = self._segments[page]
-        stop = start + len(values)
-        for index in range(start // self._strip_rows * self._across, -(-stop // self._strip_rows) * self._across):
-            file.seek(offsets[index])
-            data = file.read(counts[index])
-            if len(data) < counts[index]:
-                raise damaged(self.path, f"data of page {page + 1} are missing")
-            part, (_, _, y, x, _), (_, height, width, _) = self._decode(data, index, _fullsize=False, **tables)
-            if part is None:
-                raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
-            height, width = min(height, stop - y), min(width, self.shape[2] - x)
-            values[y - start : y - start + height, x : x + width] = part[0, :height, :width]
 
 
 def _open_pages(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]] | None) -> TiffPages:
     with open_series(path, error=FileError, advice="Copy it again.") as (_, series), reading(path):
         return TiffPages(path, series, change)
-
-
-def _can_page(series: TiffPageSeries, pages: int) -> bool:
-    """True if a series has one page for each slice, and one plane in each page."""
-    key = series.keyframe
-    simple = key.imagedepth == 1 and not key.is_subsampled and (key.planarconfig == 1 or key.samplesperpixel == 1)
-    return simple and len(series) == pages and all(type(p) in (TiffPage, TiffFrame) for p in series)

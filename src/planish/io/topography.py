@@ -12,6 +12,7 @@ import xarray as xr
 
 from planish.core.errors import FileError, SizeError
 from planish.core.lazy import labelled
+from planish.core.typing import Pair
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file
 from planish.io.sizes import PIXEL, Stated, agreed_size, size_per_axis, unit_um
@@ -21,7 +22,7 @@ from planish.io.tiff import size_words
 def read_topography(
     path: str | Path,
     *,
-    pixel_um: float | tuple[float, float] | None = None,
+    pixel_um: float | Pair | None = None,
     override_size: bool = False,
     unusual_size: bool = False,
     memory_bytes: int | None = None,
@@ -72,52 +73,37 @@ def read_topography(
                 f"{path.name} holds a profile of {size_words(grid)} points, not a map. Give a map of heights."
             )
         check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_bytes)
-        length = _height_unit_um(str(channel.unit or ""), path)
+        length = unit_um(str(channel.unit or ""))
+        if length is None:
+            stated = f"in {channel.unit!r}, which is no unit of length" if channel.unit else "without a unit"
+            raise SizeError(
+                f"{path.name} has heights {stated}. Export it in a format that states the unit, such as X3P or SUR."
+            )
         sizes: Any = channel.physical_sizes or (None, None)
         has_size = all(v is not None for v in sizes)
-        across = (
-            tuple(float(v) / n * length for v, n in zip(sizes, grid, strict=True))[::-1] if has_size else (None, None)
-        )
-        stated = Stated(source="the topography file", um=across)
+        lengths = [float(v) / n * length for v, n in zip(sizes, grid, strict=True)] if has_size else [None, None]
         size, source = agreed_size(
-            [stated], pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
-        )
+            [Stated(source="the topography file", um=tuple(lengths[::-1]))], pixel_um, file_name=path.name, asked=PIXEL,
+            override=override_size, unusual=unusual_size,
+        )  # fmt: skip
         missing_sizes: dict[str, Any] = {}
         if not has_size:
             y, x = size_per_axis(size, PIXEL)
             missing_sizes = {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}
         with reading(path):
-            heights = np.ma.filled(
-                np.ma.asarray(reader.topography(**missing_sizes).heights()).astype(np.float64), np.nan
-            )
+            heights = np.ma.asarray(reader.topography(**missing_sizes).heights()).astype(np.float64)
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
     with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any time later.
         del reader, channel
         gc.collect()
     # The library has x first, as the sheet of a drawing; images have rows first.
-    values = np.ascontiguousarray(heights.T) * length
+    values = np.ascontiguousarray(np.ma.filled(heights, np.nan).T) * length
     values[~np.isfinite(values)] = np.nan
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")
     attrs = {
-        "units": "um",
-        "long_name": "Height",
-        "pixel_um": list(size),
-        "pixel_um_source": source,
-        "file_format": file_format,
-        "file_name": path.name,
-        "file_bytes": file_bytes,
-    }
+        "units": "um", "long_name": "Height", "pixel_um": list(size), "pixel_um_source": source,
+        "file_format": file_format, "file_name": path.name, "file_bytes": file_bytes,
+    }  # fmt: skip
     return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)
-
-
-def _height_unit_um(unit: str, path: Path) -> float:
-    """Length of the unit of the heights in um; SizeError where it is none."""
-    length = unit_um(unit)
-    if length is None:
-        raise SizeError(
-            f"{path.name} has heights {f'in {unit!r}, which is no unit of length' if unit else 'without a unit'}. "
-            "Export it in a format that states the unit, such as X3P or SUR."
-        )
-    return length

@@ -16,9 +16,9 @@ from zarr.storage import LocalStore
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.checksums import missing_shards
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, check_type
 from planish.io.guard import reading
+from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
@@ -43,8 +43,7 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     shape = tuple(int(n) for n in array.shape)
     units, order = _axes(multiscale, shape, path)
     # A store that planish wrote lists its shards, also those that hold one constant.
-    lost = [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]
-    if lost:
+    if lost := [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]:
         raise FileError(
             f"{path.name} has lost {len(lost)} of its shards, first {lost[0]}; they would read as zeros. Copy it "
             "again, or import the volume again."
@@ -153,9 +152,8 @@ def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[
     named: Any = None if multiscale is None else multiscale.get("axes")
     if named is None:
         named = "tczyx"[5 - len(shape) :] if len(shape) <= 5 else "?" * len(shape)
-    axes = [
-        axis if isinstance(axis, dict) else {"name": axis} for axis in (named if isinstance(named, (list, str)) else [])
-    ]
+    listed = named if isinstance(named, (list, str)) else []
+    axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in listed]
     if len(axes) != len(shape):
         raise FileError(f"{path.name} names {len(axes)} axes, its array has {len(shape)}. Export it again as OME-Zarr.")
     names = [str(axis.get("name", "")).casefold() for axis in axes]
@@ -185,11 +183,8 @@ def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: list
 def _scale_of(owner: Keys, count: int) -> list[float] | None:
     transformations: Any = owner.get("coordinateTransformations")
     for transformation in transformations if isinstance(transformations, list) else []:
-        values: Any = (
-            transformation.get("scale")
-            if isinstance(transformation, dict) and transformation.get("type") == "scale"
-            else None
-        )
+        is_scale = isinstance(transformation, dict) and transformation.get("type") == "scale"
+        values: Any = transformation.get("scale") if is_scale else None
         if isinstance(values, list) and len(values) == count and all(type(v) in (int, float) for v in values):
             return [float(v) for v in values]
     return None

@@ -2,9 +2,9 @@ from .design import Pattern as Pattern
 from .design import check_pattern as check_pattern
 from .design import design_pattern as design_pattern
 from .design import own_pattern as own_pattern
-from .dots import without_dots as without_dots
 from .files.csv_marks import write_marks as write_marks
 from .find import Polarity as Polarity
+from .find import check_holes as check_holes
 from .find import find_holes as find_holes
 from .hole_files import holes_from_json as holes_from_json
 from .hole_files import holes_to_json as holes_to_json
@@ -12,8 +12,8 @@ from .hole_files import read_holes as read_holes
 from .hole_files import write_holes as write_holes
 from .mask import cut_holes as cut_holes
 from .mask import hole_mask as hole_mask
+from .mask import without_dots as without_dots
 from .params import HoleParams as HoleParams
-from .rejected import check_holes as check_holes
 from .sheet_holes import Side as Side
 from .sheet_holes import find_sheet_holes as find_sheet_holes
 from .sheet_holes import hole_tilt as hole_tilt

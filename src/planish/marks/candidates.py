@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints, Pair
 
-Ints = NDArray[np.intp]
 Image = NDArray[np.float32]
 
 # Pixels across the smallest hole where candidates are searched, and where rims are measured.
@@ -36,7 +35,7 @@ class Raster(NamedTuple):
     """An image, its pixel size ``(y, x)`` and the ``(x, y)`` of its first pixel's centre, in um."""
 
     image: Image
-    pixel_um: tuple[float, float]
+    pixel_um: Pair
     origin_um: Floats
 
 
@@ -45,11 +44,11 @@ class Response(NamedTuple):
 
     radius: float
     values: Image
-    pixel_um: tuple[float, float]
+    pixel_um: Pair
     origin_um: Floats
 
 
-def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> Raster:
+def reduce_to(image: Image, pixel_um: Pair, target_um: float) -> Raster:
     """Area-mean an image, whose first pixel lies at 0, until its pixels are nearly as large as ``target_um``."""
     factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
     small = image if factors == [1, 1] else _block_means(image, factors, least=0.5)[0]
@@ -57,7 +56,7 @@ def reduce_to(image: Image, pixel_um: tuple[float, float], target_um: float) -> 
     return Raster(small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]]))
 
 
-def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[float, float]) -> list[Response]:
+def blob_responses(image: Image, pixel_um: Pair, radii_um: Pair) -> list[Response]:
     """Give Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
 
     Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii grow;
@@ -87,17 +86,11 @@ def blob_responses(image: Image, pixel_um: tuple[float, float], radii_um: tuple[
     return responses
 
 
-def disc_response(radii: list[float], step: float) -> float:
-    """Give the response at the centre of a disc that differs by ``step`` from its surroundings, at its own radius."""
-    ratio = radii[1] / radii[0]
-    return step * float(np.exp(-1 / ratio) - np.exp(-ratio))
-
-
 class LocalLevels(NamedTuple):
     """Usual values around each place of an image: values (rows, columns) of squares of a side ``(y, x)`` in um."""
 
     values: Floats
-    side_um: tuple[float, float]
+    side_um: Pair
 
     def at_points(self, points: Floats) -> Floats:
         """Return the values at points (n, 2), ``x, y`` in um."""
@@ -107,7 +100,7 @@ class LocalLevels(NamedTuple):
         return self.values[i, j]
 
 
-def local_spread(deviations: Image, pixel_um: tuple[float, float], side_um: float, share: float) -> LocalLevels:
+def local_spread(deviations: Image, pixel_um: Pair, side_um: float, share: float) -> LocalLevels:
     """Give the spread in each square of an image and the eight around it: a quantile, as a standard deviation.
 
     The quantile is that of absolute deviations. Some hundred values are taken of each neighbourhood. Where less than a
@@ -130,7 +123,12 @@ def local_spread(deviations: Image, pixel_um: tuple[float, float], side_um: floa
     whole = 0.0
     if finite.size and 10 * finite.size >= sample.size:
         whole = float(np.quantile(np.abs(finite - np.median(finite)), share))
-    is_enough = 10 * finite_counts >= _counts_inside(sample.shape, sides, counts)
+    # Values of each neighbourhood that lie inside the image.
+    spans: list[Floats] = []
+    for n, side, count in zip(sample.shape, sides, counts, strict=True):
+        first = np.arange(count) * side - side
+        spans.append(np.minimum(first + 3 * side, n) - np.maximum(first, 0.0))
+    is_enough = 10 * finite_counts >= spans[0][:, None] * spans[1]
     spread = np.where(is_enough, local, whole).astype(np.float64)
     side = (sides[0] * steps[0] * pixel_um[0], sides[1] * steps[1] * pixel_um[1])
     return LocalLevels(spread / TO_SD[share], side)
@@ -142,37 +140,7 @@ def _quantile(values: Image, finite_counts: Ints, share: float) -> Image:
     return np.take_along_axis(np.sort(values, axis=-1), rank[..., None], axis=-1)[..., 0]
 
 
-def _counts_inside(shape: tuple[int, ...], sides: list[int], counts: list[int]) -> Floats:
-    """Count the values of each neighbourhood that lie inside the image."""
-    spans: list[Floats] = []
-    for n, side, count in zip(shape, sides, counts, strict=True):
-        first = np.arange(count) * side - side
-        spans.append(np.minimum(first + 3 * side, n) - np.maximum(first, 0.0))
-    return spans[0][:, None] * spans[1]
-
-
-def response_spreads(responses: list[Response], side_um: float) -> list[LocalLevels]:
-    """Give the usual responses at each radius: what mottle, fibres or a printed screen make around each place.
-
-    Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
-    """
-    spreads = [local_spread(response.values, response.pixel_um, side_um, 0.5) for response in responses]
-    leasts = [FAINTEST * float(np.median(spread.values)) for spread in spreads]
-    return [s._replace(values=np.maximum(s.values, least)) for s, least in zip(spreads, leasts, strict=True)]
-
-
-def quiet_texture(image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float) -> LocalLevels:
-    """Give the texture of the quietest quarter around each place, about the mean over ``width_um``, as if Gaussian.
-
-    Holes, dots and dirt have little influence; it is too small rather than too large, and nowhere above the median.
-    """
-    levels = _local_deviation(image, pixel_um, width_um, side_um, 0.25)
-    return levels._replace(values=np.minimum(levels.values, np.median(levels.values)))
-
-
-def texture(
-    image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, circles: Floats
-) -> LocalLevels:
+def texture(image: Image, pixel_um: Pair, width_um: float, side_um: float, circles: Floats) -> LocalLevels:
     """Give the texture around each place about the mean over ``width_um``, outside circles ``x, y, radius`` (um).
 
     The Gaussian mean is taken for uneven light. 0 where less than a tenth of the image is left.
@@ -184,19 +152,17 @@ def texture(
         window = masked[i0:i1, j0:j1]
         down = (np.arange(i0, i0 + window.shape[0])[:, None] * pixel_um[0] - y) ** 2
         window[down + (np.arange(j0, j0 + window.shape[1]) * pixel_um[1] - x) ** 2 <= radius**2] = np.nan
-    return _local_deviation(masked, pixel_um, width_um, side_um, 0.5)
+    return local_deviation(masked, pixel_um, width_um, side_um, 0.5)
 
 
-def _local_deviation(
-    image: Image, pixel_um: tuple[float, float], width_um: float, side_um: float, share: float
-) -> LocalLevels:
+def local_deviation(image: Image, pixel_um: Pair, width_um: float, side_um: float, share: float) -> LocalLevels:
     """Give the spread of an image about its mean over ``width_um``; only what `local_spread` takes is computed."""
     down, across = (max(1, int(side_um / size / SAMPLES)) for size in pixel_um)
     deviations = image[::down, ::across] - _local_mean(image, pixel_um, width_um, (down, across))
     return local_spread(deviations, (down * pixel_um[0], across * pixel_um[1]), side_um, share)
 
 
-def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
+def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
     """Give the Gaussian mean of what is there; the median of all of it where nothing is near.
 
     It is so smooth that a quarter of its width is fine enough a raster to compute it on. Every ``steps``-th row and
@@ -213,7 +179,12 @@ def _local_mean(image: Image, pixel_um: tuple[float, float], width_um: float, st
     typical = np.float32(np.median(sample)) if sample.size else np.float32(0)
     mean = np.where(near, sums / np.where(near, share, np.float32(1)), typical)
     for n, factor, step in zip(image.shape, factors, steps, strict=True):
-        mean = _interpolate_blocks(mean, np.arange(0, n, step), factor).T
+        # Linear between the middles of the blocks.
+        place = np.clip((np.arange(0, n, step) + 0.5) / factor - 0.5, 0.0, len(mean) - 1.0)
+        low = np.minimum(place.astype(np.intp), max(0, len(mean) - 2))
+        fraction = (place - low).astype(np.float32)[:, None]
+        above = mean[np.minimum(low + 1, len(mean) - 1)]
+        mean = np.asarray(mean[low] + (above - mean[low]) * fraction, dtype=np.float32).T
     return mean
 
 
@@ -233,15 +204,6 @@ def _block_means(image: Image, factors: list[int], least: float | None = None) -
     sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
     means = (sums / np.maximum(share, 1e-12)).astype(np.float32)
     return means if least is None else np.where(share >= least, means, np.float32(np.nan)), share
-
-
-def _interpolate_blocks(means: Image, rows: Ints, factor: int) -> Image:
-    """Give the values of blocks at some rows, linear between the middles of the blocks."""
-    place = np.clip((rows + 0.5) / factor - 0.5, 0.0, len(means) - 1.0)
-    low = np.minimum(place.astype(np.intp), max(0, len(means) - 2))
-    fraction = (place - low).astype(np.float32)[:, None]
-    above = means[np.minimum(low + 1, len(means) - 1)]
-    return np.asarray(means[low] + (above - means[low]) * fraction, dtype=np.float32)
 
 
 class Candidates(NamedTuple):
@@ -270,7 +232,15 @@ def peaks(
     pairs = zip(responses, spreads, strict=True)
     rows = np.concatenate([_peaks_of_radius(response, sign, faintest, spread, worth) for response, spread in pairs])
     order = np.argsort(-rows[:, 3], kind="stable")
-    rows = _thin_by_cell(rows[order], 0.5 * responses[0].radius)
+    rows = rows[order]
+    # Of places that share a cell the strongest stays, with the largest height over the usual one.
+    cells = np.floor(rows[:, :2] / (0.5 * responses[0].radius)).astype(np.int64)
+    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
+    largest = np.full(len(first), -np.inf)
+    np.maximum.at(largest, cell.ravel(), rows[:, 2])
+    rows = rows[first]
+    rows[:, 2] = largest
+    rows = rows[np.argsort(first)]
     is_strong = _strongest_by_tile(rows, responses[0].radius)
     dropped = int(np.count_nonzero(~is_strong))
     rows = rows[is_strong]
@@ -284,7 +254,13 @@ def _peaks_of_radius(
     signed = response.values if sign > 0 else -response.values
     reach = [max(1, round(0.5 * response.radius / size)) for size in response.pixel_um]
     weakest = max(0.0, min(float(faintest.values.min()), worth * float(spread.values.min())))
-    row, column = _maxima(signed, weakest, reach)
+    # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave few for the others.
+    row, column = np.nonzero(signed > weakest)
+    around = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
+    offsets = [(i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)]
+    for i, j in sorted(offsets, key=lambda offset: np.hypot(*offset)):
+        top = signed[row, column] >= around[row + reach[0] + i, column + reach[1] + j]
+        row, column = row[top], column[top]
     points = np.stack([column * response.pixel_um[1], row * response.pixel_um[0]], axis=1) + response.origin_um
     height = signed[row, column].astype(np.float64)
     usual, contrast = spread.at_points(points), faintest.at_points(points)
@@ -292,18 +268,6 @@ def _peaks_of_radius(
     share = np.where(contrast > 0, least / np.maximum(contrast, 1e-30), 1.0)
     rows = np.column_stack([points, height / np.maximum(usual, 1e-30), height, share])
     return rows[height > np.maximum(least, 0.0)]
-
-
-def _maxima(values: Image, least: float, reach: list[int]) -> tuple[Ints, Ints]:
-    """Find the rows and columns of what is above ``least`` and nowhere surpassed within ``reach`` (rows, columns)."""
-    row, column = np.nonzero(values > least)
-    around = np.pad(values, [(n, n) for n in reach], constant_values=-np.inf)
-    offsets = [(i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)]
-    # The nearest first: they leave few for the others.
-    for i, j in sorted(offsets, key=lambda offset: np.hypot(*offset)):
-        top = values[row, column] >= around[row + reach[0] + i, column + reach[1] + j]
-        row, column = row[top], column[top]
-    return row, column
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> Bools:
@@ -316,14 +280,3 @@ def _strongest_by_tile(places: Floats, radius: float) -> Bools:
     rank = np.empty(len(places), np.int64)
     rank[order] = np.arange(len(places)) - np.repeat(np.cumsum(count) - count, count)
     return rank < TILE**2 / np.pi
-
-
-def _thin_by_cell(points: Floats, least: float) -> Floats:
-    """Drop points that share a cell of size ``least`` with one before them; the largest third number stays."""
-    cells = np.floor(points[:, :2] / least).astype(np.int64)
-    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    largest = np.full(len(first), -np.inf)
-    np.maximum.at(largest, cell.ravel(), points[:, 2])
-    thinned = points[first]
-    thinned[:, 2] = largest
-    return thinned[np.argsort(first)]

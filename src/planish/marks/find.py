@@ -10,14 +10,75 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
 from planish.core.errors import MarkError, SizeError
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _measure_kernels as k
 from planish.marks import candidates
 from planish.marks import hole_criteria as criteria
-from planish.marks.candidates import Image, Raster
-from planish.marks.hole_criteria import LEAST_CONTRAST
-from planish.marks.rejected import REASONS, count_rejected
+from planish.marks.candidates import FAINTEST, Image, Raster
+from planish.marks.hole_criteria import LEAST_CONTRAST, best_rims, overlaps_any
+
+# Reasons in the order of a sentence, and their words.
+REASONS = {
+    "not_measured": "not measured",
+    "cut": "cut by the border",
+    "too_small": "too small",
+    "too_large": "too large",
+    "too_faint": "too faint",
+    "not_round": "not round or not closed",
+    "no_rim": "without a sharp rim",
+    "unlike": "unlike the other holes",
+}
+
+# Of all openings: so many that are not round are no single holes that are half closed.
+MANY_OPENINGS = 0.25
+
+
+def count_rejected(
+    measured: Floats, holes: Floats, criteria: dict[str, Bools], is_whole: Bools, dropped: int
+) -> dict[str, int]:
+    """Count by reason what was measured (rows of `measure`, with the criteria they meet; whether the image holds all).
+
+    Only what lies on none of the holes, and would be one but for a single fault: mottle has several. Of marks that
+    overlap the one with the best rim counts.
+    """
+    # A border that cuts a mark takes a part of its rim, too.
+    met = {name: met | ((name == "not_round") & ~is_whole) for name, met in criteria.items()}
+    is_near = np.sum([is_whole, *met.values()], axis=0) >= len(criteria)
+    rows = np.flatnonzero(is_near & ~overlaps_any(measured, holes))
+    rows = rows[best_rims(measured[rows])]
+    counts = dict.fromkeys(REASONS, 0) | {"not_measured": dropped}
+    for row in rows.tolist():
+        reason = next((name for name, is_met in met.items() if not is_met[row]), "unlike")
+        counts[reason if is_whole[row] else "cut"] += 1
+    return counts
+
+
+def check_holes(holes: xr.Dataset) -> Check:
+    """Check how many holes were found and what was rejected; a look where places were not measured.
+
+    Parameters
+    ----------
+    holes : Dataset, dims (mark)
+        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
+    """
+    counts: dict[str, int] = holes.attrs.get("not_taken", {})
+    listed = [f"{counts[name]} {words}" for name, words in REASONS.items() if counts.get(name)]
+    count = holes.sizes["mark"]
+    sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
+    sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
+    dropped, openings = counts.get("not_measured", 0), int(holes.attrs.get("openings", 0))
+    advice = "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um)."
+    many = openings if openings > max(1, MANY_OPENINGS * (count + openings)) else 0
+    if openings:
+        subject = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
+        sentence += f" {subject} not round enough for one."
+    if many:
+        advice = "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
+    figures = (POSITION, PROPERTIES, CORRELATION) if many else (POSITION,)
+    return Check.at_most("holes", dropped + many, look=0, sentence=sentence, figures=figures, advice=advice)
+
 
 Polarity = Literal["auto", "dark", "bright"]
 """Whether holes are darker or brighter than the sheet."""
@@ -38,8 +99,8 @@ CHAR_UM = 60.0
 def find_holes(
     image: ArrayLike,
     *,
-    pixel_um: float | tuple[float, float],
-    diameter_um: tuple[float, float] = (100.0, 300.0),
+    pixel_um: float | Pair,
+    diameter_um: Pair = (100.0, 300.0),
     polarity: Polarity = "auto",
 ) -> xr.Dataset:
     """Find round laser holes and locate their centres to a fraction of a pixel.
@@ -134,7 +195,7 @@ class _Detection(NamedTuple):
 
 
 def _holes(
-    grey: Image, size: tuple[float, float], low: float, high: float, signs: tuple[float, ...]
+    grey: Image, size: Pair, low: float, high: float, signs: tuple[float, ...]
 ) -> tuple[float, Floats, dict[str, int]]:
     """Find the polarity with the stronger holes: its sign, rows of `measure` in um, and counts of rejected marks."""
     fine = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
@@ -158,11 +219,18 @@ def _detections(fine: Raster, low: float, high: float, signs: tuple[float, ...])
     responses = candidates.blob_responses(coarse, coarse_size, (low, high))
     square = candidates.SQUARE * 2 * high
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
-    quiet = candidates.quiet_texture(coarse, coarse_size, 2 * high, square)
-    disc = 0.67 * candidates.disc_response([r.radius for r in responses], LEAST_CONTRAST)
-    faintest = quiet._replace(values=disc * quiet.values)
+    # The texture of the quietest quarter around: holes, dots and dirt have little influence. Too small rather than too
+    # large, and nowhere above the median.
+    quiet = candidates.local_deviation(coarse, coarse_size, 2 * high, square, 0.25)
+    quiet = quiet._replace(values=np.minimum(quiet.values, np.median(quiet.values)))
+    # The response at the centre of a disc at its own radius.
+    ratio = responses[1].radius / responses[0].radius
+    disc = LEAST_CONTRAST * float(np.exp(-1 / ratio) - np.exp(-ratio))
+    faintest = quiet._replace(values=0.67 * disc * quiet.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
-    spreads = candidates.response_spreads(responses, square)
+    # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
+    spreads = [candidates.local_spread(response.values, response.pixel_um, square, 0.5) for response in responses]
+    spreads = [s._replace(values=np.maximum(s.values, FAINTEST * float(np.median(s.values)))) for s in spreads]
     for sign in signs:
         points, standing, share, dropped = candidates.peaks(
             responses, sign, faintest, spreads, criteria.WORTH_MEASURING
@@ -191,16 +259,16 @@ def _raise_texture(rows: Floats, texture: candidates.LocalLevels) -> None:
     rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], texture.at_points(rows[:, k.X : k.Y + 1]))
 
 
-def _measured(
-    fine: Raster, places: Floats, sign: float, radii: tuple[float, float], worth: tuple[Floats, Floats]
-) -> Floats:
+def _measured(fine: Raster, places: Floats, sign: float, radii: Pair, worth: tuple[Floats, Floats]) -> Floats:
     """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
     image, size, _ = fine
     rows = np.full((len(places), k.COLUMNS), np.nan)
     pairs = criteria.neighbour_pairs(places, 2 * radii[0])
     first = np.asarray(criteria.greedy_disjoint(np.arange(len(places)), *pairs), dtype=np.intp)
     for turn in (first, np.setdiff1d(np.arange(len(places)), first)):
-        if clear := np.flatnonzero(criteria.is_clear(rows, size)).tolist():
+        with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
+            clear = np.flatnonzero(criteria.is_round(rows, size) & ~criteria.is_doubtful(rows))
+        if clear.size:
             away, nearest = KDTree(rows[clear][:, [k.X, k.Y]]).query(places[turn])
             turn = turn[away > 0.5 * rows[clear][nearest, k.RADIUS]]
         x, y = np.ascontiguousarray(places[turn].T)

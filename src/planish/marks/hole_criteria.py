@@ -5,13 +5,11 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
-from planish.core.typing import Bools, Floats
+from planish.core.robust import mad_sd
+from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.marks import _measure_kernels as k
-
-Ints = NDArray[np.intp]
 
 LARGEST_AXIS_RATIO = 1.3
 LEAST_COVERAGE = 0.7
@@ -68,19 +66,15 @@ OWN_WAVES = 0.5
 PIXEL_ERROR = 0.02
 
 
-def is_whole(rows: Floats, shape: tuple[int, ...], size: tuple[float, float]) -> Bools:
+def is_whole(rows: Floats, shape: tuple[int, ...], size: Pair) -> Bools:
     """Return which circles lie inside the image."""
     bottom, right = ((n - 1) * step for n, step in zip(shape, size, strict=True))
     x, y, radius = (rows[:, k.X], rows[:, k.Y], rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE])
     return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
-# Rows that meet each criterion of a hole, by the name of the fault of those that do not.
-Criteria = dict[str, Bools]
-
-
-def met_criteria(rows: Floats, size: tuple[float, float], low: float, high: float) -> Criteria:
-    """Apply each criterion to rows of `measure`; ``low, high`` is the range of radii in um."""
+def met_criteria(rows: Floats, size: Pair, low: float, high: float) -> dict[str, Bools]:
+    """Rows of `measure` that meet each criterion, by the fault of those that do not; radii from ``low`` to ``high``."""
     radius, step = rows[:, k.RADIUS], rows[:, k.STEP]
     total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
@@ -89,7 +83,7 @@ def met_criteria(rows: Floats, size: tuple[float, float], low: float, high: floa
         return {
             "too_small": radius >= max(low, LEAST_PIXELS / 2 * max(size)),
             "too_large": radius <= high,
-            "not_round": _is_round(rows, size),
+            "not_round": is_round(rows, size),
             "too_faint": (total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > LEAST_STANDING),
             "no_rim": ((step > LEAST_STEP * total) | ((step > LEAST_SCORCHED * total) & sharp & flat))
             & (sharp | ((step > SHARP_ENOUGH * rows[:, k.FAR_STEP]) & flat))
@@ -98,12 +92,12 @@ def met_criteria(rows: Floats, size: tuple[float, float], low: float, high: floa
         }
 
 
-def is_hole(rows: Floats, size: tuple[float, float], low: float, high: float) -> Bools:
+def is_hole(rows: Floats, size: Pair, low: float, high: float) -> Bools:
     """Return which rows of `measure` look like a hole, each by itself; ``low, high`` the range of radii in um."""
     return np.all(list(met_criteria(rows, size, low, high).values()), axis=0)
 
 
-def _is_round(rows: Floats, size: tuple[float, float]) -> Bools:
+def is_round(rows: Floats, size: Pair) -> Bools:
     """Return which rims are whole, smooth and nearly circles."""
     radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
     smooth = rows[:, k.ROUGHNESS] < LARGEST_ROUGHNESS * radius + 0.3 * max(size)
@@ -138,12 +132,6 @@ def neighbour_pairs(points: Floats, reach: float) -> tuple[Ints, Ints]:
     """Pair points (n, 2) that are within ``reach`` of each other, both ways round."""
     near = KDTree(points).query_pairs(reach, output_type="ndarray") if len(points) else np.empty((0, 2), np.intp)
     return np.append(near[:, 0], near[:, 1]), np.append(near[:, 1], near[:, 0])
-
-
-def is_clear(rows: Floats, size: tuple[float, float]) -> Bools:
-    """Return which rows have nearly all of a smooth round rim."""
-    with np.errstate(invalid="ignore"):
-        return _is_round(rows, size) & ~is_doubtful(rows)
 
 
 def greedy_disjoint(order: Ints, first: Ints, second: Ints) -> list[int]:
@@ -207,20 +195,15 @@ def typical_hole(rows: Floats) -> TypicalHole:
     sheet = float(np.median(outside[deep]))
     # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
     deep_enough = step >= 0.7 * np.median(step)
-    slope, scatter = 0.0, _robust_sd(inside[deep])
+    slope, scatter = 0.0, mad_sd(inside[deep])
     steeper = _slope(outside[deep_enough], inside[deep_enough])
-    steeper_scatter = _robust_sd(inside[deep] - steeper * outside[deep])
+    steeper_scatter = mad_sd(inside[deep] - steeper * outside[deep])
     if steeper_scatter < 0.5 * scatter:
         slope, scatter = steeper, steeper_scatter
     floor = float(np.median(inside[deep] - slope * (outside[deep] - sheet)))
     burnt, rim = (float(np.nanmedian(rows[deep, column] / step[deep])) for column in (k.BURNT, k.STEP))
     radius = float(np.median(rows[deep, k.RADIUS]))
     return TypicalHole(floor, sheet, slope, scatter / (sheet - floor), radius, burnt, rim)
-
-
-def _robust_sd(values: Floats) -> float:
-    """Return the robust standard deviation."""
-    return 1.4826 * float(np.median(np.abs(values - np.median(values))))
 
 
 def _slope(x: Floats, y: Floats) -> float:
@@ -257,14 +240,11 @@ def drop_unlike(rows: Floats, sign: float) -> Floats:
     # Char takes a part of the step; what has none and is odd, taking together that it is less deep, less round and of
     # another size, is ink or dirt.
     quality = _quality(rows)
+    rougher = np.minimum(quality - np.median(quality[is_like]), 0)
     is_odd = (
         ((1 - depth) / np.clip(4 * typical.scatter, *LIKE_FLOORS)) ** 2
-        + (size_difference / np.clip(3 * _robust_sd(log_radius[is_like]), *LIKE_SIZES)) ** 2
-        + (
-            np.minimum(quality - np.median(quality[is_like]), 0)
-            / np.clip(3 * _robust_sd(quality[is_like]), *LIKE_OUTLINES)
-        )
-        ** 2
+        + (size_difference / np.clip(3 * mad_sd(log_radius[is_like]), *LIKE_SIZES)) ** 2
+        + (rougher / np.clip(3 * mad_sd(quality[is_like]), *LIKE_OUTLINES)) ** 2
     ) > 1
     is_bare = (rows[:, k.STEP] > (typical.rim + MORE_OF_THE_STEP) * step) | _is_unburnt(rows, typical)
     return rows[is_like & ~(is_odd & is_bare)]
@@ -283,14 +263,14 @@ def is_doubtful(rows: Floats) -> Bools:
     return _quality(rows) < CLEAR
 
 
-def select_resembling(rows: Floats, holes: Floats, size: tuple[float, float]) -> Floats:
+def select_resembling(rows: Floats, holes: Floats, size: Pair) -> Floats:
     """Of floors that were measured keep the round ones that are like those of the holes."""
     typical = typical_hole(holes)
     radius, step = rows[:, k.RADIUS], rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     with np.errstate(invalid="ignore"):
         floor_difference = np.abs(rows[:, k.INSIDE] - typical.floor_at(rows[:, k.OUTSIDE]))
         is_similar = (
-            _is_round(rows, size)
+            is_round(rows, size)
             & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
             & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
             & (floor_difference < np.clip(4 * typical.scatter, *LIKE_FLOORS) * typical.depth)
@@ -321,7 +301,7 @@ def _quality(rows: Floats) -> Floats:
     return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
 
 
-def set_covariance(rows: Floats, size: tuple[float, float]) -> None:
+def set_covariance(rows: Floats, size: Pair) -> None:
     """Scale the covariances by the size of the wave that moves a centre, in place.
 
     One rim has few waves to judge from, so the roughness of all rims of an image counts as much as a rim's own. Long

@@ -1,16 +1,16 @@
-"""Pixels of a map or an image that lie in holes, also in those that its border cuts."""
+"""Pixels of a map or an image that lie in holes, also in those that its border cuts, or in the dots of a print."""
 
 from __future__ import annotations
-
-from typing import Any
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.core.bands import band_of, bands, thinned
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
+from planish.marks.candidates import reduce_to
 
 
 def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
@@ -61,21 +61,16 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         _, (greys, inner, outer) = thinned(image, inner, outer)
         floor, sheet = (float(np.nanmedian(greys[use])) if use.any() else np.nan for use in (inner, ~outer))
         if np.isfinite(floor - sheet) and floor != sheet:
-            is_beyond = [_is_beyond(band_of(image, rows), floor, sheet) for rows in bands(grid.shape[0])]
+            # Beyond half way from the sheet to the floor of the holes.
+            parts = (band_of(image, rows) for rows in bands(grid.shape[0]))
+            is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in parts]
             circles = _border_circles(np.concatenate(is_beyond), grid, radius)
     columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
     return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), columns, strict=True)})
 
 
-def _is_beyond(greys: NDArray[Any], floor: float, sheet: float) -> Bools:
-    """Return which greys are beyond half way from the sheet to the floor of the holes."""
-    return np.isfinite(greys) & ((greys.astype(np.float64) - sheet) / (floor - sheet) > 0.5)
-
-
 def _border_circles(is_beyond: Bools, grid: Grid, radius: Floats) -> list[tuple[float, float, float]]:
     """Give circles around the regions that touch the border."""
-    from scipy import ndimage
-
     labels = np.asarray(ndimage.label(is_beyond)[0])
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
     down, across = grid.pixel_um
@@ -87,8 +82,71 @@ def _border_circles(is_beyond: Bools, grid: Grid, radius: Floats) -> list[tuple[
         rows, cols = (index + side.start for index, side in zip(np.nonzero(labels[box] == label), box, strict=True))
         if rows.size >= least:
             points = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
-            middle = points.mean(axis=0)
-            reach = float(np.hypot(*(points - middle).T).max())
+            x, y = points.mean(axis=0).tolist()
+            reach = float(np.hypot(*(points - (x, y)).T).max())
             if reach <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
-                circles.append((float(middle[0]), float(middle[1]), 2 * reach))
+                circles.append((x, y, 2 * reach))
     return circles
+
+
+_ACROSS = 40.0  # pixels over the smallest hole where dots are distinguished from holes
+_EDGE = 2  # such pixels around a dot that are not yet as bright as paper
+_REGROWTH = 1.5  # such pixels by which a hole grows back beyond the discs in it: its rim stays as it is
+_BINS = 256
+
+
+def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -> NDArray[np.float32]:
+    """Make bright what is dark and too narrow for the smallest hole.
+
+    Parameters
+    ----------
+    image : ndarray, shape (rows, cols)
+        Printed paper, brighter than its ink; NaN is missing.
+    pixel_um : (float, float)
+        Along y and x.
+    least_um : float
+        Diameter of the smallest hole, larger than that of the largest dot.
+
+    Returns
+    -------
+    ndarray, shape (rows, cols)
+        The image with the median grey of the paper where dots are; holes and paper keep their values.
+
+    Notes
+    -----
+    Dark is what lies below the level that parts two classes of grey best (Otsu 1979). What a disc of ``least_um``, all
+    dark, reaches is a hole (morphological opening); all other dark pixels are dots.
+
+    References
+    ----------
+    Otsu (1979), IEEE Trans. Syst. Man Cybern. 9, 62, doi:10.1109/TSMC.1979.4310076.
+    """
+    whole = np.asarray(image, dtype=np.float32)
+    small, size, _ = reduce_to(whole, pixel_um, least_um / _ACROSS)
+    has_data = np.isfinite(small)
+    if not has_data.any():
+        return whole
+    smooth = ndimage.gaussian_filter(np.where(has_data, small, np.median(small[has_data])), 1.0)
+    # The grey that parts two classes so that the variance between them is largest.
+    count, edges = np.histogram(smooth[has_data], _BINS)
+    below, total = np.cumsum(count), np.cumsum(count * (0.5 * (edges[1:] + edges[:-1])))
+    weight = below[:-1] * (below[-1] - below[:-1])
+    between = (total[-1] * below[:-1] / below[-1] - total[:-1]) ** 2 / np.maximum(weight, 1)
+    dark = has_data & (smooth < float(edges[1 + int(np.argmax(np.where(weight > 0, between, -1.0)))]))
+    if not dark.any() or not (has_data & ~dark).any():
+        return whole
+    # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
+    depth = np.asarray(ndimage.distance_transform_edt(np.pad(dark | ~has_data, 1, constant_values=True), sampling=size))
+    middle = dark & (depth[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(size))
+    reach = least_um / 2 + _REGROWTH * max(size)
+    hole = np.zeros_like(dark)
+    if middle.any():
+        hole = np.asarray(ndimage.distance_transform_edt(~middle, sampling=size)) < reach
+    dots = ndimage.binary_dilation(dark & ~hole, iterations=_EDGE) & ~hole
+    factors = [round(a / b) for a, b in zip(size, pixel_um, strict=True)]
+    rows, cols = (
+        np.minimum(np.arange(n) // k, m - 1) for n, k, m in zip(whole.shape, factors, dots.shape, strict=True)
+    )
+    out = whole.copy()
+    out[dots[np.ix_(rows, cols)] & np.isfinite(whole)] = np.median(small[has_data & ~dark])
+    return out

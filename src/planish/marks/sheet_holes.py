@@ -12,14 +12,12 @@ from scipy import ndimage
 from scipy.spatial import KDTree
 
 from planish.core.errors import MarkError
-from planish.core.facts import Side
+from planish.core.facts import HoleTiltFacts, Side
 from planish.core.grid import Grid
-from planish.core.results import HoleTiltFacts
-from planish.core.typing import Floats
+from planish.core.robust import MAD_TO_SD
+from planish.core.typing import Floats, Ints, Pair
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams
-
-Ints = NDArray[np.intp]
 
 MAPS = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
 PLACES = {"top": "below the top face", "centre": "at the centre surface", "bottom": "above the bottom face"}
@@ -35,8 +33,8 @@ OPENING = 0.6
 REACH = 0.5
 # The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
 MIDDLE, MATERIAL = 0.25, 0.5
-# Standard deviation of a normal distribution over its median absolute deviation; error of a median over that of a mean.
-MAD_TO_SD, MEDIAN_TO_MEAN = 1.4826, 1.2533
+# Error of a median over that of a mean.
+MEDIAN_TO_MEAN = 1.2533
 # Holes found on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
 ENOUGH_THROUGH, STANDS_OUT = 4, 3.0
 
@@ -107,11 +105,9 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
         )
     low, high = (params or HoleParams()).hole_um
     grid = Grid.of(maps)
-    wider = low / OTHER_DIAMETER, high * OTHER_DIAMETER
+    ranges = dict.fromkeys(layers, (low / OTHER_DIAMETER, high * OTHER_DIAMETER)) | {side: (low, high)}
     holes = {
-        layer: find_holes(
-            share, pixel_um=grid.pixel_um, diameter_um=(low, high) if layer == side else wider, polarity="dark"
-        )
+        layer: find_holes(share, pixel_um=grid.pixel_um, diameter_um=ranges[layer], polarity="dark")
         for layer, share in layers.items()
     }
     centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
@@ -145,21 +141,24 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
 
 
 def _other_side(
-    share: NDArray[np.generic],
-    pixel: tuple[float, float],
-    centres: Floats,
-    diameters: Floats,
-    partners: Floats,
+    share: NDArray[np.generic], pixel: Pair, centres: Floats, diameters: Floats, partners: Floats,
     rows: Ints,
-) -> NDArray[np.uint8]:
+) -> NDArray[np.uint8]:  # fmt: skip
     """Return the state of each hole on the other side, whose holes are ``partners`` and whose material is ``share``."""
     is_through = rows >= 0
     state = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.
     shift = np.median(partners[rows[is_through]] - centres[is_through], axis=0) if is_through.any() else np.zeros(2)
+    axes = [np.arange(n) * step for n, step in zip(share.shape, pixel, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
-        inside = _middle(share, pixel, centres[k] + shift, MIDDLE * float(diameters[k]))
-        state[k] = CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR
+        # The shares of the map within a radius of a place, without those that are missing.
+        radius = MIDDLE * float(diameters[k])
+        down, along = (axis - place for axis, place in zip(axes, (centres[k] + shift)[::-1], strict=True))
+        near = [np.flatnonzero(np.abs(d) <= radius) for d in (down, along)]
+        distance = np.hypot(down[near[0]][:, None], along[near[1]][None])
+        shares = share[np.ix_(*near)].astype(np.float64)[distance <= radius]
+        shares = shares[np.isfinite(shares)]
+        state[k] = CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR
     return state
 
 
@@ -227,7 +226,7 @@ def _partners(holes: Floats, candidates: Floats, reach: Floats) -> Ints:
     return rows
 
 
-def _openings(share: NDArray[np.generic], pixel: tuple[float, float], centres: Floats, least_um: float) -> int:
+def _openings(share: NDArray[np.generic], pixel: Pair, centres: Floats, least_um: float) -> int:
     """Count openings away from the border, as large as a circle of a diameter or larger, that hold no hole."""
     material = share.astype(np.float64)
     has_data = np.isfinite(material)
@@ -240,16 +239,6 @@ def _openings(share: NDArray[np.generic], pixel: tuple[float, float], centres: F
     )
     sizes[regions[hole_pixels]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
-
-
-def _middle(share: NDArray[np.generic], pixel: tuple[float, float], centre: Floats, radius: float) -> Floats:
-    """Return the shares of a map within ``radius`` of a point (x, y), without those that are missing."""
-    axes = zip(share.shape, pixel, centre[::-1], strict=True)
-    down, along = (np.arange(n) * step - place for n, step, place in axes)
-    rows, cols = (np.flatnonzero(np.abs(d) <= radius) for d in (down, along))
-    distance = np.hypot(down[rows][:, None], along[cols][None])
-    shares = share[np.ix_(rows, cols)].astype(np.float64)[distance <= radius]
-    return shares[np.isfinite(shares)]
 
 
 def _by_layer(holes: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:

@@ -1,13 +1,12 @@
-from .along_rays import measure_along_rays as measure_along_rays
+from .lengths import scale_limited as scale_limited
 from .numbers import roughness_numbers as roughness_numbers
 from .numbers import sheet_numbers as sheet_numbers
 from .numbers import thin_fraction as thin_fraction
 from .numbers import two_sidedness as two_sidedness
-from .orientation import axial_angle as axial_angle
-from .orientation import orientation_layers as orientation_layers
 from .params import MeasureParams as MeasureParams
 from .phases import depth_profiles as depth_profiles
 from .properties import further_maps as further_maps
+from .properties import measure_along_rays as measure_along_rays
 from .properties import measure_properties as measure_properties
 from .properties import surfaces_of as surfaces_of
 from .rays import Rays as Rays
@@ -21,4 +20,5 @@ from .registry import ray_property as ray_property
 from .registry import registered as registered
 from .registry import sheet_property as sheet_property
 from .straighten import straightened as straightened
-from .topography import scale_limited as scale_limited
+from .structure import axial_angle as axial_angle
+from .structure import orientation_layers as orientation_layers

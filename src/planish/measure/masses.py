@@ -12,16 +12,14 @@ import numpy as np
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option, spoken
-from planish.measure.registry import SIDES, Measured, Sheet, Side, ray_property, sheet_property
-from planish.measure.topography import smoothed
+from planish.measure.lengths import smoothed
+from planish.measure.registry import FWHM, SIDES, Greys, Measured, Sheet, Side, ray_property, sheet_property
 
 if TYPE_CHECKING:
-    from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
 _BEYOND = 3.0  # blurs outside a face and inside an interface: 99.9 % of the light of a step
-_FWHM = float(np.sqrt(8 * np.log(2.0)))
 
 
 class Densities(Params):
@@ -53,13 +51,7 @@ class Densities(Params):
         return self.coat_weight_top_g_m2 if side == "top" else self.coat_weight_bottom_g_m2
 
     def need(self, quantity: str, *names: str) -> float:
-        """Return the first of ``names`` that is known.
-
-        Raises
-        ------
-        CannotMeasure
-            If none is.
-        """
+        """Return the first of ``names`` that is known; CannotMeasure if none is."""
         for name in names:
             if (number := getattr(self, name)) is not None:
                 return number
@@ -105,7 +97,15 @@ def _coating_absorbs(_params: MeasureParams, greys: Greys, side: Side) -> None:
     greys.need_absorption(f"Coating by absorption, {side} side,")
 
 
-def _excess(rays: Rays, side: Side) -> Measured:
+def coating_absorption(rays: Rays, side: Side) -> Measured:
+    """P-02: thickness of a layer of the coating's own grey that absorbs as much as this one.
+
+    The integral of the grey above the base's level, from three blurs outside the face to three blurs inside the
+    interface, over the contrast between coating and base; outside the face the air's level takes the base's place. A
+    blur moves grey along the ray but does not change its integral, so that thin layers count in full.
+
+    SE: sqrt(noise * L + ((base - air) SE_face)^2) / (coating - base), L the length of the integral.
+    """
     from planish.measure.uncertainty import layer_errors
 
     greys = rays.greys
@@ -123,19 +123,9 @@ def _excess(rays: Rays, side: Side) -> Measured:
     return Measured(values=integral / (coat - base), se=se)
 
 
-@ray_property(
+ray_property(
     "coating_absorption_{side}", units="um", long_name="Coating by absorption, {side} side", check=_coating_absorbs
-)
-def coating_absorption(rays: Rays, side: Side) -> Measured:
-    """P-02: thickness of a layer of the coating's own grey that absorbs as much as this one.
-
-    The integral of the grey above the base's level, from three blurs outside the face to three blurs inside the
-    interface, over the contrast between coating and base; outside the face the air's level takes the base's place. A
-    blur moves grey along the ray but does not change its integral, so that thin layers count in full.
-
-    SE: sqrt(noise * L + ((base - air) SE_face)^2) / (coating - base), L the length of the integral.
-    """
-    return _excess(rays, side)
+)(coating_absorption)
 
 
 def _weight_given(params: MeasureParams, greys: Greys, side: Side) -> bool:
@@ -194,11 +184,9 @@ def absorption_base(rays: Rays) -> Measured:
     greys = rays.greys
     whole = _absorption(rays)
     lengths, variance = whole.values, whole.se**2
-    for side, thick in zip(
-        SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True
-    ):  # fmt: skip
+    for side, thick in zip(SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True):
         if greys.coated(side):
-            layer = _excess(rays, side)
+            layer = coating_absorption(rays, side)
             share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
             lengths = lengths - layer.values * share - thick
             variance = variance + (layer.se * share) ** 2
@@ -271,7 +259,7 @@ def apparent_density(sheet: Sheet) -> Measured:
     noise is independent; noise that neighbours share makes it larger.
     """
     f = sheet.frame
-    sigma = f.params.density_support_um / _FWHM
+    sigma = f.params.density_support_um / FWHM
     noise_share = min(1.0, float(np.sqrt(np.prod(f.pitch_um))) / (2 * np.sqrt(np.pi) * sigma))
     mass, thick = sheet.maps["grammage"], sheet.maps["thickness"]
     # Both means are of the same rays.

@@ -6,14 +6,15 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import CannotMeasure
+from planish.core.facts import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.grid import pitch
-from planish.core.results import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.tiles import Engine
+from planish.core.transform import Pair
 from planish.core.typing import Floats
+from planish.measure.lengths import scale_limited
 from planish.measure.params import MeasureParams
 from planish.measure.phases import depth_profiles
 from planish.measure.registry import SIDES, Side
-from planish.measure.topography import scale_limited
 
 MARKED_UM = (0.0, 2.0, 5.0)  # uncovered, all but, and the outline of Fig. 6 in Hirn et al. (2009)
 _CURVE_UM = 0.25  # step of the curve
@@ -87,9 +88,7 @@ def thin_fraction(
     return xr.Dataset(variables, coords=coords, attrs=attrs)
 
 
-def roughness_numbers(
-    limited: Floats, pitch_um: tuple[float, float], *, s_filter_um: float, l_filter_um: float
-) -> RoughnessFacts:
+def roughness_numbers(limited: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float) -> RoughnessFacts:
     """Sa, Sq, Ssk, Sku, Sz and Sdq of what :func:`scale_limited` gives.
 
     Raises
@@ -162,12 +161,9 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
 
 
 def sheet_numbers(
-    measured: xr.Dataset,
-    *,
-    volume: xr.DataArray | None = None,
-    params: MeasureParams | None = None,
+    measured: xr.Dataset, *, volume: xr.DataArray | None = None, params: MeasureParams | None = None,
     engine: Engine | None = None,
-) -> SheetNumbers:
+) -> SheetNumbers:  # fmt: skip
     """Describe a sheet in numbers: thin and bare shares, roughness, two-sidedness, and profiles in depth.
 
     Parameters
@@ -185,33 +181,21 @@ def sheet_numbers(
         layers = depth_profiles(volume, measured, names=profiled, params=params, engine=engine)
         shares: dict[str, tuple[float | None, ...]] = {name: tuple(layers[name].values.tolist()) for name in profiled}
         profiles = ProfileFacts(depth=tuple(layers["depth"].values.tolist()), values=shares)
-    return SheetNumbers(
-        thin={side: facts for side in SIDES if (facts := _thin(measured, side)) is not None},
-        roughness={side: _roughness(measured, params, side) for side in SIDES},
-        two_sides=TwoSidesFacts.model_validate(two_sidedness(measured)),
-        profiles=profiles,
-    )
-
-
-def _thin(measured: xr.Dataset, side: Side) -> ThinFacts | None:
-    """Shares of thin coating; None on a side without one."""
-    coating = measured[f"coating_{side}"]
-    if not np.isfinite(coating.values).any():
-        return None
-    support = float(np.sqrt(np.prod(pitch(measured))))
-    fractions = thin_fraction(coating.assign_attrs(support_um=support))
-    return ThinFacts(
-        thinner_than_um=tuple(fractions["marked"].values.tolist()),
-        share=tuple(fractions["marked_share"].values.tolist()),
-        support_um=support, warning=fractions.attrs.get("warning"),
-    )  # fmt: skip
-
-
-def _roughness(measured: xr.Dataset, params: MeasureParams, side: Side) -> RoughnessFacts:
-    """Roughness numbers; a field smaller than the filters has none, which is reported and is no fault of the run."""
-    filters = {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
-    try:
-        limited = scale_limited(measured[f"topography_{side}"].values, pitch(measured), **filters)
-        return roughness_numbers(limited, pitch(measured), **filters)
-    except CannotMeasure as reason:
-        return RoughnessFacts(reason=reason.text)
+    steps, filters = pitch(measured), {"s_filter_um": params.s_filter_um, "l_filter_um": params.l_filter_um}
+    support = float(np.sqrt(np.prod(steps)))
+    thin: dict[Side, ThinFacts] = {}
+    roughness: dict[Side, RoughnessFacts] = {}
+    for side in SIDES:
+        coating = measured[f"coating_{side}"]
+        if np.isfinite(coating.values).any():
+            fractions = thin_fraction(coating.assign_attrs(support_um=support))
+            marked, share = (tuple(fractions[name].values.tolist()) for name in ("marked", "marked_share"))
+            warning = fractions.attrs.get("warning")
+            thin[side] = ThinFacts(thinner_than_um=marked, share=share, support_um=support, warning=warning)
+        try:
+            limited = scale_limited(measured[f"topography_{side}"].values, steps, **filters)
+            roughness[side] = roughness_numbers(limited, steps, **filters)
+        except CannotMeasure as reason:  # a field smaller than the filters has none, which is no fault of the run
+            roughness[side] = RoughnessFacts(reason=reason.text)
+    two_sides = TwoSidesFacts.model_validate(two_sidedness(measured))
+    return SheetNumbers(thin=thin, roughness=roughness, two_sides=two_sides, profiles=profiles)

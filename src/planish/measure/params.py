@@ -9,7 +9,7 @@ from __future__ import annotations
 from typing import Literal
 
 from planish.core.options import Params, option
-from planish.measure import ink, masses, orientation, phases, pores, thickness, topography
+from planish.measure import lengths, masses, phases, structure
 
 
 class Common(Params):
@@ -29,11 +29,10 @@ class Common(Params):
 
 # Fields of the last base come first.
 class MeasureParams(
-    topography.Options,
-    thickness.Options,
-    pores.Options,
-    orientation.Options,
-    ink.Options,
+    lengths.RoughnessOptions,
+    lengths.ThicknessOptions,
+    structure.Options,
+    lengths.InkOptions,
     phases.Options,
     masses.Options,
     masses.Densities,

@@ -10,13 +10,12 @@ import numpy as np
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
 from planish.core.typing import Floats
-from planish.measure.registry import Measured, Sheet, ray_property, sheet_property
+from planish.measure.registry import Greys, Measured, Sheet, ray_property, sheet_property
 
 if TYPE_CHECKING:
     import xarray as xr
 
     from planish.core.tiles import Engine
-    from planish.measure.greys import Greys
     from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
@@ -28,7 +27,7 @@ class Options(Params):
         None,
         help="Grey of fibre wall without voids: porosity is then what the mean grey lacks to it, which sees pores too "
         "small to be resolved.",
-    )  # fmt: skip
+    )
     void_grey: float | None = option(
         None, cli=None, help="Level between void and solid; half way between air and base where not given."
     )
@@ -132,9 +131,7 @@ def _weighable(params: MeasureParams, greys: Greys) -> None:
     _filler_level(params, greys)
 
 
-@sheet_property(
-    "filler_weight", units="g/m2", long_name="Filler", check=_weighable, after=("filler", "base_thickness"),
-)  # fmt: skip
+@sheet_property("filler_weight", units="g/m2", long_name="Filler", check=_weighable, after=("filler", "base_thickness"))
 def filler_weight(sheet: Sheet) -> Measured:
     """P-11 as a mass: share of filler times base thickness times the filler's density; SE: the share's, likewise."""
     mass = sheet.maps["base_thickness"].values * sheet.params.need("Filler", "filler_g_cm3")
@@ -176,7 +173,7 @@ def depth_profiles(
     """
     import xarray as xr
 
-    from planish.measure.along_rays import each_tile, ray_frame
+    from planish.measure.properties import each_tile, ray_frame
 
     unknown = [name for name in names if name not in _SHARES]
     if unknown or bins < 1:
@@ -218,10 +215,8 @@ def depth_profiles(
 
 
 def _layer_sums(rays: Rays, names: Sequence[str], edges: Floats) -> Floats:
-    """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows).
-
-    Rows are summed by themselves, then added in the same order however they were cut.
-    """
+    """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
+    # Rows are summed by themselves, then added in the same order however they were cut.
     thick = rays.interface_top - rays.interface_bottom
     sums = np.zeros((len(names), edges.size - 1, 3, rays.status.shape[0]))
     for a, name in enumerate(names):

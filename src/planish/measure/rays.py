@@ -1,17 +1,27 @@
-"""Grey values along the rays of the centre surface, and what is asked of them: integrals, lengths, means."""
+"""The rays of the centre surface: where they meet the faces, grey values along them, integrals, lengths, means."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.errors import CannotMeasure, SurfaceError
+from planish.core.frame import Frame
+from planish.core.grid import pitch
+from planish.core.status import Status
 from planish.core.typing import Bools, Floats
-from planish.measure.greys import Greys
+from planish.measure import _ray_kernels
 from planish.measure.params import MeasureParams
+from planish.measure.registry import SIDES, Greys, Side
+
+if TYPE_CHECKING:
+    from planish.measure.uncertainty import Shared
+
 
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
@@ -121,11 +131,8 @@ class Rays:
     def _pieces(
         self, lower: Floats, upper: Floats, least: float, most: float
     ) -> tuple[Floats, Floats, NDArray[np.int32]]:
-        from planish.measure import _ray_kernels
-
-        return _ray_kernels.pieces(
-            self.grey, float(self.s_um[0]), self.step_um, lower, upper, float(least), float(most)
-        )
+        first = float(self.s_um[0])
+        return _ray_kernels.pieces(self.grey, first, self.step_um, lower, upper, float(least), float(most))
 
     def beyond(self, lower: Floats, upper: Floats, level: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
@@ -156,3 +163,214 @@ class Rays:
         arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
         cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
         return replace(self, **cut, _cache={})
+
+
+_FARTHEST = 1.5  # sheet thicknesses from the centre surface: a face beyond is not this ray's
+
+
+class Met(NamedTuple):
+    """Where the rays meet the faces.
+
+    ``heights``: of ``centre`` and the faces (rows, cols), um, up towards the top. ``faces``: signed distances along the
+    rays; an interface of a side without a coating is its face. ``coated``: of each side. ``stretch``: mean length of a
+    step of one um along rows and columns, measured in the centre surface.
+    """
+
+    heights: dict[str, Floats]
+    faces: dict[str, Floats]
+    coated: dict[Side, bool]
+    stretch: tuple[float, float]
+
+
+def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
+    """Find where the rays meet the faces; SurfaceError if one is missing or the top lies below the bottom."""
+    lacking = [name for name in (*FACES, "centre", "status") if name not in surfaces]
+    if lacking:
+        raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+    up = Frame.of(surfaces).sign
+    heights = {name: up * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
+    below = int(np.count_nonzero(heights["top"] < heights["bottom"]))
+    if below:
+        raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
+    step = pitch(surfaces)
+    slope = slopes_of(heights["centre"], step)
+    is_finite = np.isfinite(slope).all(axis=-1)
+    stretch = np.sqrt(1 + slope[is_finite] ** 2).mean(axis=0) if is_finite.any() else np.zeros(2)
+    unit = directions(slope, rays)
+    along_r, along_c, along_h = (np.ascontiguousarray(unit[..., k]) for k in range(3))
+    faces: dict[str, Floats] = {}
+    for name in FACES:
+        if name.startswith("interface") and not np.isfinite(heights[name]).any():
+            faces[name] = faces[name.removeprefix("interface_")]
+        elif rays == "vertical":
+            faces[name] = heights[name] - heights["centre"]
+        else:
+            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], along_r, along_c, along_h, *step)
+    coated: dict[Side, bool] = {side: faces[f"interface_{side}"] is not faces[side] for side in SIDES}
+    return Met(heights=heights, faces=faces, coated=coated, stretch=(float(stretch[0]), float(stretch[1])))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RayFrame:
+    """Where the rays of a whole sheet lie and meet its faces; what a tile needs to be cut out of the volume.
+
+    ``heights`` and ``faces`` are as in :class:`Met`. ``low``, ``high``: first and last sample; sample k lies at
+    k * step_um. ``wide``: voxels along the edge of a column of the surfaces.
+    """
+
+    frame: Frame
+    heights: dict[str, Floats]
+    faces: dict[str, Floats]
+    status: NDArray[np.uint8]
+    pitch_um: tuple[float, float]
+    voxel_um: float
+    step_um: float
+    low: int
+    high: int
+    greys: Greys
+    params: MeasureParams
+    mean_stretch: tuple[float, float]
+    wide: int
+    noise_um: float = float("nan")
+
+    @classmethod
+    def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
+        """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
+        met = meet(surfaces, params.rays)
+        voxel_um, wide = _column(volume, surfaces)
+        step = 0.5 * voxel_um  # a longer step loses what the voxels show
+        greys = Greys.of(surfaces)
+        margin = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
+        status = surfaces["status"].values.astype(np.uint8)
+        top, bottom = met.faces["top"], met.faces["bottom"]
+        whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
+        thick = float(np.median((top - bottom)[whole])) if whole.any() else float("nan")
+        whole &= (np.abs(top) < _FARTHEST * thick) & (np.abs(bottom) < _FARTHEST * thick)
+        whole &= np.isfinite(met.faces["interface_top"]) & np.isfinite(met.faces["interface_bottom"])
+        if not whole.any():
+            raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
+        status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
+        low = int(np.floor((float(bottom[whole].min()) - margin) / step))
+        high = int(np.ceil((float(top[whole].max()) + margin) / step))
+        return cls(
+            frame=Frame.of(surfaces), heights=met.heights, faces=met.faces, status=status, pitch_um=pitch(surfaces),
+            voxel_um=voxel_um, step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=met.stretch,
+            wide=wide,
+        )  # fmt: skip
+
+    @property
+    def shared(self) -> Shared:
+        """Give what the errors of the columns have in common."""
+        from planish.measure.uncertainty import Shared
+
+        return Shared.of(
+            self.greys, voxel_um=self.voxel_um, pitch_um=self.pitch_um, wide=self.wide, noise_um=self.noise_um
+        )
+
+    @property
+    def samples(self) -> int:
+        """Samples of a ray."""
+        return self.high - self.low + 1
+
+    def slopes(self, rows: slice = slice(None)) -> Floats:
+        """Slope of the centre surface along rows and columns (rows, cols, 2)."""
+        return slopes_of(self.heights["centre"], self.pitch_um, rows)
+
+    def oblique(self, slope: Floats) -> Floats:
+        """Length of ray for one um along the normal (rows, cols)."""
+        if self.params.rays == "normal":
+            return np.ones(slope.shape[:-1])
+        return np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
+
+    def tile(self, volume: xr.DataArray, rows: slice) -> Rays:
+        """Straighten some rows; only the voxels that they need are read."""
+        start, stop, _ = rows.indices(self.status.shape[0])
+        rows = slice(start, stop)
+        slope = self.slopes(rows)
+        normals = directions(slope, self.params.rays)
+        status = self.status[rows].copy()
+        grey = self._grey(volume, rows, normals, status == 0)
+        faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
+        samples: Floats = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
+        tile = Rays(
+            grey=grey, s_um=samples, top=faces["top"], bottom=faces["bottom"],
+            interface_top=faces["interface_top"], interface_bottom=faces["interface_bottom"], normals=normals,
+            stretch=np.sqrt(1 + slope**2), slope=slope, oblique=self.oblique(slope), status=status,
+            pitch_um=self.pitch_um, voxel_um=self.voxel_um, greys=self.greys, params=self.params,
+            noise_um=self.noise_um, mirrored=self.frame.mirrored, mean_stretch=self.mean_stretch,
+        )  # fmt: skip
+        whole = tile.integral(tile.bottom, tile.top)
+        status[(status == 0) & ~np.isfinite(whole)] = Status.RAY_LEAVES_VOLUME
+        contrast = self.greys.base - self.greys.air
+        with np.errstate(invalid="ignore"):
+            faint = whole / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
+        status[(status == 0) & faint] = Status.LOW_CONTRAST
+        return tile
+
+    def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, wanted: Bools) -> Grey:
+        f = self.frame
+        through = volume.coords[f.through].values
+        size = float(through[1] - through[0])
+        depth = (f.sign * self.heights["centre"][rows] - float(through[0])) / size
+        k = self.wide
+        along_r, along_c = (normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1))
+        steps = (along_r, along_c, f.sign * normals[..., 2] / size)
+        out = np.full((*wanted.shape, self.samples), np.nan, dtype=np.float32)
+        if not wanted.any():
+            return out
+        # The box around both ends of all rays, in voxels.
+        middle = 0.5 * (k - 1)
+        down = k * np.arange(rows.start, rows.stop)[:, None] + middle
+        starts = np.broadcast_to(down, wanted.shape), k * np.arange(wanted.shape[1]) + middle
+        ends = [
+            np.stack([(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)])
+            for start, step in zip((*starts, depth), steps, strict=True)
+        ]
+        sizes = volume.sizes[f.rows], volume.sizes[f.cols], volume.sizes[f.through]
+        box = [
+            slice(min(max(int(np.floor(e.min())), 0), n - 1), max(min(int(np.ceil(e.max())) + 2, n), 1))
+            for e, n in zip(ends, sizes, strict=True)
+        ]
+        part = volume.isel(dict(zip((f.rows, f.cols, f.through), box, strict=True)))
+        # Turned only after it was read: what is read lazily may not know how to turn.
+        turned = part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
+        block = np.ascontiguousarray(turned)
+        corner = np.array([b.start for b in box])
+        padded = bool(np.isfinite(self.greys.padding))
+        _ray_kernels.resample_rays(
+            block, corner, rows.start, k, depth, *steps, wanted, self.low, self.step_um, self.greys.padding, padded, out
+        )
+        return out
+
+
+def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
+    """Voxel size along the axis through the sheet, and voxels along the edge of a column of the surfaces."""
+    frame = Frame.of(surfaces)
+    have = volume.sizes[frame.rows], volume.sizes[frame.cols]
+    want = surfaces.sizes["y"], surfaces.sizes["x"]
+    wide = max(have[0] // max(want[0], 1), 1)
+    if (have[0] // wide, have[1] // wide) != want:
+        raise SurfaceError(
+            f"The volume has {have[0]} x {have[1]} columns and the surfaces have {want[0]} x {want[1]}: they do not "
+            "belong together. Find the surfaces in this volume."
+        )
+    heights = volume.coords[frame.through].values
+    return abs(float(heights[1] - heights[0])), wide
+
+
+def slopes_of(heights: Floats, pitch: tuple[float, float], rows: slice = slice(None)) -> Floats:
+    """Slope of a surface along rows and columns (rows, cols, 2); of some rows the same as of the whole surface."""
+    start, stop, _ = rows.indices(heights.shape[0])
+    lo, hi = max(start - 1, 0), min(stop + 1, heights.shape[0])
+    while hi - lo < 2:
+        lo, hi = max(lo - 1, 0), min(hi + 1, heights.shape[0])
+    along = [np.gradient(heights[lo:hi], p, axis=i) for i, p in enumerate(pitch)]
+    return np.stack(along, axis=-1)[start - lo : stop - lo]
+
+
+def directions(slope: Floats, rays: Direction) -> Floats:
+    """Unit vectors of the rays along rows, columns and height (rows, cols, 3), pointing up; NaN without a slope."""
+    if rays == "vertical":
+        return np.where(np.isfinite(slope).all(axis=-1, keepdims=True), [0.0, 0.0, 1.0], np.nan)
+    length = np.sqrt(1 + slope[..., 0] ** 2 + slope[..., 1] ** 2)
+    return np.stack([-slope[..., 0] / length, -slope[..., 1] / length, 1 / length], axis=-1)

@@ -24,17 +24,73 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import CannotMeasure
+from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.typing import Bools, Floats
 
 if TYPE_CHECKING:
-    from planish.measure.greys import Greys
+    import xarray as xr
+
     from planish.measure.params import MeasureParams
-    from planish.measure.ray_frame import RayFrame
+    from planish.measure.rays import RayFrame
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Greys:
+    """Grey levels, noise and blur."""
+
+    air: float
+    base: float
+    coating_top: float  # NaN where that side has no coating
+    coating_bottom: float
+    noise: float  # standard deviation of one voxel
+    polarity: float  # +1 where the sheet is brighter than the air, -1 where it is darker
+    blur_um: float  # standard deviation of the blur across the faces
+    padding: float  # value outside the field of view; NaN where there is none
+    single_noise: float = float("nan")  # that of a column before it is averaged with its neighbours
+    averaged: float = 0.0  # standard deviation of the Gaussian over neighbouring columns that the fit saw, in columns
+
+    @classmethod
+    def of(cls, surfaces: xr.Dataset) -> Greys:
+        """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
+        attrs = surfaces.attrs
+        named = {name: f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")}
+        named |= {"polarity": "polarity", "blur_um": "blur_um"}
+        lacking = [key for key in named.values() if key not in attrs]
+        if lacking:
+            raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
+        levels = {name: float(attrs[key]) for name, key in named.items()}
+        more = {"padding": np.nan, "grey_noise_single": levels["noise"], "averaged_columns": 0.0}
+        padding, single, averaged = (float(attrs.get(key, default)) for key, default in more.items())
+        return cls(**levels, padding=padding, single_noise=single, averaged=averaged)
+
+    def coating(self, side: str) -> float:
+        """Level of the coating of ``top`` or ``bottom``."""
+        return self.coating_top if side == "top" else self.coating_bottom
+
+    def coated(self, side: str) -> bool:
+        """Tell if that side has a coating."""
+        return bool(np.isfinite(self.coating(side)))
+
+    def need_coating(self, side: str, subject: str) -> float:
+        """Level of the coating; CannotMeasure if that side has none."""
+        level = self.coating(side)
+        if not np.isfinite(level):
+            raise CannotMeasure(f"{subject} needs a coating on the {side} side, and none was seen there. Leave it out.")
+        return level
+
+    def need_absorption(self, subject: str) -> None:
+        """Refuse grey values that are no X-ray absorption: those of a sheet darker than what surrounds it."""
+        if self.polarity < 0:
+            raise CannotMeasure(
+                f"{subject} is read from X-ray absorption, and this sheet is darker than what surrounds it, as in "
+                "photographs of sections in resin. Use a property that needs lengths only, with a density."
+            )
+
 
 Side = Literal["top", "bottom"]
 SIDES: tuple[Side, Side] = ("top", "bottom")
-
+FWHM = float(np.sqrt(8 * np.log(2.0)))
+"""Full width at half maximum of a Gaussian over its standard deviation."""
 
 PROPERTIES = {
     "coating_top": "Coating thickness, top side",
@@ -45,6 +101,19 @@ PROPERTIES = {
     "topography_bottom": "Topography, bottom side",
 }
 """The six properties that the faces alone give."""
+
+_LENGTHS = {
+    "coating_top": ("top", "interface_top"), "coating_bottom": ("interface_bottom", "bottom"),
+    "base_thickness": ("interface_top", "interface_bottom"), "thickness": ("top", "bottom"),
+}  # fmt: skip
+
+
+def face_length(faces: Mapping[str, Floats], name: str) -> Floats:
+    """One of the six, um, from the signed distances of the faces and interfaces along the rays."""
+    if name in _LENGTHS:
+        upper, lower = _LENGTHS[name]
+        return faces[upper] - faces[lower]
+    return faces["top"] if name == "topography_top" else -faces["bottom"]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -189,11 +258,11 @@ def _add(new: Property) -> Property:
 
 
 def _of_side(template: Property, side: Side) -> Property:
-    def with_side(function: Any) -> Any:
-        return update_wrapper(partial(function, side=side), function) if callable(function) else function
-
     names = {key: getattr(template, key).format(side=side) for key in ("name", "long_name")}
-    functions = {key: with_side(getattr(template, key)) for key in ("function", "after", "check", "when")}
+    functions: dict[str, Any] = {
+        key: update_wrapper(partial(function, side=side), function)
+        for key in ("function", "after", "check", "when") if callable(function := getattr(template, key))
+    }  # fmt: skip
     return replace(template, **names, **functions)
 
 
@@ -204,13 +273,7 @@ def registered() -> dict[str, Property]:
 
 
 def find_property(name: str | Property) -> Property:
-    """Return a property by name.
-
-    Raises
-    ------
-    CannotMeasure
-        If there is none; the message lists those there are.
-    """
+    """Return a property by name; CannotMeasure, with those there are, if there is none."""
     if isinstance(name, Property):
         return name
     if name not in _REGISTERED:
@@ -245,8 +308,6 @@ def possible_maps(params: MeasureParams) -> list[str]:
 
 def _coated_and_bare() -> tuple[Greys, Greys]:
     """Grey levels of a sheet that is coated on both sides, and of one that is not."""
-    from planish.measure.greys import Greys
-
     bare = Greys(air=0.0, base=1.0, coating_top=np.nan, coating_bottom=np.nan, noise=0.01, polarity=1.0, blur_um=1.0,
                  padding=np.nan)  # fmt: skip
     return replace(bare, coating_top=2.0, coating_bottom=2.0), bare
@@ -263,10 +324,7 @@ def chosen(params: MeasureParams, greys: Greys) -> list[str]:
 def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Greys) -> list[Property]:
     """Return the properties and all that they are made from, each after what it needs.
 
-    Raises
-    ------
-    CannotMeasure
-        If one is unknown, made from itself, or needs a number that is not given.
+    CannotMeasure if one is unknown, made from itself, or needs a number that is not given.
     """
     done: dict[str, Property] = {}
 

@@ -17,11 +17,10 @@ from planish.core.lazy import LazyArray, Where, held
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats
-from planish.measure.greys import Greys
 from planish.measure.params import MeasureParams
-from planish.measure.ray_frame import RayFrame, directions, slopes_of
+from planish.measure.rays import RayFrame, directions, slopes_of
+from planish.measure.registry import Greys
 
-_AT_ONCE = 1_000_000  # samples that a thread works on
 _WIDE = 256  # pixels along the width of a part: its box of voxels has to be small where the sheet is steep
 _MOST_DEPTH = 20.0  # sheet thicknesses: beyond that the normals have long left the sheet, and cross each other
 
@@ -100,7 +99,7 @@ class _Straightened(LazyArray):
         down, across = (range(n)[s] for n, s in zip(self.shape[1:], (rows, cols), strict=True))
         depths = self._depths[depth]
         out = np.empty((depths.size, len(down), len(across)), np.float32)
-        high = max(1, _AT_ONCE // (_WIDE * max(depths.size, 1)))
+        high = max(1, 1_000_000 // (_WIDE * max(depths.size, 1)))  # samples that a thread works on
         tiles = tiles_of((len(down), len(across)), (high, _WIDE))
         map_threads(partial(self._fill, out, depths, (rows, cols)), tiles)
         return out
@@ -110,7 +109,11 @@ class _Straightened(LazyArray):
 
         part = out[:, tile.rows, tile.cols]
         part[:] = np.nan
-        place = {axis: np.asarray(self._part(axis, where, tile)) for axis in ("z", "y", "x")}
+        rows, cols = (
+            slice(w.start + w.step * a, w.start + w.step * b, w.step)
+            for w, a, b in zip(where, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
+        )
+        place = {axis: np.asarray(self._places[axis][rows, cols].values) for axis in ("z", "y", "x")}
         f = self._frame
         row, col = (
             (place[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
@@ -141,10 +144,3 @@ class _Straightened(LazyArray):
         part[:, is_inside] = ndimage.map_coordinates(
             block, places, output=np.float32, order=1, mode="constant", cval=np.nan, prefilter=False
         )
-
-    def _part(self, axis: str, where: tuple[slice, slice], tile: Tile) -> NDArray[Any]:
-        rows, cols = (
-            slice(w.start + w.step * a, w.start + w.step * b, w.step)
-            for w, a, b in zip(where, (tile.r0, tile.c0), (tile.r1, tile.c1), strict=True)
-        )
-        return self._places[axis][rows, cols].values

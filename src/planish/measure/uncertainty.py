@@ -15,10 +15,10 @@ import numpy as np
 import xarray as xr
 from scipy import special
 
+from planish.core.robust import mad_sd
 from planish.core.typing import Floats
-from planish.measure.greys import Greys
-from planish.measure.ray_frame import RayFrame
-from planish.measure.registry import Side
+from planish.measure.rays import RayFrame
+from planish.measure.registry import Greys, Side
 
 _ROWS = 6  # of the sheet, from which the noise is read
 _LEVELS = (0.05, 0.10)  # spread of the coating's and the base's level from place to place, as a share of their contrast
@@ -57,30 +57,19 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
         return white
     # Each side and row about its own median: shading of the air is no noise.
     steps = np.concatenate([np.abs(f - np.median(f)) for f in samples if f.size])
-    return max(white, float((1.4826 * np.median(steps)) ** 2) * length)
+    return max(white, mad_sd(steps, 0.0) ** 2 * length)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Shared:
-    """Noise and error that a sheet's columns have in common.
+    """Noise and error that a sheet's columns have in common."""
 
-    Attributes
-    ----------
-    noise_um : float
-        Variance of the grey's integral over one um of a column as the fit saw it; grey^2 um.
-    common_um : dict
-        Error of each thickness and topography that averaging does not lessen.
-    place_um : dict
-        The same with what differs from place to place: a column of voxels that are longer across than along it takes in
-        more of the boundary's detail.
-    patch_um2 : float
-        Area that one independent value stands for.
-    """
-
-    noise_um: float
-    common_um: Mapping[str, float]
+    noise_um: float  # variance of the grey's integral over one um of a column as the fit saw it; grey^2 um
+    common_um: Mapping[str, float]  # error of each thickness and topography that averaging does not lessen
+    # The same with what differs from place to place: a column of voxels that are longer across than along it takes in
+    # more of the boundary's detail.
     place_um: Mapping[str, float]
-    patch_um2: float
+    patch_um2: float  # area that one independent value stands for
 
     @classmethod
     def of(
@@ -114,7 +103,7 @@ class Shared:
 
 def thickness_errors(
     coatings: Mapping[Side, Floats], greys: Greys, shared: Shared, *, cosine: Floats | float = 1.0
-) -> dict[str, Floats]:  # fmt: skip
+) -> dict[str, Floats]:
     """Standard errors of coatings, base, sheet and topography along the normals, um (rows, cols).
 
     ``coatings``: their thicknesses; those of a side without one are ignored. ``cosine``: of the sheet's tilt against
@@ -152,15 +141,8 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: str) ->
     levels, which vary by 5 % (coating) and 10 % (base) of their contrast from place to place. Where a side has no
     coating there are h and b only. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below
     the thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
-    burnt rims, fillers at the interface.
-
-    Parameters
-    ----------
-    thickness : (rows, cols)
-        Of the layer, um; ignored without a coating.
-    noise_um : float
-        As from :func:`ray_noise`.
-    side : {"top", "bottom"}
+    burnt rims, fillers at the interface. ``thickness`` (rows, cols), um, is ignored without a coating; ``noise_um`` is
+    as from :func:`ray_noise`.
     """
     blur = max(greys.blur_um, 1e-3)
     coat, base = greys.coating(side), greys.base

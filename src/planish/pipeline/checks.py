@@ -9,9 +9,8 @@ import numpy as np
 import xarray as xr
 
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, concerned
-from planish.core.facts import Trust
+from planish.core.facts import HoleTiltFacts, Trust
 from planish.core.grid import Grid
-from planish.core.results import HoleTiltFacts
 from planish.register import FittedTransform
 from planish.results import (
     ComparisonRow,

@@ -12,9 +12,8 @@ from numpy.typing import NDArray
 
 from planish.analyze import LagNumbers
 from planish.core.bands import band_of, bands, thinned
-from planish.core.facts import Side
+from planish.core.facts import InputFile, Side
 from planish.core.grid import Grid, pitch
-from planish.core.results import InputFile
 from planish.io import fingerprint
 from planish.pipeline.compare import headline_of, is_property
 from planish.pipeline.compared import image_facts

@@ -11,10 +11,9 @@ import xarray as xr
 from planish.core.arrays import check_image
 from planish.core.checks import Check
 from planish.core.errors import check_choice
-from planish.core.facts import SIDES, Side
+from planish.core.facts import SIDES, InputFile, Side
 from planish.core.grid import Grid
 from planish.core.options import params_of
-from planish.core.results import InputFile
 from planish.marks import HoleParams, find_sheet_holes, without_dots
 from planish.marks import find_holes as find_image_holes
 from planish.results import SheetFacts

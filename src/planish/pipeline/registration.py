@@ -12,10 +12,10 @@ from numpy.typing import NDArray
 
 from planish.core.arrays import check_dataset
 from planish.core.errors import MarkError
+from planish.core.facts import HoleTiltFacts
 from planish.core.frame import Frame
 from planish.core.grid import values_at
 from planish.core.options import params_of
-from planish.core.results import HoleTiltFacts
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
 from planish.marks.files import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any

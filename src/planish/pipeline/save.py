@@ -12,9 +12,9 @@ import xarray as xr
 
 from planish import __version__
 from planish.compute import Compute, Progress, return_memory, run_key, silent
+from planish.core.area import overviews
 from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.files import move
-from planish.core.overviews import overviews
 from planish.core.sources import hash_sources
 from planish.core.text import quoted
 from planish.core.threads import limit_threads

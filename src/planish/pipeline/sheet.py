@@ -10,9 +10,8 @@ import xarray as xr
 
 from planish.checks import check_scan
 from planish.compute import Compute, Progress, column_step, engine, silent
-from planish.core.axis import other_axis
 from planish.core.errors import CannotMeasure
-from planish.core.frame import Frame
+from planish.core.frame import Frame, other_axis
 from planish.core.grid import pitch
 from planish.core.options import Params
 from planish.core.tiles import Engine

@@ -9,9 +9,8 @@ from typing import Any
 
 from planish.compute import Compute
 from planish.core.errors import StudyError
-from planish.core.mistakes import models_in
+from planish.core.mistakes import Key, models_in
 from planish.core.options import Params, options_of, params_of
-from planish.core.toml_lines import Key
 from planish.study import SECTIONS
 
 _ALIKE = 0.7  # of difflib

@@ -13,7 +13,7 @@ from .refinement import RefineOptions as RefineOptions
 from .refinement import refine as refine
 from .result import Chain as Chain
 from .result import FittedTransform as FittedTransform
-from .saved import registration_from_json as registration_from_json
-from .saved import registration_to_json as registration_to_json
+from .result import registration_from_json as registration_from_json
+from .result import registration_to_json as registration_to_json
 from .through_scale import ThroughScale as ThroughScale
 from .through_scale import find_through_scale as find_through_scale

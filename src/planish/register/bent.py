@@ -1,17 +1,22 @@
-"""A transformation that is affine but for smooth local changes around the marks: images, derivatives, inverse."""
+"""A transformation that is affine but for smooth local changes around the marks: images, derivatives, inverse.
+
+And the local strain of any transformation from place to place, and its folds.
+"""
 
 from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import ClassVar
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from planish.core.errors import CannotRegister
 from planish.core.threads import map_threads
-from planish.core.transform import NearSimilarity
-from planish.core.typing import Floats
+from planish.core.transform import Affine, NearSimilarity, Similarity, Transform
+from planish.core.typing import Floats, Pair
 
 Kernel = Callable[[Floats], Floats]
 
@@ -115,11 +120,10 @@ class _Inverse:
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` back, in um; NaN where there is none."""
         places = np.asarray(points, dtype=np.float64)
-        targets = places.reshape(-1, 2)
-        sources = np.full(targets.shape, np.nan)
-        is_finite = np.isfinite(targets).all(axis=1)
+        sources = np.full((places.size // 2, 2), np.nan)
+        is_finite = np.isfinite(places.reshape(-1, 2)).all(axis=1)
         if is_finite.any():
-            sources[is_finite] = self._newton(targets[is_finite])
+            sources[is_finite] = self._newton(places.reshape(-1, 2)[is_finite])
         return sources.reshape(places.shape)
 
     def _newton(self, targets: Floats) -> Floats:
@@ -171,3 +175,74 @@ def _solve(jacobian: Floats, error: Floats) -> Floats:
     x = (d * error[:, 0] - b * error[:, 1]) / det
     y = (a * error[:, 1] - c * error[:, 0]) / det
     return np.nan_to_num(np.stack([x, y], axis=1), nan=0.0, posinf=0.0, neginf=0.0)
+
+
+# Local strain from which on a fit warns.
+NOTABLE = 0.01
+_STRAIN_GRID = 65
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LocalStrain:
+    """Local strain between the marks, after the overall scale is taken off."""
+
+    area: Pair  # least and largest ratio of local areas to their mean
+    # Least and largest principal strain: 0.01 where a length is 1 % longer than the overall scale makes it.
+    stretch: Pair
+    at_um: Pair  # where in the moving map the strain is largest, as (x, y) in um
+
+    @property
+    def largest(self) -> float:
+        """Largest strain without its sign."""
+        return max(abs(self.stretch[0]), abs(self.stretch[1]))
+
+
+def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
+    """Strain inside the hull of the marks, looked at on a grid of 65 x 65 over their extent and at the marks.
+
+    CannotRegister where the map folds, or changes its handedness against what was declared.
+    """
+    middle = marks.mean(axis=0)
+    middle_um = (float(middle[0]), float(middle[1]))
+    if isinstance(transform, Similarity):
+        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=middle_um)
+    points = marks[:1] if isinstance(transform, Affine) else inside(marks)
+    derivatives = transform.jacobian(points)
+    sign = -1.0 if mirrored else 1.0
+    areas = sign * (
+        derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
+    )  # fmt: skip
+    worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
+    if not areas[worst] > 0:
+        if isinstance(transform, Affine):
+            raise CannotRegister(
+                "The fitted affine transformation reverses the handedness against what was declared: many pairs are "
+                "probably wrong. Check that every row pairs the same hole on both sides."
+            )
+        x, y = points[worst]
+        raise CannotRegister(
+            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map, between the marks. "
+            "Check the pairs around that place; if they are right, fit a model with fewer parameters."
+        )
+    mean = float(np.mean(areas))
+    stretches = np.linalg.svd(derivatives, compute_uv=False) / np.sqrt(mean) - 1.0
+    where = points[int(np.argmax(np.abs(stretches).max(axis=1)))] if len(points) > 1 else middle
+    return LocalStrain(
+        area=(float(areas.min() / mean), float(areas.max() / mean)),
+        stretch=(float(stretches.min()), float(stretches.max())),
+        at_um=(float(where[0]), float(where[1])),
+    )
+
+
+def inside(marks: Floats, steps: int = _STRAIN_GRID) -> Floats:
+    """The marks, and points of a grid of ``steps x steps`` over their extent that lie in their hull: (k, 2) in um."""
+    from scipy.spatial import Delaunay, QhullError
+
+    axes = [np.linspace(a, b, steps) for a, b in zip(marks.min(axis=0), marks.max(axis=0), strict=True)]
+    grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
+    middle = marks.mean(axis=0)
+    try:
+        hull = Delaunay(marks - middle)
+    except QhullError:  # all on a line, or fewer than three
+        return marks
+    return np.concatenate([marks, grid[hull.find_simplex(grid - middle) >= 0]])

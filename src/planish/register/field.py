@@ -19,9 +19,8 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 
 # Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from their middle.
@@ -70,7 +69,7 @@ class _KernelFit:
     log: Floats  # (a, g): logarithm of the restricted likelihood times prior
 
 
-class Field:
+class DeviationField:
     """Map and errors that pairs make likely.
 
     Attributes
@@ -157,25 +156,17 @@ class Field:
         for k, likely in self._likely.items():
             share = self.mixture[k]
             planes += np.einsum("ag,agp->p", share, likely.coefficients)
-            bends[k] = self._dual(likely, np.einsum("ag,g,agk->k", share, _FIELD, self._scaled_residuals(likely)))
-        plane = self._plane(planes + self._first)
+            # From eigenvectors (2n,) back to coefficients of the marks (n, 2).
+            dual = likely.turn @ np.einsum("ag,g,agk->k", share, _FIELD, self._scaled_residuals(likely))
+            bends[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[..., 0]
+        # Coefficients of `_columns` as those of ``(1, x, y)``.
+        plane = np.einsum("kcp,p->kc", self._columns(np.array([[0.0, 0], [1, 0], [0, 1]])), planes + self._first)
+        plane[1:] -= plane[:1]
         return plane, tuple(KERNELS[k] for k in bends), np.array(list(bends.values()))
-
-    def _plane(self, coefficients: Floats) -> Floats:
-        """Coefficients (..., 6) of `_columns` as those of ``(1, x, y)``: (..., 3, 2)."""
-        corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
-        images = np.einsum("kcp,...p->...kc", corners, coefficients)
-        images[..., 1:, :] -= images[..., :1, :]
-        return images
 
     def _scaled_residuals(self, likely: _KernelFit) -> Floats:
         """Residuals of the six coefficients over their variance: (a, g, 2n)."""
         return likely.shrink * (likely.y - likely.coefficients @ likely.columns.T)
-
-    def _dual(self, likely: _KernelFit, values: Floats) -> Floats:
-        """From eigenvectors (2n,) back to coefficients of the marks (n, 2)."""
-        rows = (likely.turn @ values).reshape(-1, 2, 1)
-        return (self._whitening.swapaxes(1, 2) @ rows)[..., 0]
 
     @cached_property
     def _square_forms(self) -> dict[int, tuple[Floats, Floats, float]]:
@@ -243,7 +234,15 @@ class Field:
         residual.
         """
         if len(self._all_pairs) > len(self._pairs):
-            return self._residuals()
+            scaled = (self._all_pairs.moving - self.middle) / self.size
+            plane, kernels, bends = self.mean()
+            images = np.column_stack([np.ones(len(scaled)), scaled]) @ plane
+            squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
+            for kernel, bend in zip(kernels, bends, strict=True):
+                images += covariance(kernel, squares) @ bend
+            missed = self._all_pairs.fixed - images
+            share = np.einsum("ni,nij,nj->n", missed, self._all_pairs.information, missed) / self.mark_variance
+            return missed, -0.5 * share
         n, tail = len(self._pairs), 0.5 * self.freedom - 1.0
         missed, log_shares, chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
         for k, fit in self._likely.items():
@@ -260,18 +259,6 @@ class Field:
             log_weights = np.where(np.isfinite(missed).all(axis=1), log_weights, 0.0)
             chance = np.nan_to_num(_log_sum(log_weights + np.concatenate(chances)) - _log_sum(log_weights))
         return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
-
-    def _residuals(self) -> tuple[Floats, Floats]:
-        """Residuals of all marks, and the logarithm of the chance of larger ones."""
-        scaled = (self._all_pairs.moving - self.middle) / self.size
-        plane, kernels, bends = self.mean()
-        images = np.column_stack([np.ones(len(scaled)), scaled]) @ plane
-        squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
-        for kernel, bend in zip(kernels, bends, strict=True):
-            images += covariance(kernel, squares) @ bend
-        missed = self._all_pairs.fixed - images
-        share = np.einsum("ni,nij,nj->n", missed, self._all_pairs.information, missed) / self.mark_variance
-        return missed, -0.5 * share
 
     def _missed(self, fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
         """Errors (a, g, n, 2) of the marks left out, determinants (a, g, n) of ``P_ii``, and ``q`` (a, g, n)."""
@@ -293,14 +280,14 @@ class Field:
         return error, det, np.sum(residuals * error, axis=-1)
 
 
-def _groups(places: Floats, most: int) -> NDArray[np.intp]:
+def _groups(places: Floats, most: int) -> Ints:
     """Number of the group of each place (n, 2): halves of halves along their longer side, at most ``most``."""
     group = np.zeros(len(places), dtype=np.intp)
     if len(places) <= most:
         return np.arange(len(places))
     parts = [np.arange(len(places))]
     while 2 * len(parts) <= most:
-        halves: list[NDArray[np.intp]] = []
+        halves: list[Ints] = []
         for part in parts:
             axis = int(np.argmax(np.ptp(places[part], axis=0)))
             sorted_ = part[np.argsort(places[part, axis], kind="stable")]
@@ -311,7 +298,7 @@ def _groups(places: Floats, most: int) -> NDArray[np.intp]:
     return group
 
 
-def _grouped_pairs(pairs: Pairs, group: NDArray[np.intp]) -> Pairs:
+def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
     """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
     count, weights = int(group.max()) + 1, pairs.weights
     share = weights / np.bincount(group, weights)[group]

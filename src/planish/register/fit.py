@@ -5,14 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
 from planish.core.transform import Transform
-from planish.core.typing import Bools, Floats
-from planish.register.averaged import AveragedModel
-from planish.register.field import Field
-from planish.register.models import MODELS, model_named
+from planish.core.typing import Bools, Floats, Ints
+from planish.register.bent import NOTABLE, inside
+from planish.register.field import DeviationField
+from planish.register.models import MODELS, AveragedModel, model_named
 from planish.register.pairs import (
     COINCIDENT,
     Pairs,
@@ -23,7 +23,6 @@ from planish.register.pairs import (
     weighted_rms,
 )
 from planish.register.result import FittedTransform
-from planish.register.strain import NOTABLE, inside
 
 _FEW = 6
 _AVERAGED = 6
@@ -133,7 +132,7 @@ def fit_transform(
     if robust:
         share[used], field = agreeing(used_pairs, mirrored)
     elif inspect or model in ("auto", AVERAGED.name):
-        field = Field(used_pairs, mirrored)
+        field = DeviationField(used_pairs, mirrored)
     weighted = pairs.times(share)
     fitted_pairs = weighted.take(weighted.weights > 0)
     if model == "auto":
@@ -159,7 +158,7 @@ def fit_transform(
     return replace(fit, warnings=(*_warn_of_marks(fit, lengths, repeats), *model_warnings))
 
 
-def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, Field]:
+def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     """Marks that agree, shape (n,), and the field that they make likely.
 
     The mark that the others expect least is taken out, up to a quarter of all and a few, and judged by the chance that
@@ -172,7 +171,7 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, Field]:
     Rosner (1983), Technometrics 25, 165, doi:10.1080/00401706.1983.10487848.
     """
     n = len(pairs)
-    field = best = Field(pairs, mirrored)
+    field = best = DeviationField(pairs, mirrored)
     keep = np.ones(n, dtype=np.bool_)
     order, wrong = [], 0
     more, hidden = (_MORE, _HIDDEN) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
@@ -187,14 +186,14 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, Field]:
         out = out[np.sort(np.unique(field.group[out], return_index=True)[1])]
         order += remaining[out].tolist()
         keep[order] = False
-        field = Field(pairs.take(keep), mirrored)
+        field = DeviationField(pairs.take(keep), mirrored)
         if chance.min() < limit:
             wrong, best = len(order), field
     keep[:] = True
     keep[order[:wrong]] = False
     for mark in reversed(order[:wrong]) if n <= _MANY else ():
         keep[mark] = True
-        field = Field(pairs.take(keep), mirrored)
+        field = DeviationField(pairs.take(keep), mirrored)
         if field.left_out()[1][np.count_nonzero(keep[:mark])] < np.log(_CHANCE / np.count_nonzero(keep)):
             keep[mark] = False
         else:
@@ -202,7 +201,7 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, Field]:
     return keep, best
 
 
-def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: NDArray[np.intp]) -> list[str]:
+def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: Ints) -> list[str]:
     """Marks that are left out, given twice, or few."""
     warnings: list[str] = []
     out = np.flatnonzero(fit.robust_weights < 1.0)

@@ -9,10 +9,9 @@ import numpy as np
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints, Pair
 from planish.register.fit import fit_transform
 from planish.register.match import Matched, match_by_design, match_marks
-from planish.register.match_search import Ints
 from planish.register.params import RegistrationParams
 from planish.register.result import FittedTransform
 
@@ -64,7 +63,7 @@ def register_marks(
     params: RegistrationParams,
     pattern: DesignedHoles | None = None,
     pairs: Ints | None = None,
-    hole_um: tuple[float, float] = (100.0, 300.0),
+    hole_um: Pair = (100.0, 300.0),
 ) -> Registration:
     """Match the holes of two layers and fit the transformation from one to the other.
 
@@ -115,8 +114,12 @@ def register_marks(
                 f"{len(pairs)} control points given, a similarity needs 3 to state its error. Add more, far apart."
             )
     marks = a[pairs[:, 0]], b[pairs[:, 1]]
-    weights, spread = None, [_covariance_um2(h, pairs[:, k]) for k, h in enumerate((moving, fixed))]
-    if spread[0] is not None and spread[1] is not None:
+    weights = None
+    if "cov_xx" in moving and "cov_xx" in fixed:
+        spread = [
+            np.stack([h[f"cov_{k}"].values[rows] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
+            for h, rows in zip((moving, fixed), pairs.T, strict=True)
+        ]
         turn = fit_transform(*marks, mirrored=mirrored, robust=False).transform.matrix()
         weights = turn @ spread[0] @ turn.T + spread[1]
     fit = fit_transform(*marks, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
@@ -154,14 +157,7 @@ def _match(
     return matched, identity | {"sentence": matched.sentence, "second_best": matched.second_best}
 
 
-def _covariance_um2(holes: xr.Dataset, rows: Ints) -> Floats | None:
-    """Covariances (k, 2, 2) of the holes in ``rows``; None where they are not known."""
-    if "cov_xx" not in holes:
-        return None
-    return np.stack([holes[f"cov_{k}"].values[rows] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
-
-
-def need_holes(holes: xr.Dataset, hole_um: tuple[float, float], *, name: str | None = None) -> None:
+def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> None:
     """Stop early where there cannot be a match; ``name`` is that of the layer, if its attributes do not say it.
 
     Raises

@@ -17,10 +17,9 @@ from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.core.typing import Floats
-from planish.register.match_choose import Choice, choose
-from planish.register.match_search import Ints, marks_needed
-from planish.register.match_symmetry import self_likeness
+from planish.core.typing import Floats, Ints, Pair
+from planish.register.match_choose import BestMatch, choose, self_likeness
+from planish.register.match_search import marks_needed
 from planish.register.pairs import Pairs, listed, points_of
 from planish.register.similarity import SimilarityModel
 
@@ -119,7 +118,15 @@ def match_marks(
     """
     source, target = _finite_points(moving, names[0]), _finite_points(fixed, names[1])
     sides = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
-    _refuse_few(sides, names, (source, target))
+    for name, points in zip(names, (source, target), strict=True):
+        if len(points) < 3:
+            places = f" (at {', '.join(f'({x:.0f}, {y:.0f})' for x, y in points)} um)" if len(points) else ""
+            raise CannotRegister(
+                f"{sides}: {len(points)} on the side of the {name}{places} cannot be matched without a hint; at least "
+                "3 on each side are needed, 4 or more are better. Check that the holes are in the field and that the "
+                "pixel and voxel sizes are right, widen the range of hole diameters, give the pattern that was burnt "
+                "(--design) or pairs (--marks)."
+            )
     tolerances = (scale_tolerance, tolerance_um)
     choice = choose(source, target, *tolerances, hands=(False, True) if mirror else (False,))
     other = None if mirror else choose(source, target, *tolerances, hands=(True,))
@@ -162,20 +169,7 @@ def match_marks(
     return _matched(choice, transform, sentence + _reservations(choice, smaller))
 
 
-def _refuse_few(sides: str, names: tuple[str, str], marks: tuple[Floats, Floats]) -> None:
-    """Refuse fewer than three marks on a side."""
-    for name, points in zip(names, marks, strict=True):
-        if len(points) < 3:
-            places = f" (at {', '.join(f'({x:.0f}, {y:.0f})' for x, y in points)} um)" if len(points) else ""
-            raise CannotRegister(
-                f"{sides}: {len(points)} on the side of the {name}{places} cannot be matched without a hint; at least "
-                "3 on each side are needed, 4 or more are better. Check that the holes are in the field and that the "
-                "pixel and voxel sizes are right, widen the range of hole diameters, give the pattern that was burnt "
-                "(--design) or pairs (--marks)."
-            )
-
-
-def _reservations(choice: Choice, smaller: int) -> str:
+def _reservations(choice: BestMatch, smaller: int) -> str:
     """Sentences on a match that is stretched, or of three marks only."""
     sentence = ""
     stretch = 2.0 * abs(choice.arrangements.gamma[choice.best]) / abs(choice.arrangements.alpha[choice.best])
@@ -188,7 +182,7 @@ def _reservations(choice: Choice, smaller: int) -> str:
     return sentence
 
 
-def _matched(choice: Choice, transform: Similarity, sentence: str) -> Matched:
+def _matched(choice: BestMatch, transform: Similarity, sentence: str) -> Matched:
     return Matched(
         pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best,
         sentence=sentence,
@@ -290,8 +284,8 @@ def match_by_design(
 
 
 def _choose_hands(
-    holes: Floats, sides: tuple[Floats, ...], tolerances: tuple[float, float], names: tuple[str, str], mirror: bool
-) -> tuple[list[Choice | None], bool]:
+    holes: Floats, sides: tuple[Floats, ...], tolerances: Pair, names: tuple[str, str], mirror: bool
+) -> tuple[list[BestMatch | None], bool]:
     """Choose the arrangement of a design on either side; say whether the other hand of the design fits nearly as well.
 
     The hand that the design has against the sheet is not known; both sides have the same, unless mirrored.
@@ -325,7 +319,7 @@ def _choose_hands(
 
 
 def _on_design(
-    choice: Choice | None, points: Floats, holes: Floats, tolerances: tuple[float, float], name: str
+    choice: BestMatch | None, points: Floats, holes: Floats, tolerances: Pair, name: str
 ) -> Matched:  # fmt: skip
     """Accept the best arrangement of a design on one side, or refuse it; its pairs begin with the row in the design."""
     sides = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
@@ -348,7 +342,7 @@ def _on_design(
     return _matched(choice, transform, sentence)
 
 
-def _agreement(choice: Choice | None, tolerance_um: float) -> tuple[int, int]:
+def _agreement(choice: BestMatch | None, tolerance_um: float) -> tuple[int, int]:
     """Count the marks that agree, and those that have to: more than do where the agreement may be chance."""
     if choice is None:
         return 2, 4
@@ -366,7 +360,7 @@ def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Sim
     return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
 
 
-def _refuse_scale(sides: str, choice: Choice, scale: float, tolerance: float) -> None:
+def _refuse_scale(sides: str, choice: BestMatch, scale: float, tolerance: float) -> None:
     if abs(scale - 1.0) > tolerance:
         raise CannotRegister(
             f"{sides}: {len(choice.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} "

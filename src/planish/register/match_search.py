@@ -14,10 +14,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.register.pairs import Complexes
-
-Ints = NDArray[np.intp]
 
 # Arrangements whose marks lie this many tolerances off are followed, so that a slightly displaced rival is noticed.
 REACH = 1.6
@@ -161,7 +159,7 @@ def chance_without(arrangements: Arrangements, b: Complexes, shared: Bools, tole
     return _log_chance(squares, b, arrangements.tests, tolerance_um, arrangements.freedom, np.zeros(len(squares)))
 
 
-def extents(b: Complexes) -> tuple[float, float]:
+def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
     centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
     axes = np.linalg.eigh(centred.T @ centred)[1]

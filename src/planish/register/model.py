@@ -6,6 +6,7 @@ Models of a fixed number of parameters share everything but the fit itself and t
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from contextlib import suppress
 from typing import Any, ClassVar
 
 import numpy as np
@@ -13,7 +14,7 @@ import numpy as np
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Transform
 from planish.core.typing import Floats
-from planish.register.field import Field
+from planish.register.field import DeviationField
 from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 
 Frame = tuple[Floats, float]
@@ -54,12 +55,12 @@ class Model(ABC):
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Any:
         """Weighted least squares."""
 
-    def refit(self, pairs: Pairs, transform: Any, _field: Field, /) -> Any:
+    def refit(self, pairs: Pairs, transform: Any, _field: DeviationField, /) -> Any:
         """Fit pairs that were moved, with all else that the first fit found: its transformation and its field."""
         return self.fit(pairs, transform.mirrored)
 
     @abstractmethod
-    def left_out(self, pairs: Pairs, transform: Any, field: Field, /) -> Floats:
+    def left_out(self, pairs: Pairs, transform: Any, field: DeviationField, /) -> Floats:
         """Vector by which the fit to all other marks misses each mark, (n, 2) in um; NaN where they fix nothing.
 
         Weights and smoothing stay as they are.
@@ -76,13 +77,17 @@ class ParametricModel(Model):
     def design(self, transform: Any, frame: Frame, points: Floats, /) -> Floats:
         """Derivatives of the image of points (..., 2) by the parameters, which the frame scales: (..., 2, p)."""
 
-    def left_out(self, pairs: Pairs, transform: Transform, _field: Field, /) -> Floats:
+    def left_out(self, pairs: Pairs, transform: Transform, _field: DeviationField, /) -> Floats:
         """``(I - H)**-1 e`` with the mark's 2 x 2 block of the hat matrix for linear models; refits otherwise."""
         if len(pairs) <= self.least:
             return np.full((len(pairs), 2), np.nan)
-        return self._by_leverage(pairs, transform) if self.linear else self._by_refit(pairs, transform)
-
-    def _by_leverage(self, pairs: Pairs, transform: Transform) -> Floats:
+        if not self.linear:
+            missed, everyone = np.full((len(pairs), 2), np.nan), np.arange(len(pairs))
+            for k in everyone:
+                with suppress(CannotRegister, MarkError):
+                    without = self.fit(pairs.take(everyone != k), transform.mirrored)
+                    missed[k] = pairs.fixed[k] - without(pairs.moving[k])
+            return missed
         whitening = pairs.whitening()
         q, _ = whitened_qr(whitening, self.design(transform, pairs.frame(), pairs.moving), self.name)
         blocks = q.reshape(len(pairs), 2, -1)
@@ -93,25 +98,11 @@ class ParametricModel(Model):
         error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
         return np.asarray(np.linalg.solve(whitening, inverse_of(residual_blocks) @ error)[..., 0], dtype=np.float64)
 
-    def _by_refit(self, pairs: Pairs, transform: Transform) -> Floats:
-        missed = np.full((len(pairs), 2), np.nan)
-        everyone = np.arange(len(pairs))
-        for k in everyone:
-            try:
-                without = self.fit(pairs.take(everyone != k), transform.mirrored)
-            except (CannotRegister, MarkError):
-                continue
-            missed[k] = pairs.fixed[k] - without(pairs.moving[k])
-        return missed
-
 
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
     """Weighted least squares by QR: parameters (p,) from design (n, 2, p) and target (n, 2).
 
-    Raises
-    ------
-    CannotRegister
-        If the marks leave a parameter free.
+    CannotRegister if the marks leave a parameter free.
     """
     q, r = whitened_qr(whitening, design, name)
     parameters = np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1))

@@ -1,13 +1,84 @@
-"""The registration models, from few to many parameters: a new one is a module of its own and an entry here."""
+"""The table of registration models, from few to many parameters, and the default: what the marks make likely."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import partial
+from typing import ClassVar
+
+import numpy as np
+
 from planish.core.errors import MarkError
-from planish.register.averaged import AveragedModel
+from planish.core.typing import Floats, Pair
+from planish.register.bent import Bent, Kernel
+from planish.register.field import DeviationField, covariance, covariance_slope
 from planish.register.model import Model
-from planish.register.projective import ProjectiveModel
-from planish.register.similarity import AffineModel, RigidModel, SimilarityModel
+from planish.register.pairs import Pairs
+from planish.register.similarity import AffineModel, ProjectiveModel, RigidModel, SimilarityModel
 from planish.register.spline import SplineModel
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class Averaged(Bent):
+    """An affine map and smooth local changes that end beside the marks, each kernel with coefficients of its own.
+
+    ``U`` is ``exp(-r**2 / 2 l**2)`` for the lengths ``gauss`` and ``(1 + s) exp(-s)``, ``s = sqrt(3) r / l``, for
+    ``matern``, in this order.
+    """
+
+    everywhere: ClassVar[bool] = True
+
+    source: Pair  # in um: middle of the marks
+    size: float  # in um: their rms distance from it
+    nodes: Floats  # (m, 2): places of the marks, scaled
+    affine: Floats  # (3, 2), in um: constant and linear part
+    bend: Floats  # (gauss + matern, m, 2), in um: coefficients of the kernels
+    gauss: Floats  # lengths, scaled
+    matern: Floats
+
+    def __post_init__(self) -> None:
+        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
+        for name in ("nodes", "affine", "bend", "gauss", "matern"):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
+
+    def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
+        """Gaussian and Matern kernels."""
+        kernels = [("gauss", float(v)) for v in self.gauss] + [("matern", float(v)) for v in self.matern]
+        for kernel, bend in zip(kernels, self.bend, strict=True):
+            yield partial(covariance, kernel), partial(covariance_slope, kernel), bend
+
+
+class AveragedModel(Model):
+    """A similarity with smooth deviations, averaged over their sizes and lengths."""
+
+    name, words = "averaged", "similarity with smooth deviations"
+    purpose = "any sheet: as much affine and local distortion as the marks show (default)"
+    transform = Averaged
+    parameters, least = 4, 3
+
+    def fit(self, pairs: Pairs, mirrored: bool, /) -> Averaged:
+        """The mean of the field of the pairs."""
+        return self.of(DeviationField(pairs, mirrored))
+
+    def of(self, field: DeviationField) -> Averaged:
+        """The mean of a field."""
+        affine, kernels, bend = field.mean()
+        lengths = {name: [v for n, v in kernels if n == name] for name in ("gauss", "matern")}
+        source = (float(field.middle[0]), float(field.middle[1]))
+        return Averaged(
+            source=source, size=field.size, nodes=field.nodes, affine=affine + 0.0, bend=bend + 0.0,
+            gauss=np.array(lengths["gauss"]), matern=np.array(lengths["matern"]),
+        )  # fmt: skip
+
+    def refit(self, pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Averaged:
+        """The mean with the same probabilities of all sizes and lengths."""
+        return self.of(DeviationField(pairs, field.mirrored, field.mixture))
+
+    def left_out(self, _pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Floats:
+        """Errors at the same probabilities."""
+        return field.left_out()[0]
+
 
 MODELS: dict[str, Model] = {
     m.name: m
@@ -16,13 +87,7 @@ MODELS: dict[str, Model] = {
 
 
 def model_named(name: str) -> Model:
-    """Return a model by its name.
-
-    Raises
-    ------
-    MarkError
-        If there is none of that name.
-    """
+    """Return a model by its name; MarkError if there is none of that name."""
     if name not in MODELS:
         raise MarkError(f"The model is {name!r}; it has to be one of {', '.join(MODELS)} or auto.")
     return MODELS[name]

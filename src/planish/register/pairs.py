@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.errors import MarkError
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Ints
 
 Complexes = NDArray[np.complex128]
 
@@ -45,7 +45,7 @@ class Pairs:
         info = self.information
         return bool(np.all(info[:, 0, 0] == info[:, 1, 1]) and np.all(info[:, 0, 1] == 0))
 
-    def take(self, which: NDArray[np.intp] | Bools) -> Pairs:
+    def take(self, which: Ints | Bools) -> Pairs:
         """Return some of the pairs."""
         return Pairs(moving=self.moving[which], fixed=self.fixed[which], information=self.information[which])
 
@@ -81,16 +81,12 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
     return (-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]
 
 
-def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, NDArray[np.intp]]:
+def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, Ints]:
     """Bring marks and weights into one form, or name all their faults.
 
-    A pair that is given again counts once: the others have no information, and their numbers are returned.
-
-    Raises
-    ------
-    MarkError
-        Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
-        a mark with two partners, or all marks at one place.
+    A pair that is given again counts once: the others have no information, and their numbers are returned. MarkError
+    wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs, a mark
+    with two partners, or all marks at one place.
     """
     source, target = (points_of(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
     if len(source) != len(target):
@@ -122,7 +118,7 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
     return pairs, repeats
 
 
-def listed(which: Sequence[int] | NDArray[np.intp]) -> str:
+def listed(which: Sequence[int] | Ints) -> str:
     """Numbers of a few marks, counted from 0, as in an array or a table without its header."""
     return ", ".join(str(int(k)) for k in which[:8]) + (", ..." if len(which) > 8 else "")
 
@@ -168,7 +164,7 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     return inverse_of(0.5 * (weights + weights.swapaxes(1, 2)))
 
 
-def _repeated_pairs(pairs: Pairs, used: NDArray[np.intp]) -> NDArray[np.intp]:
+def _repeated_pairs(pairs: Pairs, used: Ints) -> Ints:
     """Numbers of pairs that were given before; two marks at one place on one side only are a wrong pair."""
     from scipy.spatial import KDTree
 
@@ -206,10 +202,7 @@ def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, compl
 def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
     """Refuse marks that only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
 
-    Raises
-    ------
-    MarkError
-        With the remedy that fits the linear part found.
+    MarkError with the remedy that fits the linear part found.
     """
     if len(pairs) < 3:
         return

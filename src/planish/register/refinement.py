@@ -14,10 +14,10 @@ from scipy import ndimage
 
 from planish.core.area import area_mean
 from planish.core.errors import CannotRegister, SizeError
-from planish.core.transform import Affine, Pair
-from planish.core.typing import Bools, Floats
+from planish.core.transform import Affine
+from planish.core.typing import Bools, Floats, Pair
+from planish.register.bent import NOTABLE
 from planish.register.result import FittedTransform
-from planish.register.strain import NOTABLE
 
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
@@ -41,8 +41,8 @@ class FreeForm:
     # (2, rows + 3, cols + 3), in um: displacements along x and y at the nodes of a mesh of ``rows x cols`` cells and
     # of one more on every side.
     coefficients_um: Floats
-    origin_um: tuple[float, float]  # ``(x, y)`` of the first coefficient
-    mesh_um: tuple[float, float]  # side of a cell along x and y
+    origin_um: Pair  # ``(x, y)`` of the first coefficient
+    mesh_um: Pair  # side of a cell along x and y
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""
@@ -70,13 +70,9 @@ class FreeForm:
         """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""
         from scipy.interpolate import NdBSpline
 
-        knots = [
-            first + mesh * (np.arange(n + 4) - 2.0)
-            for n, first, mesh in zip(
-                self.coefficients_um.shape[1:], self.origin_um[::-1], self.mesh_um[::-1], strict=True
-            )
-        ]
-        spline: Any = NdBSpline((knots[0], knots[1]), np.moveaxis(self.coefficients_um, 0, -1), 3)
+        axes = zip(self.coefficients_um.shape[1:], self.origin_um[::-1], self.mesh_um[::-1], strict=True)
+        knots = tuple(first + mesh * (np.arange(n + 4) - 2.0) for n, first, mesh in axes)
+        spline: Any = NdBSpline(knots, np.moveaxis(self.coefficients_um, 0, -1), 3)
         return np.asarray(spline(points[..., ::-1], nu=nu), dtype=np.float64)
 
 
@@ -352,13 +348,10 @@ def _transform_um(itk: Any, in_pixels: Any, unit: float, first_um: Pair) -> Affi
         source, target = ((float(x), float(y)) for x, y in (middle * unit + first_um, target * unit + first_um))
         return Affine(linear=((a, b), (c, d)), source=source, target=target)
     nodes = in_pixels.GetCoefficientImages()
-    first = np.array(nodes[0].GetOrigin()) * unit + first_um
-    step = np.array(nodes[0].GetSpacing()) * unit
-    return FreeForm(
-        coefficients_um=np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit for c in nodes]),
-        origin_um=(float(first[0]), float(first[1])),
-        mesh_um=(float(step[0]), float(step[1])),
-    )
+    x, y = (np.array(nodes[0].GetOrigin()) * unit + first_um).tolist()
+    across, down = (np.array(nodes[0].GetSpacing()) * unit).tolist()
+    coefficients = np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit for c in nodes])
+    return FreeForm(coefficients_um=coefficients, origin_um=(x, y), mesh_um=(across, down))
 
 
 def _prepared(

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from functools import cached_property
+from typing import Any, get_origin, get_type_hints
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
+from planish.core.text import and_join
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.core.typing import Floats
-from planish.register.field import Field
-from planish.register.models import MODELS
+from planish.register.bent import LocalStrain, strain_of
+from planish.register.field import DeviationField
+from planish.register.models import MODELS, model_named
 from planish.register.pairs import Pairs, points_of, weighted_rms
-from planish.register.strain import Strain, strain_of
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,7 +56,7 @@ class FittedTransform:
     residuals_um: Floats
     sentence: str
     warnings: tuple[str, ...] = ()
-    known: Field | None = None  # the field, where the fit was just made
+    known: DeviationField | None = None  # the field, where the fit was just made
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
@@ -85,9 +87,9 @@ class FittedTransform:
         return Pairs(moving=self.moving, fixed=self.fixed, information=self.information)
 
     @cached_property
-    def field(self) -> Field:
+    def field(self) -> DeviationField:
         """The map and errors that the marks in use make likely, whichever model was fitted."""
-        return self.known or Field(self._pairs.take(self.weights > 0), self.mirrored)
+        return self.known or DeviationField(self._pairs.take(self.weights > 0), self.mirrored)
 
     @cached_property
     def leave_one_out_um(self) -> Floats:
@@ -204,7 +206,7 @@ class FittedTransform:
         return self.transform.jacobian(points)
 
     @cached_property
-    def strain(self) -> Strain:
+    def strain(self) -> LocalStrain:
         """Range of local strain and area between the marks, the overall scale taken off."""
         return strain_of(self.transform, self.moving[self.weights > 0], self.mirrored)
 
@@ -295,6 +297,78 @@ class Chain:
 
 def _and(words: list[str]) -> str:
     """Words in a list: a, b and c; the first eight of many."""
-    if len(words) > 9:
-        words = [*words[:8], f"{len(words) - 8} more"]
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]
+    return and_join([*words[:8], f"{len(words) - 8} more"] if len(words) > 9 else words)
+
+
+FORMAT = "planish registration 1"
+_ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
+
+
+def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
+    """Return a fit as numbers, texts, lists and dictionaries, for :func:`json.dump`; lengths in um.
+
+    Besides what `registration_from_json` needs it holds numbers to read: scale, rotation, errors of every mark. NaN
+    becomes None.
+    """
+    t = fit.transform
+    return {
+        "format": FORMAT,
+        "model": fit.model,
+        "sentence": fit.sentence,
+        "warnings": list(fit.warnings),
+        "scale": t.scale,
+        "rotation_rad": t.rotation_rad,
+        "shift_um": list(t.shift_um),
+        "mirrored": t.mirrored,
+        "rms_um": _plain(fit.rms_um),
+        "localisation_error_um": _plain(fit.localisation_error_um),
+        "leave_one_out_um": _plain(fit.leave_one_out_um),
+        "transform": {f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)},
+        **{name: _plain(getattr(fit, name)) for name in _ARRAYS},
+    }
+
+
+def registration_from_json(data: Any) -> FittedTransform:
+    """Read back what `registration_to_json` returned.
+
+    Raises
+    ------
+    MarkError
+        If it is no such fit.
+    """
+    try:
+        if data["format"] != FORMAT:
+            raise MarkError(f"The registration has the format {data['format']!r}; {FORMAT!r} is read.")
+        kind = model_named(data["model"]).transform
+        hints = get_type_hints(kind)
+        values = {f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}
+        return FittedTransform(
+            transform=kind(**values),
+            model=str(data["model"]),
+            sentence=str(data["sentence"]),
+            warnings=tuple(str(w) for w in data["warnings"]),
+            **{name: _read(data[name], Floats) for name in _ARRAYS},
+        )
+    except (ValueError, KeyError, TypeError, IndexError) as fault:
+        raise MarkError(
+            f"This is no registration written by planish ({fault!r}). Register the marks again and save that."
+        ) from fault
+
+
+def _plain(value: Any) -> Any:
+    """Lists for arrays and tuples; None for NaN, texts for infinities, which JSON does not have."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]  # pyright: ignore[reportUnknownVariableType]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None if np.isnan(value) else str(value)
+    return value
+
+
+def _read(value: Any, hint: Any) -> Any:
+    if get_origin(hint) is np.ndarray:
+        return np.array(value, dtype=np.float64)
+    if isinstance(value, list):
+        return tuple(_read(v, None) for v in value)  # pyright: ignore[reportUnknownVariableType]
+    return value if isinstance(value, bool) else float("nan") if value is None else float(value)

@@ -1,12 +1,14 @@
-"""Rigid, similarity and affine transformations: rotation and shift with no, one, or another scale in each direction."""
+"""Transformations of few parameters: rotation, shift, no scale, one, or one in each direction; projective."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from planish.core.errors import MarkError
-from planish.core.transform import Affine, Similarity, Transform
+from planish.core.errors import CannotRegister, MarkError
+from planish.core.transform import Affine, Projective, Similarity, Transform
 from planish.core.typing import Floats
 from planish.register.model import Frame, ParametricModel, least_squares, refuse_line
 from planish.register.pairs import COINCIDENT, Pairs, as_complex
@@ -48,7 +50,8 @@ class RigidModel(ParametricModel):
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
-        return similarity_columns(_turned(transform, frame, points), only_turn=True)
+        away = (transform(points) - transform(frame[0])) / frame[1]
+        return similarity_columns(away[..., 0] + 1j * away[..., 1], only_turn=True)
 
 
 class SimilarityModel(ParametricModel):
@@ -67,21 +70,16 @@ class SimilarityModel(ParametricModel):
             alpha = product / square
             _refuse_no_rotation(product, square)
             beta = w_mean - alpha * z_mean
-            shift_um = (beta.real, beta.imag)
-            return Similarity(
-                scale=abs(alpha), rotation_rad=float(np.angle(alpha)), shift_um=shift_um, mirrored=mirrored
-            )
+            angle, shift_um = float(np.angle(alpha)), (beta.real, beta.imag)
+            return Similarity(scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored)
         share = pairs.weights / np.sum(pairs.weights)
         z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
         target = share @ pairs.fixed
         beta_x, beta_y, a, b = least_squares(pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name)
         _refuse_no_rotation(complex(a, b) / size, 1.0)
         turn = Similarity(scale=float(np.hypot(a, b)) / size, rotation_rad=float(np.arctan2(b, a)), mirrored=mirrored)
-        shift = target + np.array([beta_x, beta_y]) - turn(middle)
-        return Similarity(
-            scale=turn.scale, rotation_rad=turn.rotation_rad, shift_um=(float(shift[0]), float(shift[1])),
-            mirrored=mirrored,
-        )  # fmt: skip
+        x, y = (target + np.array([beta_x, beta_y]) - turn(middle)).tolist()
+        return replace(turn, shift_um=(x, y))
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, stretch, turn."""
@@ -134,12 +132,6 @@ def _refuse_no_rotation(product: complex, square: float) -> None:
         )
 
 
-def _turned(transform: Transform, frame: Frame, points: Floats) -> NDArray[np.complex128]:
-    """Images of points (..., 2) around that of the middle, as complex numbers over the size."""
-    away = (transform(points) - transform(frame[0])) / frame[1]
-    return away[..., 0] + 1j * away[..., 1]
-
-
 def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
     """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
     ones, zeros = np.ones(z.shape), np.zeros(z.shape)
@@ -155,3 +147,86 @@ def affine_columns(scaled: Floats) -> Floats:
     design[..., 0, 0] = design[..., 1, 1] = 1.0
     design[..., 0, 2:4] = design[..., 1, 4:6] = scaled
     return design
+
+
+class ProjectiveModel(ParametricModel):
+    """The oblique view of a flat sheet."""
+
+    name, words = "projective", "projective"
+    purpose = "camera oblique to the sheet"
+    transform = Projective
+    parameters, least = 8, 4
+
+    def fit(self, pairs: Pairs, _mirrored: bool, /) -> Projective:
+        """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""
+        middle, size = pairs.frame()
+        refuse_line(pairs, self.name)
+        share = pairs.weights / np.sum(pairs.weights)
+        target = share @ pairs.fixed
+        target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
+
+        def build(h: Floats) -> Projective:
+            rows = (h / h[2, 2]).tolist()
+            return Projective(
+                homography=(tuple(rows[0]), tuple(rows[1]), tuple(rows[2])),
+                source=(float(middle[0]), float(middle[1])), target=(float(target[0]), float(target[1])),
+                source_size=size, target_size=target_size,
+            )  # fmt: skip
+
+        def cost(trial: Projective) -> float:
+            error = whitening @ (pairs.fixed - trial(pairs.moving))[..., None]
+            return float(np.sum(error**2))
+
+        scaled = (pairs.moving - middle) / size
+        transform = build(_direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share)))
+        whitening = pairs.whitening()
+        last = np.inf
+        for _ in range(_STEPS):
+            error = pairs.fixed - transform(pairs.moving)
+            if not np.isfinite(error).all():
+                raise CannotRegister(
+                    "The projective transformation puts some marks behind the camera: the pairs do not show one flat "
+                    "sheet. Check the pairs, or fit an affine transformation."
+                )
+            step = least_squares(whitening, self.design(transform, (middle, size), pairs.moving), error, self.name)
+            # Shortened until the error does not rise.
+            before, h = cost(transform), np.array(transform.homography)
+            trials = (build(h + np.append(step / 2**k, 0.0).reshape(3, 3)) for k in range(12))
+            allowed = before * (1 + 1e-9) + 1e-300
+            transform = next((t for t in trials if np.isfinite(after := cost(t)) and after <= allowed), transform)
+            length = float(np.abs(step).max())
+            # The last digits do not settle: steps of rounding are as long as the one before.
+            if length < 1e-15 or (length < 1e-9 and length >= 0.5 * last):
+                break
+            last = length
+        return transform
+
+    def design(self, transform: Projective, _frame: Frame, points: Floats, /) -> Floats:
+        """The first eight numbers of the 3 x 3 matrix, whose last one is 1."""
+        h = np.array(transform.homography)
+        scaled = (points - transform.source) / transform.source_size
+        below = (scaled @ h[2, :2] + h[2, 2])[..., None]
+        image = (scaled @ h[:2, :2].T + h[:2, 2]) / below
+        rows = np.concatenate([scaled, np.ones_like(below)], axis=-1) / below
+        design = np.zeros((*points.shape[:-1], 2, 8))
+        design[..., 0, 0:3] = rows
+        design[..., 1, 3:6] = rows
+        design[..., :, 6:8] = -image[..., :, None] * (scaled / below)[..., None, :]
+        return transform.target_size * design
+
+
+def _direct_linear(moving: Floats, fixed: Floats, root: Floats) -> Floats:
+    """Homography (3, 3) with the least algebraic error, from points scaled to size 1."""
+    homogeneous = np.concatenate([moving, np.ones((len(moving), 1))], axis=1)
+    rows = np.zeros((len(moving), 2, 9))
+    rows[:, 0, 0:3] = rows[:, 1, 3:6] = homogeneous
+    rows[:, :, 6:9] = -fixed[:, :, None] * homogeneous[:, None, :]
+    _, sizes, right = np.linalg.svd((root[:, None, None] * rows).reshape(-1, 9), full_matrices=len(moving) < 5)
+    h = right[-1].reshape(3, 3)
+    below = homogeneous @ h[2]
+    if sizes[7] < 1e-7 * sizes[0] or abs(h[2, 2]) < 1e-6 or not (np.all(below > 0) or np.all(below < 0)):
+        raise CannotRegister(
+            "The marks do not fix one projective transformation: too many lie on one line, or the pairs do not show "
+            "one flat sheet. Check the pairs, add marks away from that line, or fit an affine transformation."
+        )
+    return h

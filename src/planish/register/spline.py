@@ -14,11 +14,10 @@ from typing import ClassVar
 import numpy as np
 
 from planish.core.errors import CannotRegister
-from planish.core.transform import Pair
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.register._bent_kernels import add_thin_plate
 from planish.register.bent import Bent, Kernel
-from planish.register.field import Field
+from planish.register.field import DeviationField
 from planish.register.model import Model, refuse_line
 from planish.register.pairs import Pairs, inverse_of
 
@@ -84,11 +83,11 @@ class SplineModel(Model):
         system = Smoothing(pairs)
         return system.spline(system.choose())
 
-    def refit(self, pairs: Pairs, transform: ThinPlate, _field: Field, /) -> ThinPlate:
+    def refit(self, pairs: Pairs, transform: ThinPlate, _field: DeviationField, /) -> ThinPlate:
         """The spline of the same smoothing."""
         return Smoothing(pairs).spline(transform.smoothing_um2)
 
-    def left_out(self, pairs: Pairs, transform: ThinPlate, _field: Field, /) -> Floats:
+    def left_out(self, pairs: Pairs, transform: ThinPlate, _field: DeviationField, /) -> Floats:
         """Errors at the same smoothing."""
         system = Smoothing(pairs)
         errors, _ = system.missed(transform.smoothing_um2)
@@ -137,24 +136,16 @@ class Smoothing:
         """Whitened covariance (2n, 2n) of both coordinates from that of one, (n, n)."""
         return self._whitened(self._whitened(_on_both_axes(values)).T)
 
-    def scaled(self, smoothing_um2: float) -> float:
-        """Smoothing in the scaled coordinates of the equations."""
-        return smoothing_um2 / self.size**2
-
-    def left_over(self, smoothing_um2: float) -> Floats:
-        """Share of each eigenvector that the spline leaves in the residuals, times any one factor."""
-        if np.isinf(smoothing_um2):
-            return np.ones(self.freedom)
-        scaled = self.scaled(smoothing_um2)
-        # The factor keeps the numbers near 1 also for an interpolating spline, which leaves nothing.
-        return (float(np.median(self.eigenvalues)) + scaled) / (self.eigenvalues + scaled)
-
     def missed(self, smoothing_um2: float) -> tuple[Floats, Floats]:
         """Errors (n, 2) of the marks left out at a fixed smoothing, whitened, and their expected covariance (n, 2, 2).
 
         NaN where the other marks lie on one line; the covariance up to one factor common to all marks.
         """
-        share = self.left_over(smoothing_um2)
+        # The share of each eigenvector that the spline leaves in the residuals, times a factor that keeps the numbers
+        # near 1 also for an interpolating spline, which leaves nothing.
+        scaled, share = smoothing_um2 / self.size**2, np.ones(self.freedom)
+        if np.isfinite(scaled):
+            share = (float(np.median(self.eigenvalues)) + scaled) / (self.eigenvalues + scaled)
         rows = self.vectors.reshape(len(self.pairs), 2, -1)
         blocks = (rows * share) @ rows.swapaxes(1, 2)
         least = np.linalg.eigvalsh(blocks)[:, 0]
@@ -188,7 +179,7 @@ class Smoothing:
         from scipy.linalg import solve_triangular
 
         n = len(self.pairs)
-        dual = self.vectors @ (self.z / (self.eigenvalues + self.scaled(smoothing_um2)))
+        dual = self.vectors @ (self.z / (self.eigenvalues + smoothing_um2 / self.size**2))
         bend = (self.whitening.swapaxes(1, 2) @ dual.reshape(n, 2, 1))[..., 0] + 0.0  # no negative zero
         affine = solve_triangular(self.triangle, self.span.T @ (self.y - self.kernel @ dual)).reshape(3, 2)
         affine[0] += self.target

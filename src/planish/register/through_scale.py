@@ -174,9 +174,9 @@ def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) ->
     free, misfit = _free_columns(designs, target, precision)
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * _STRAIN
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
-    fields = [(1.0, 0.0 * squares)]
-    for reach, share in product(_FIELD_REACH, _FIELD_SHARE):
-        fields.append((1 / (len(_FIELD_REACH) * len(_FIELD_SHARE)), share * np.exp(-squares / (2 * reach**2))))
+    kinds = [*product(_FIELD_REACH, _FIELD_SHARE)]
+    fields = [(1 / len(kinds), share * np.exp(-squares / (2 * reach**2))) for reach, share in kinds]
+    fields.insert(0, (1.0, 0.0 * squares))
     size = max(misfit / (2 * n - 5), 1e-6)
     logs: list[float] = []
     candidates: list[Floats] = []

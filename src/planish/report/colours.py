@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import base64
 import io
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import xarray as xr
 
 Array = NDArray[np.float64]
 
@@ -43,9 +48,8 @@ class Scale:
     def shades(self, values: ArrayLike) -> NDArray[np.uint8]:
         """Return the index of each value's colour; the last one is for missing values."""
         share = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
-        known = np.isfinite(share)
-        share = np.clip(np.where(known, share, 0.0), 0.0, 1.0)
-        return np.where(known, np.rint(share * (_SHADES - 1)), _SHADES).astype(np.uint8)
+        shades = np.rint(np.clip(np.where(np.isfinite(share), share, 0.0), 0.0, 1.0) * (_SHADES - 1))
+        return np.where(np.isfinite(share), shades, _SHADES).astype(np.uint8)
 
 
 def limits(
@@ -71,6 +75,22 @@ def limits(
     return Scale(bottom if low is None else low, max(top, low + 1e-12) if low is not None else top, colours)
 
 
+def colours_of(data: xr.DataArray, values: Array) -> Scale:
+    """Return the colours of a map."""
+    # An angle of fibres begins again at 180 degrees, and so must its colours.
+    if str(data.attrs.get("units")) == "deg" and str(data.name).endswith("angle"):
+        return Scale(0.0, 180.0, CYCLIC)
+    return limits(values, GREYS if data.name == "image" else PROPERTY)
+
+
+def partner_of(name: str, names: Sequence[str]) -> str | None:
+    """Return the map of the other side of the sheet: the two share their colours."""
+    for side, other in (("_top", "_bottom"), ("_bottom", "_top")):
+        if name.endswith(side) and (partner := name.removesuffix(side) + other) in names:
+            return partner
+    return None
+
+
 def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str:
     """Return a map as an image in a ``data:`` address: PNG, or JPEG where it has many pixels."""
     from PIL import Image
@@ -91,6 +111,6 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
 def colours_in_steps(colours: str) -> NDArray[np.uint8]:
     """Return the colours of all shades: (255, 3)."""
     anchors = np.array([list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64)
-    at, places = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
-    table = np.stack([np.interp(at, places, anchors[:, k]) for k in range(3)], axis=1)
+    shares, places = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
+    table = np.stack([np.interp(shares, places, anchors[:, k]) for k in range(3)], axis=1)
     return np.rint(table).astype(np.uint8)

@@ -61,7 +61,7 @@ class Picture:
 
 
 @dataclass(frozen=True, slots=True)
-class Field:
+class ShownMap:
     """A map at most as fine as the figure that shows it, with its place in um (left, right, bottom, top)."""
 
     values: Array
@@ -86,15 +86,15 @@ class Field:
 class Axes:
     """A rectangle of a figure with coordinates of its own: um, or the units of a plot; drawings end at its border."""
 
-    def __init__(self, left: float, top: float, width: float, height: float, extent: Extent) -> None:
-        self.left, self.top, self.width, self.height, self.extent = left, top, width, height, extent
-        self.shown = Field(np.empty((0, 0)), extent)
+    def __init__(self, x: float, y: float, width: float, height: float, extent: Extent) -> None:
+        self.x, self.y, self.width, self.height, self.extent = x, y, width, height, extent
+        self.shown = ShownMap(np.empty((0, 0)), extent)
         self._parts: list[str | Axes] = []
 
     def svg(self, more: str = "") -> str:
         """Return all that was drawn."""
         size = f'width="{_n(self.width)}" height="{_n(self.height)}"'
-        place = more or f'x="{_n(self.left)}" y="{_n(self.top)}"'
+        place = more or f'x="{_n(self.x)}" y="{_n(self.y)}"'
         parts = "".join(part if isinstance(part, str) else part.svg() for part in self._parts)
         return f"<svg {place} {size}>{parts}</svg>"
 
@@ -104,16 +104,14 @@ class Axes:
         data = np.asarray(points, dtype=np.float64).reshape(-1, 2)
         return (data - (x0, y1)) / (x1 - x0, y0 - y1) * (self.width, self.height)
 
-    def image(self, shown: Field, scale: Scale, *, missing: str = MISSING) -> None:
+    def image(self, shown: ShownMap, scale: Scale, *, missing: str = MISSING) -> None:
         """Draw a map within a thin frame; what is missing is neutral grey. The scale bar says how large things are."""
         self.shown, (left, right, bottom, top) = shown, shown.extent
         (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
         self._parts.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
         self._parts.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
 
-    def line(
-        self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0
-    ) -> None:  # fmt: skip
+    def line(self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0) -> None:
         """Draw a line through points (n, 2); NaN interrupts it."""
         self._parts.append(_stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity))
 
@@ -123,8 +121,8 @@ class Axes:
 
     def dots(self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = "") -> None:
         """Draw round dots."""
-        at = self.place(points)
-        data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in at[np.isfinite(at).all(axis=1)])
+        pixels = self.place(points)
+        data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in pixels[np.isfinite(pixels).all(axis=1)])
         for ink, width in ((halo, size + 2.8), (colour, size)):
             if ink and data:
                 self._parts.append(_stroke(data, ink, width, opacity=opacity, cap="round"))
@@ -135,14 +133,13 @@ class Axes:
     ) -> None:  # fmt: skip
         """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
         size, colour, halo = style.get("size", BIG), style.get("colour", INK), style.get("halo", "")
-        left, top = (_n(v) for v in self.place((x, y))[0] + shift)
-        more = (' font-weight="600"' if style.get("bold") else "") + (
-            f' text-anchor="{anchor}"' if anchor != "start" else ""
-        )
-        more += f' transform="rotate(-90 {left} {top})"' if upwards else ""
+        across, down = (_n(v) for v in self.place((x, y))[0] + shift)
+        more = ' font-weight="600"' if style.get("bold") else ""
+        more += f' text-anchor="{anchor}"' if anchor != "start" else ""
+        more += f' transform="rotate(-90 {across} {down})"' if upwards else ""
         more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
         self._parts.append(
-            f'<text x="{left}" y="{top}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
+            f'<text x="{across}" y="{down}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
         )
 
     def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
@@ -168,24 +165,24 @@ class Axes:
         from contourpy import LineType, contour_generator
 
         shown, (left, right, bottom, top) = self.shown, self.shown.extent
-        (rows, cols), known = shown.values.shape, shown.values[np.isfinite(shown.values)]
-        if min(rows, cols) < 2 or known.size == 0:
+        (rows, cols), heights = shown.values.shape, shown.values[np.isfinite(shown.values)]
+        if min(rows, cols) < 2 or heights.size == 0:
             return
         across = left + (np.arange(cols) + 0.5) * (right - left) / cols
         down = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        found = contour_generator(across, down, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
-        taken = self.place(avoid)
-        for level in levels[(levels > known.min()) & (levels < known.max())]:
-            lines = [line for line in found.lines(float(level)) if isinstance(line, np.ndarray)]
+        generator = contour_generator(across, down, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
+        occupied = self.place(avoid)
+        for level in levels[(levels > heights.min()) & (levels < heights.max())]:
+            lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
             data = "".join(_path(self.place(line)) for line in lines)
             self._parts.append(_stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7))
             if labels and lines:  # where the line is farthest from the border and from other labels
                 line = max(lines, key=len)
-                at = self.place(line)
-                room = np.min([at, np.array([self.width, self.height]) - at], axis=(0, 2))
-                room = np.min([room, *(np.hypot(*(at - other).T) for other in taken)], axis=0)
+                pixels = self.place(line)
+                room = np.min([pixels, np.array([self.width, self.height]) - pixels], axis=(0, 2))
+                room = np.min([room, *(np.hypot(*(pixels - other).T) for other in occupied)], axis=0)
                 k = int(np.argmax(room))
-                taken = np.vstack([taken, at[k]])
+                occupied = np.vstack([occupied, pixels[k]])
                 x, y = (float(v) for v in line[k])
                 self.text(x, y, f"{level:g}", shift=(0, 4), size=SMALL, anchor="middle", colour="white", halo=INK)
 
@@ -197,8 +194,7 @@ class Axes:
             (line, start), stop = np.nonzero(ends == 1), np.nonzero(ends == -1)[1]
             runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
         corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
-        at = self.place(corners).reshape(-1, 4)
-        data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in at)
+        data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4))
         if data:
             self._parts.append(_stroke(data, colour, width, cap="square"))
 
@@ -209,40 +205,38 @@ class Canvas(Axes):
     def __init__(self, width: float, height: float) -> None:
         super().__init__(0.0, 0.0, width, height, (0.0, width, height, 0.0))
 
-    def axes(self, left: float, top: float, width: float, height: float, extent: Extent) -> Axes:
+    def axes(self, x: float, y: float, width: float, height: float, extent: Extent) -> Axes:
         """Add axes over (left, right, bottom, top) in the units of the data."""
-        axes = Axes(left, top, width, height, extent)
+        axes = Axes(x, y, width, height, extent)
         self._parts.append(axes)
         return axes
 
-    def box(self, left: float, top: float, width: float, height: float, *, fill: str) -> None:
+    def box(self, x: float, y: float, width: float, height: float, *, fill: str) -> None:
         """Fill a rectangle."""
-        box = f'x="{_n(left)}" y="{_n(top)}" width="{_n(width)}" height="{_n(height)}"'
+        box = f'x="{_n(x)}" y="{_n(y)}" width="{_n(width)}" height="{_n(height)}"'
         self._parts.append(f'<rect {box} fill="{fill}"/>')
 
     def scale_bar(
-        self, left: float, top: float, *, width: float, um: float, most: float = 0.3, colour: str = INK,
+        self, x: float, y: float, *, width: float, um: float, most: float = 0.3, colour: str = INK,
         label: str = "{}",
     ) -> None:  # fmt: skip
         """Draw a round length below axes that show ``um`` on so many pixels."""
         bar = round_step(most * um)
         across = bar / um * width
-        self.line([(left, top + 10), (left + across, top + 10)], colour=colour, width=3)
-        self.text(left + across + 7, top + 14, label.format(plain(bar)), size=SMALL)
+        self.line([(x, y + 10), (x + across, y + 10)], colour=colour, width=3)
+        self.text(x + across + 7, y + 14, label.format(plain(bar)), size=SMALL)
 
-    def colour_bar(
-        self, left: float, top: float, width: float, height: float, scale: Scale, *, log: bool = False
-    ) -> None:
+    def colour_bar(self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False) -> None:
         """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
         across, low, high = width > height, scale.low, scale.high
         shades = np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
-        self._parts.append(_image((left, top, width, height), shades, scale))
+        self._parts.append(_image((x, y, width, height), shades, scale))
         for value, text in _ticks(low, high, most=width / 58 if across else height / 42, log=log):
             share = (value - low) / (high - low)
             if across:
-                self._tick(left + share * width, top + height, 0, 1, text)
+                self._tick(x + share * width, y + height, 0, 1, text)
             else:
-                self._tick(left + width, top + (1 - share) * height, 1, 0, text)
+                self._tick(x + width, y + (1 - share) * height, 1, 0, text)
 
     def ticks(
         self, axes: Axes, x_label: str, y_label: str, *, log: bool = False,
@@ -252,16 +246,21 @@ class Canvas(Axes):
 
         ``log``: y holds powers of ten; ``across``: places and texts of the ticks along x.
         """
-        left, bottom, (x0, x1, y0, y1) = axes.left, axes.top + axes.height, axes.extent
-        self.line([(left, axes.top), (left, bottom), (left + axes.width, bottom)], colour=SOFT, width=0.8)
-        for value, text in _ticks(x0, x1, most=axes.width / 62) if across is None else across:
-            self._tick(left + axes.place((value, y0))[0, 0], bottom, 0, 1, text)
-        found = _ticks(y0, y1, most=axes.height / 44, log=log)
-        for value, text in found:
-            self._tick(left, axes.top + axes.place((x0, value))[0, 1], -1, 0, text)
-        self.text(left + axes.width / 2, bottom + 36, x_label, anchor="middle")
-        beside = left - 18 - 6.4 * max((len(text) for _, text in found), default=0)
-        self.text(beside, axes.top + axes.height / 2, y_label, anchor="middle", upwards=True)
+        x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
+        self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
+        rows = _ticks(y0, y1, most=axes.height / 44, log=log)
+        self._number(axes, _ticks(x0, x1, most=axes.width / 62) if across is None else across, rows)
+        self.text(x + axes.width / 2, bottom + 36, x_label, anchor="middle")
+        widest = max((len(text) for _, text in rows), default=0)
+        self.text(x - 18 - 6.4 * widest, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
+
+    def _number(self, axes: Axes, across: Sequence[tuple[float, str]], rows: Sequence[tuple[float, str]]) -> None:
+        """Draw ticks with their numbers below axes and to the left of them."""
+        x0, _, y0, _ = axes.extent
+        for value, text in across:
+            self._tick(axes.x + axes.place((value, y0))[0, 0], axes.y + axes.height, 0, 1, text)
+        for value, text in rows:
+            self._tick(axes.x, axes.y + axes.place((x0, value))[0, 1], -1, 0, text)
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
         """Draw a tick to the right, to the left (-1) or downwards, and its number."""
@@ -270,35 +269,31 @@ class Canvas(Axes):
         self.text(x + 6 * right, y + 4 + 12 * down, text, size=SMALL, anchor=anchor)
 
     def map_axes(
-        self, left: float, top: float, box: tuple[float, float], shown: Field, scale: Scale, *, rows: bool = True
-    ) -> Axes:  # fmt: skip
+        self, x: float, y: float, box: tuple[float, float], shown: ShownMap, scale: Scale, *, rows: bool = True
+    ) -> Axes:
         """Draw a map with its axes in um below and, on request, to the left, where ``MARGIN`` is needed for them."""
-        axes = self.axes(left, top, *box, shown.extent)
+        axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
         x0, x1, bottom, upper = shown.extent
-        for value, text in _ticks(x0, x1, most=box[0] / 62):
-            self._tick(left + axes.place((value, bottom))[0, 0], top + box[1], 0, 1, text)
-        for value, text in _ticks(*sorted((bottom, upper)), most=box[1] / 44) if rows else ():
-            self._tick(left, top + axes.place((x0, value))[0, 1], -1, 0, text)
+        heights = _ticks(*sorted((bottom, upper)), most=box[1] / 44) if rows else []
+        self._number(axes, _ticks(x0, x1, most=box[0] / 62), heights)
         return axes
 
     def axes_names(self, right: float, top: float, names: str = "x, y") -> None:
         """Name the axes of a map at the end of the row of its scale bar."""
         self.text(right, top + 14, f"{names} / µm", size=SMALL, colour=SOFT, anchor="end")
 
-    def panel(
-        self, left: float, top: float, shown: Field, box: tuple[float, float], *, scale: Scale, label: str
-    ) -> Axes:  # fmt: skip
+    def panel(self, x: float, y: float, shown: ShownMap, box: tuple[float, float], *, scale: Scale, label: str) -> Axes:
         """Put a map with its axes and scale bar, and a colour bar where there is a label, somewhere on the canvas."""
-        left += MARGIN
-        axes = self.map_axes(left, top + _TOP, box, shown, scale)
-        below = top + _TOP + box[1] + BELOW + 3
-        self.scale_bar(left, below, width=box[0], um=shown.width)
-        self.axes_names(left + box[0], below)
+        x, y = x + MARGIN, y + _TOP
+        axes = self.map_axes(x, y, box, shown, scale)
+        below = y + box[1] + BELOW + 3
+        self.scale_bar(x, below, width=box[0], um=shown.width)
+        self.axes_names(x + box[0], below)
         if label:
             high = max(box[1], _LOWEST_BAR)
-            self.colour_bar(left + box[0] + 11, top + _TOP, 12, high, scale)
-            self.text(left + box[0] + BESIDE - 5, top + _TOP + high / 2, label, anchor="middle", upwards=True)
+            self.colour_bar(x + box[0] + 11, y, 12, high, scale)
+            self.text(x + box[0] + BESIDE - 5, y + high / 2, label, anchor="middle", upwards=True)
         return axes
 
     def picture(self, *, title: str, caption: str, data: Mapping[str, Table] | None = None) -> Picture:
@@ -306,10 +301,10 @@ class Canvas(Axes):
         view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" aria-label="{escape(title)}" {_FONTS}'
         return Picture(
             svg=self.svg(view), width=self.width, height=self.height, title=title, caption=caption, data=data or {}
-        )  # fmt: skip
+        )
 
 
-def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Field:
+def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:
     """Bring a map with its coordinates in um to the resolution of axes that are so many pixels wide, by area means.
 
     Rows may also run upwards (heights).
@@ -321,13 +316,13 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Fie
     if max(factor) > 1:
         data = area_mean(data, factor)
     down, across = (n * f * s for n, f, s in zip(data.shape, factor, steps, strict=True))
-    left, top = float(cols[0]) - steps[1] / 2, float(rows[0]) - steps[0] / 2
-    return Field(data, (left, left + across, top + down, top))
+    x, y = float(cols[0]) - steps[1] / 2, float(rows[0]) - steps[0] / 2
+    return ShownMap(data, (x, x + across, y + down, y))
 
 
 def draw_map(
     values: Array, y: Array, x: Array, *, scale: Scale, label: str, width: float = HALF
-) -> tuple[Canvas, Axes]:  # fmt: skip
+) -> tuple[Canvas, Axes]:
     """Draw a map (y, x) on half a page, or as wide as given, with its scale bar and, where labelled, its colour bar."""
     shown = reduced(values, y, x, width=width - MARGIN - BESIDE)
     box = shown.fit(width - MARGIN - BESIDE, _HIGHEST if width <= HALF else 640.0)
@@ -411,10 +406,10 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    known = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1])
+    finite = np.isfinite(tenths).all(axis=1)
     out: list[str] = []
-    for run in np.split(np.arange(known.size), np.flatnonzero(known[1:] != known[:-1]) + 1):
-        if len(run) > 1 and known[run[0]]:
+    for run in np.split(np.arange(finite.size), np.flatnonzero(finite[1:] != finite[:-1]) + 1):
+        if len(run) > 1 and finite[run[0]]:
             steps = np.diff(tenths[run], axis=0)
             steps = steps[np.any(steps != 0, axis=1)]
             if not len(steps):  # shorter than a tenth of a pixel
@@ -424,17 +419,15 @@ def _path(points: Array) -> str:
     return "".join(out)
 
 
-def _stroke(
-    data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt"
-) -> str:  # fmt: skip
+def _stroke(data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt") -> str:
     more = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
     return f'<path d="{data}" fill="none" stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"{more}/>'
 
 
 def _image(box: tuple[float, float, float, float], values: Array, scale: Scale, missing: str = MISSING) -> str:
-    left, top, width, height = (_n(v) for v in box)
+    x, y, width, height = (_n(v) for v in box)
     coarse = ' style="image-rendering:pixelated"' if values.shape[1] < box[2] else ""
     return (
-        f'<image x="{left}" y="{top}" width="{width}" height="{height}" preserveAspectRatio="none"{coarse} '
+        f'<image x="{x}" y="{y}" width="{width}" height="{height}" preserveAspectRatio="none"{coarse} '
         f'href="{image_uri(values, scale, missing=missing)}"/>'
     )

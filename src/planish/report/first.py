@@ -10,12 +10,12 @@ import numpy as np
 import xarray as xr
 
 from planish.core.facts import is_known
-from planish.report import maps, relation
-from planish.report.colours import Array
+from planish.report import relation
+from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.relation import Points, largest
 from planish.report.summary import Titles, density_of, lead_pair
-from planish.report.text import HOLES, capital, fixed, label_of, the, title_of, typeset, unit_of
+from planish.report.text import HOLES, capital, fixed, label_of, title_of, typeset, unit_of, with_article
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
@@ -70,14 +70,14 @@ def _map(data: xr.DataArray, values: Array, *, of: str, scaled: Array, without: 
     room = THIRD - MARGIN - _BAR
     shown = reduced(values, y, x, width=room)
     box = shown.fit(room, _HIGHEST)
-    scale = maps.colours_of(data, scaled)
+    scale = colours_of(data, scaled)
     canvas = Canvas(THIRD, box[1] + BELOW + 74)
     canvas.map_axes(MARGIN, 8, box, shown, scale)
     low = box[1] + BELOW + 8
     canvas.axes_names(MARGIN + box[0], low)
     canvas.colour_bar(MARGIN, low + 22, max(box[0], 150.0), 10, scale)
     canvas.text(MARGIN + max(box[0], 150.0) / 2, low + 62, label_of(data), anchor="middle")
-    title = title_of(data) if the(of) != of else f"{title_of(data)}, {of}"
+    title = title_of(data) if with_article(of) != of else f"{title_of(data)}, {of}"
     return canvas.picture(
         title=title,
         caption=(
@@ -136,7 +136,7 @@ def _of_place(results: Results) -> str:
     for layer in results.moving:
         r = layer.registration
         if r is not None and r.leave_one_out_rms_um is None:
-            return f"More marks: {r.matched} of {the(layer.name)} are too few for a leave-one-out error."
+            return f"More marks: {r.matched} of {with_article(layer.name)} are too few for a leave-one-out error."
     return ""
 
 

@@ -16,9 +16,9 @@ _POINTS = 600  # of a line of the convergence
 
 def draw_flattening(
     surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureVerdict
-) -> list[draw.Picture]:  # fmt: skip
+) -> list[draw.Picture]:
     """Draw the warp, what flattening moved and strained, and whether the surface can be paper."""
-    pictures = [_warp(surfaces, flat), _displacement(flat), _strain(strain, flat)]
+    pictures = [_draw_warp(surfaces, flat), _draw_displacement(flat), _draw_strain(strain, flat)]
     needed = 100 * _from_top(strain["needed_strain"].values, flat)
     if np.isfinite(needed).any():
         y, x = strain["y"].values, strain["x"].values
@@ -33,7 +33,7 @@ def draw_flattening(
     return pictures
 
 
-def _warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
+def _draw_warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     """Draw the height of the centre surface."""
     y, x = surfaces["y"].values, surfaces["x"].values
     height = (1.0 if surfaces.attrs["top_side"] == "high" else -1.0) * _from_top(surfaces["centre"].values, flat)
@@ -53,7 +53,7 @@ def _warp(surfaces: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     )
 
 
-def _displacement(flat: xr.Dataset) -> draw.Picture:
+def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
     """Draw by how much flattening moved every column against its projection."""
     y, x = flat["y"].values, flat["x"].values
     moves = [_from_top(flat[a].values - flat[f"projected_{a}"].values, flat) for a in ("u", "v")]
@@ -64,10 +64,10 @@ def _displacement(flat: xr.Dataset) -> draw.Picture:
     # The same columns from either side: those of the mirrored view count from its other end.
     rows, cols = (np.arange(stride // 2, n, stride) for n in moved.shape)
     cols = x.size - 1 - cols if flat.attrs.get("mirrored_view", 0) else cols
-    at = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1).reshape(-1, 2)
+    places = np.stack(np.meshgrid(x[cols], y[rows]), axis=-1).reshape(-1, 2)
     vectors = np.stack([move[np.ix_(rows, cols)] for move in moves], axis=-1).reshape(-1, 2)
     factor = draw.magnified(np.stack(moves, axis=-1).reshape(-1, 2), 1.6 * stride * max(draw.pitch(x), draw.pitch(y)))
-    axes.arrows(at, factor.times * vectors, colour="white", width=1.3, halo=draw.INK)
+    axes.arrows(places, factor.times * vectors, colour="white", width=1.3, halo=draw.INK)
     return canvas.picture(
         title="Displacement by flattening",
         caption=(
@@ -78,7 +78,7 @@ def _displacement(flat: xr.Dataset) -> draw.Picture:
     )
 
 
-def _strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
+def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     """Draw what flattening did to each cell of the mesh (row, col): change of area, shear, and the largest stretch."""
     largest = np.maximum(np.abs(strain["stretch_max"].values - 1), np.abs(strain["stretch_min"].values - 1))
     area = 100 * (strain["area_ratio"].values - 1)
@@ -96,10 +96,10 @@ def _strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     low = box[1] + draw.BELOW
     canvas = draw.Canvas(draw.FULL, low + 90)
     for k, ((name, _, scale), shown) in enumerate(zip(panels, fields, strict=True)):
-        left = draw.MARGIN + k * (width + gap)
-        canvas.text(left, 18, f"{name} / %", bold=True)
-        canvas.map_axes(left, 26, box, shown, scale, rows=k == 0)
-        canvas.colour_bar(left + 16, low + 36, max(box[0] - 32, 190), 10, scale)
+        x0 = draw.MARGIN + k * (width + gap)
+        canvas.text(x0, 18, f"{name} / %", bold=True)
+        canvas.map_axes(x0, 26, box, shown, scale, rows=k == 0)
+        canvas.colour_bar(x0 + 16, low + 36, max(box[0] - 32, 190), 10, scale)
     canvas.scale_bar(draw.MARGIN, low + 66, width=box[0], um=fields[0].width)
     canvas.axes_names(draw.MARGIN + 2 * (width + gap) + box[0], low + 66)
     return canvas.picture(
@@ -123,15 +123,16 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
     axes = canvas.axes(78, 15, draw.HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low - room, high + room))
     for size in np.unique(nodes):
         here = np.flatnonzero((nodes == size) & moved)
-        at = np.stack([here + 1.0, logs[here]], axis=1)[:: max(1, here.size // _POINTS)]
+        points = np.stack([here + 1.0, logs[here]], axis=1)[:: max(1, here.size // _POINTS)]
         colour = draw.ACCENT if size == finest else draw.SOFT
-        axes.line(at, colour=colour, width=1.6)
+        axes.line(points, colour=colour, width=1.6)
         if nodes.size <= 200:
-            axes.dots(at, colour=colour, size=5)
+            axes.dots(points, colour=colour, size=5)
     for level in draw.multiples(low - room, high + room, 1.0):
         axes.line([(axes.extent[0], level), (axes.extent[1], level)], colour=draw.FAINT, width=0.5)
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)
     meshes = np.unique(nodes).size
+    steps = {"step": [*range(1, nodes.size + 1)], "nodes": [int(n) for n in nodes], "mean move / µm": move.tolist()}
     coarse = f", grey on {meshes - 1} coarser meshes that are solved first" if meshes > 1 else ""
     return canvas.picture(
         title="Convergence",
@@ -139,13 +140,7 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
             f"Move of the nodes in each step (root mean square): coloured on the mesh of {count(int(finest))} "
             f"nodes{coarse}. n = {count(nodes.size)} steps; unit µm; no mask."
         ),
-        data={
-            "steps": {
-                "step": list(range(1, nodes.size + 1)),
-                "nodes": [int(n) for n in nodes],
-                "mean move / µm": move.tolist(),
-            }
-        },
+        data={"steps": steps},
     )
 
 

@@ -1,15 +1,18 @@
-"""Property maps with their distributions, two maps side by side, and thin regions outlined on the image."""
+"""Maps of a run by layer: with their distributions, two side by side, and thin regions outlined on the image."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from itertools import count as numbers_from
 
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.report.colours import CYCLIC, GREYS, PROPERTY, Array, Scale, limits
+from planish.report.colours import Array, Scale, colours_of, limits, partner_of
 from planish.report.draw import (
     ACCENT,
     BELOW,
@@ -27,11 +30,12 @@ from planish.report.draw import (
     panel_height,
     pixel_of,
     reduced,
-)  # fmt: skip
+)
 from planish.report.registration import ARROW, EDGE, ground_of
 from planish.report.text import HOLES, count, in_words, label_of, length, number, percent, plain, title_of, unit_of
-from planish.results import PropertyFacts
+from planish.results import LayerFacts, PropertyFacts, Results
 
+_MOST_DRAWN = 2**22  # pixels of a map: more than the widest figure has
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
 _BINS = 80
 _HARDLY = 1e-3  # of the valid pixels: with fewer below the limit, the outlines would show next to nothing
@@ -39,40 +43,75 @@ _THINNEST = 5.0  # per cent
 _SMALLEST = 12  # pixels of a region that is outlined
 
 
+@dataclass(frozen=True)
+class Groups:
+    """Results of a run with its maps."""
+
+    results: Results
+    # ``layers/NAME`` or ``linked``, and ``layers/NAME/PART`` or, where there is one sheet, ``PART``.
+    data: Mapping[str, xr.Dataset]
+
+    def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
+        """Return what was measured of a sheet: ``surfaces``, ``flat``, ``strain``, ``maps``, ``slices``."""
+        only = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
+        part = self.data.get(f"layers/{layer.name}/{name}")
+        return self.data.get(name) if part is None and only else part
+
+    @cached_property
+    def linked(self) -> dict[str, xr.Dataset]:
+        """Maps of each layer on the pixels of the reference, by the layer's name; empty without a link."""
+        return self._by_layer(self.data.get)
+
+    @cached_property
+    def drawn(self) -> dict[str, xr.Dataset]:
+        """The same for figures: of large maps a smaller copy of at most 4 million pixels, where the run has one."""
+        return self._by_layer(self._smaller)
+
+    def _by_layer(self, group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
+        out: dict[str, xr.Dataset] = {}
+        for layer in self.results.layers if self.results.is_link else ():
+            data = group(f"layers/{layer.name}")
+            if data is None and (maps := group("linked")) is not None:
+                data = maps[["image", "valid"]] if layer.kind == "image" else maps.drop_vars("image")
+            if data is not None:
+                out[layer.name] = data
+        return out
+
+    def _smaller(self, name: str) -> xr.Dataset | None:
+        """A group, or the finest of its smaller copies that is small enough to be drawn."""
+        maps = self.data.get(name)
+        for k in numbers_from(1):
+            smaller = self.data.get(f"overviews/{name}/{k}")
+            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= _MOST_DRAWN:
+                break
+            maps = smaller
+        return maps
+
+    @cached_property
+    def titles(self) -> dict[tuple[str, str], str]:
+        """Titles of all maps, by layer and name."""
+        out: dict[tuple[str, str], str] = {}
+        for layer in self.results.layers:
+            for data in (self.part(layer, "maps"), self.linked.get(layer.name)):
+                out |= {} if data is None else {(layer.name, str(k)): title_of(v) for k, v in data.data_vars.items()}
+        return out
+
+
 def draw_maps(
-    maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str | None, rim_um: float
-) -> list[Picture]:  # fmt: skip
+    maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str, rim_um: float, lead_only: bool = False
+) -> list[Picture]:
     """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out.
 
-    Mean and standard deviation are those of ``facts``, over the columns of the volume, as everywhere on the page.
+    ``lead_only``: the first alone, for the first page. Mean and standard deviation are those of ``facts``, over the
+    columns of the volume, as everywhere on the page.
     """
-    there = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
-    first = headline if headline in there else (there[0] if there else None)
-    ordered = sorted(there, key=lambda name: name != first)
-    widths = {name: FULL if name == first else HALF for name in ordered}
+    names = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
+    names.sort(key=lambda name: name != headline)
+    widths = [2 * THIRD] if lead_only else [FULL, *[HALF] * len(names)]
     return [
-        _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=partner_of(name, there))
-        for name, width in widths.items()
+        _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=partner_of(name, names))
+        for name, width in zip(names, widths, strict=False)
     ]
-
-
-def draw_leading(
-    maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str, rim_um: float
-) -> list[Picture]:
-    """Draw the map that leads alone, for the first page; nothing where it has no values."""
-    there = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
-    if not there:
-        return []
-    name = headline if headline in there else there[0]
-    return [_draw(maps, name, facts[name], width=2 * THIRD, rim_um=rim_um, shared=partner_of(name, there))]
-
-
-def partner_of(name: str, there: Sequence[str]) -> str | None:
-    """Return the map of the other side of the sheet: the two share their colours."""
-    for side, other in (("_top", "_bottom"), ("_bottom", "_top")):
-        if name.endswith(side) and (found := name.removesuffix(side) + other) in there:
-            return found
-    return None
 
 
 def _draw(
@@ -83,19 +122,19 @@ def _draw(
     room = width - MARGIN - _BESIDE
     shown = reduced(values, data["v"].values, data["u"].values, width=room)
     box = shown.fit(room, 480.0 if width < FULL else 640.0)
-    known = values[np.isfinite(values)]
-    both = known
+    finite = values[np.isfinite(values)]
+    coloured = finite
     if shared is not None:
         other = maps[shared].values.astype(np.float64)
-        both = np.concatenate([v[np.isfinite(v)] for v in ((values, other) if name < shared else (other, values))])
-    scale = colours_of(data, both)
+        coloured = np.concatenate([v[np.isfinite(v)] for v in ((values, other) if name < shared else (other, values))])
+    scale = colours_of(data, coloured)
     high = panel_height(box, "colours")
     canvas = Canvas(width, high + BELOW + 38)
     canvas.map_axes(MARGIN, 8, box, shown, scale)
-    left = MARGIN + box[0] + 12
-    canvas.colour_bar(left, 8, 13, high, scale)
+    x0 = MARGIN + box[0] + 12
+    canvas.colour_bar(x0, 8, 13, high, scale)
     canvas.text(MARGIN + box[0] + _BESIDE - 10, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
-    counted = _distribution(canvas, (left + 58, 8, 62, high), known, scale, facts)
+    counted = _distribution(canvas, (x0 + 58, 8, 62, high), finite, scale, facts)
     canvas.scale_bar(MARGIN, box[1] + BELOW + 10, width=box[0], um=shown.width)
     canvas.axes_names(MARGIN + box[0], box[1] + BELOW + 10, "u, v")
     stated = ""
@@ -109,7 +148,7 @@ def _draw(
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{stated}Drawn: n = {n_of(known)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both "
+            f"{stated}Drawn: n = {n_of(finite)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both "
             f"faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the "
             f"99th percentile{of_both}."
         ),
@@ -117,15 +156,7 @@ def _draw(
     )
 
 
-def colours_of(data: xr.DataArray, known: Array) -> Scale:
-    """Return the colours of a map."""
-    # An angle of fibres begins again at 180 degrees, and so must its colours.
-    if str(data.attrs.get("units")) == "deg" and str(data.name).endswith("angle"):
-        return Scale(0.0, 180.0, CYCLIC)
-    return limits(known, GREYS if data.name == "image" else PROPERTY)
-
-
-def draw_beside(
+def draw_side_by_side(
     maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, str], shared: bool, without: str = HOLES
 ) -> Picture:
     """Draw two maps (y, x) on one grid side by side, NaN where not valid.
@@ -133,48 +164,47 @@ def draw_beside(
     ``shared``: they have one colour scale; ``without`` says in words what the mask of valid pixels leaves out.
     """
     shown = [m.values for m in maps]
-    known = [values[np.isfinite(values)] for values in shown]
+    finite = [values[np.isfinite(values)] for values in shown]
     y, x = maps[0]["y"].values, maps[0]["x"].values
     fields = [reduced(values, y, x, width=HALF - MARGIN - BESIDE) for values in shown]
     box = fields[0].fit(HALF - MARGIN - BESIDE, 480.0)
     canvas = Canvas(FULL, panel_height(box, "colours") + BELOW + 64)
-    for data, drawn, own, name, left in zip(maps, fields, known, names, (0.0, FULL - HALF), strict=True):
-        canvas.text(left + MARGIN, 18, name, bold=True, size=13)
-        scale = colours_of(data, np.concatenate(known) if shared else own)
-        canvas.panel(left, 24, drawn, box, scale=scale, label=label_of(data))
+    for k, (data, drawn, name) in enumerate(zip(maps, fields, names, strict=True)):
+        x0 = k * (FULL - HALF)
+        canvas.text(x0 + MARGIN, 18, name, bold=True, size=13)
+        scale = colours_of(data, np.concatenate(finite) if shared else finite[k])
+        canvas.panel(x0, 24, drawn, box, scale=scale, label=label_of(data))
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
     return canvas.picture(
         title=f"{names[0]} on the pixels of {names[1]}",
         caption=(
             f"Left, {titles[0]} of {names[0]}; right, {titles[1]} of {names[1]}, at the same places. "
             f"{'Both have the same colour scale' if shared else 'Each has its own colour scale'}, from the 1st to the "
-            f"99th percentile. n = {n_of(known[0])} and {n_of(known[1])} pixels of {pixel_of(x)}; units: {units[0]} "
+            f"99th percentile. n = {n_of(finite[0])} and {n_of(finite[1])} pixels of {pixel_of(x)}; units: {units[0]} "
             f"and {units[1]}; mask: measured, without {without}."
         ),
     )
 
 
 def _distribution(
-    canvas: Canvas, box: tuple[float, float, float, float], known: Array, scale: Scale, facts: PropertyFacts
+    canvas: Canvas, box: tuple[float, float, float, float], values: Array, scale: Scale, facts: PropertyFacts
 ) -> Table:
     """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
-    counts, edges = np.histogram(known, bins=_BINS, range=(low, high))
+    counts, edges = np.histogram(values, bins=_BINS, range=(low, high))
     most = max(int(counts.max()), 1)
     axes = canvas.axes(*box, (0, 1.25 * most, low, high))
     outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
     axes.area(outline, colour="#b9c0c7")
     axes.line([(0, low), (0, high)], colour=SOFT, width=1.6)
-    at, mean, sd = 1.14 * most, facts.mean, facts.sd
+    x, mean, sd = 1.14 * most, facts.mean, facts.sd
     if mean is not None and sd is not None:
-        axes.line([(at, max(mean - sd, low)), (at, min(mean + sd, high))], colour=ACCENT, width=1.6)
-        axes.dots([(at, min(max(mean, low), high))], colour=ACCENT, size=5)
+        axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=ACCENT, width=1.6)
+        axes.dots([(x, min(max(mean, low), high))], colour=ACCENT, size=5)
     return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 
-def draw_outlines(
-    linked: xr.Dataset, *, name: str, thin_um: float, without: str = HOLES
-) -> list[Picture]:  # fmt: skip
+def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str = HOLES) -> list[Picture]:
     """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6).
 
     ``without`` says in words what the mask of valid pixels leaves out.

@@ -8,10 +8,9 @@ from html import escape
 import numpy as np
 import xarray as xr
 
-from planish.report.colours import image_uri
+from planish.report.colours import colours_of, image_uri
 from planish.report.draw import pitch
-from planish.report.groups import Groups
-from planish.report.maps import colours_of
+from planish.report.maps import Groups
 from planish.report.summary import check_summary, summarise
 from planish.report.text import label_of, number, typeset
 from planish.results import Results

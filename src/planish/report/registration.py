@@ -15,13 +15,13 @@ from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.draw import (
     BELOW,
     FULL,
+    HALF,
     INK,
     MARGIN,
     Axes,
     Canvas,
     Magnified,
     Picture,
-    Table,
     draw_map,
     levels_between,
     magnified,
@@ -29,8 +29,8 @@ from planish.report.draw import (
     pitch,
     pixel_of,
     reduced,
-)  # fmt: skip
-from planish.report.text import capital, count, in_words, length, plain, the, title_of
+)
+from planish.report.text import capital, count, in_words, length, plain, title_of, with_article
 from planish.results import RegistrationFacts
 
 ARROW, EDGE = "#ff5238", "#39c5ff"
@@ -59,8 +59,8 @@ class Ground:
         box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
         canvas = Canvas(width, box[1] + BELOW + 36)
         axes = canvas.map_axes((width - box[0] + MARGIN - 12) / 2, 4, box, shown, self.scale)
-        canvas.scale_bar(axes.left, box[1] + BELOW + 6, width=box[0], um=shown.width, most=0.2)
-        canvas.axes_names(axes.left + box[0], box[1] + BELOW + 6)
+        canvas.scale_bar(axes.x, box[1] + BELOW + 6, width=box[0], um=shown.width, most=0.2)
+        canvas.axes_names(axes.x + box[0], box[1] + BELOW + 6)
         return canvas, axes
 
 
@@ -85,8 +85,8 @@ def ground_of(
 
 def blank_ground(points: Array, *, of: str) -> Ground:
     """Return an empty ground around points (x, y), for places in coordinates of which no map is at hand."""
-    known = points[np.isfinite(points).all(axis=1)]
-    low, high = (known.min(axis=0), known.max(axis=0)) if known.size else (np.zeros(2), np.ones(2))
+    points = points[np.isfinite(points).all(axis=1)]
+    low, high = (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
     room = 0.2 * max(float((high - low).max()), 1.0)
     x, y = (np.linspace(low[k] - room, high[k] + room, _BLANK) for k in (0, 1))
     caption = f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is shown, no mask."
@@ -95,27 +95,25 @@ def blank_ground(points: Array, *, of: str) -> Ground:
 
 
 def _arrows(
-    canvas: Canvas, axes: Axes, at: Array, vectors: Array, *, share: float, most: float, label: str, width: float
+    canvas: Canvas, axes: Axes, places: Array, vectors: Array, *, share: float, most: float, label: str, width: float
 ) -> Magnified:
     """Draw vectors, the longest over a share of the width, with a scale bar of their own beside that of the ground."""
     factor = magnified(vectors, share * axes.shown.width)
-    axes.arrows(at, factor.times * vectors, colour=ARROW, width=width)
+    axes.arrows(places, factor.times * vectors, colour=ARROW, width=width)
     if factor.longest > 1e-9:
         canvas.scale_bar(
-            axes.left + 0.4 * axes.width, axes.height + BELOW + 6, width=axes.width, um=axes.shown.width / factor.times,
+            axes.x + 0.4 * axes.width, axes.height + BELOW + 6, width=axes.width, um=axes.shown.width / factor.times,
             most=most, colour=ARROW, label=label,
         )  # fmt: skip
     return factor
 
 
 def draw_registration(
-    ground: Ground, marks: xr.Dataset, *, hole_um: float, title: str, source: str, axis: tuple[float, str] | None,
-    width: float,
-) -> Picture:  # fmt: skip
+    r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, source: str, width: float
+) -> Picture:
     """Draw a ground with its marks (``fixed_*``), numbered, and the residual of each as an arrow.
 
-    ``axis`` is the angle of the machine direction in degrees from x, clockwise on screen, and where it is known from;
-    ``hole_um`` the diameter at which marks are drawn, ``source`` the layer of their partners.
+    ``hole_um`` is the diameter at which marks are drawn, ``source`` the layer of their partners.
     """
     canvas, axes = ground.draw(width)
     if ground.edge is not None:
@@ -127,38 +125,33 @@ def draw_registration(
         canvas, axes, fixed, -points(marks, "residual"), share=0.09, most=0.12, label="{} of residual",
         width=3.0 if width == FULL else 2.2,
     )  # fmt: skip
-    words = f"Blue: edge of {the(ground.edge_of)}. " if ground.edge is not None else ""
-    if axis is not None:
+    words = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
+    if (axis := machine_direction(r, source)) is not None:
         _draw_axis(canvas, axes, axis[0], fixed)
         words += f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
+    names = [str(name) for name in marks.data_vars if marks[name].dims == ("mark",) and name != "label"]
+    columns = {f"{name} / µm": marks[name].values.astype(np.float64).tolist() for name in names}
+    labels = {"label": [str(v) for v in marks["label"].values]} if "label" in marks else {}
     return canvas.picture(
-        title=title,
+        title=f"Marks in {with_article(r.to)} and their residuals",
         caption=(
             f"{capital(ground.name)} with n = {len(fixed)} marks (orange circles of {plain(hole_um)}). Red arrows "
-            f"point from each mark to its transformed partner in {the(source)}, {factor.words}. {words}"
+            f"point from each mark to its transformed partner in {with_article(source)}, {factor.words}. {words}"
             f"{ground.caption}"
         ),
-        data={"marks": _marks_table(marks)},
+        data={"marks": {"mark": list(range(1, marks.sizes["mark"] + 1)), **labels, **columns}},
     )
-
-
-def _marks_table(marks: xr.Dataset) -> Table:
-    """Return marks with their residuals as columns, in um."""
-    names = [str(name) for name in marks.data_vars if marks[name].dims == ("mark",) and name != "label"]
-    labels = {"label": [str(v) for v in marks["label"].values]} if "label" in marks else {}
-    numbers = {f"{name} / µm": marks[name].values.astype(np.float64).tolist() for name in names}
-    return {"mark": list(range(1, marks.sizes["mark"] + 1)), **labels, **numbers}
 
 
 def _draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:
     """Draw marks as circles with their numbers."""
     turn = np.linspace(0, 2 * np.pi, 49)
     ring = hole_um / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    for k, (x, y) in enumerate(fixed):
+    for k, (x, y) in enumerate(fixed, 1):
         axes.line(ring + np.array([x, y]), colour=_MARK, width=1.9)
         axes.text(x, y, "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
-        left, top = x - 0.42 * hole_um, y - 0.42 * hole_um
-        axes.text(left, top, str(k + 1), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
+        corner = x - 0.42 * hole_um, y - 0.42 * hole_um
+        axes.text(*corner, str(k), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
 
 
 def draw_expected_error(
@@ -169,12 +162,12 @@ def draw_expected_error(
     ``of`` is the layer whose pixels they are, ``shown`` the one that was brought to them.
     """
     y, x = error["y"].values, error["x"].values
-    known = error.values[np.isfinite(error.values)].astype(np.float64)
-    if known.size == 0:
+    errors = error.values[np.isfinite(error.values)].astype(np.float64)
+    if errors.size == 0:
         return None
-    least, mean, most = float(known.min()), float(known.mean()), float(known.max())
+    least, mean, most = float(errors.min()), float(errors.mean()), float(errors.max())
     even = not most - least > 0.02 * abs(mean)  # colours would show differences that nobody can use
-    scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY) if even else limits(known, GEOMETRY, percent=0.1)
+    scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY) if even else limits(errors, GEOMETRY, percent=0.1)
     canvas, axes = draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
     levels, step = (np.empty(0), 0.0) if even else levels_between(least, most, steps=_STEPS)
     places = points(marks, "fixed") if marks is not None else np.empty((0, 2))
@@ -185,25 +178,25 @@ def draw_expected_error(
     return canvas.picture(
         title="Expected error",
         caption=(
-            f"Expected error of the position in {the(of)} (rms, from the scatter of the marks): {length(least, 2)} to "
-            f"{length(most, 2)}, median {length(float(np.median(known)), 2)}. {lines}{numbered}It grows away from the "
-            f"marks; an error that all marks share is not included. n = {n_of(known)} pixels of {pixel_of(x)}; unit "
-            f"µm; mask: where {the(shown)} is shown."
+            f"Expected error of the position in {with_article(of)} (rms, from the scatter of the marks): "
+            f"{length(least, 2)} to {length(most, 2)}, median {length(float(np.median(errors)), 2)}. {lines}{numbered}"
+            "It grows away from the marks; an error that all marks share is not included. "
+            f"n = {n_of(errors)} pixels of {pixel_of(x)}; unit µm; mask: where {with_article(shown)} is shown."
         ),
     )
 
 
-def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str, width: float) -> Picture | None:
+def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str) -> Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
     if lag is None:
         return None
-    at, lags, silent = lag_places(lag, ground)
-    if not len(at):
+    places, lags, silent = lag_places(lag, ground)
+    if not len(places):
         return None
-    canvas, axes = ground.draw(width)
+    canvas, axes = ground.draw(HALF)
     axes.dots(silent, size=4, colour=_SILENT, halo="white")
-    axes.dots(at, size=4, colour=ARROW, halo="white")
-    factor = _arrows(canvas, axes, at, lags, share=0.11, most=0.16, label="{} of lag", width=2.2)
+    axes.dots(places, size=4, colour=ARROW, halo="white")
+    factor = _arrows(canvas, axes, places, lags, share=0.11, most=0.16, label="{} of lag", width=2.2)
     doubt = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
     side = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
     return canvas.picture(
@@ -211,19 +204,19 @@ def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str
         caption=(
             f"Arrows point from where the registration puts a piece of {first} to where {second} shows it, "
             f"{factor.words}. Parallel arrows are a shift; arrows that turn or diverge are a rotation or a stretch; "
-            f"disordered arrows are chance. n = {count(len(at))} of {count(len(at) + len(silent))} overlapping "
+            f"disordered arrows are chance. n = {count(len(places))} of {count(len(places) + len(silent))} overlapping "
             f"tiles{side} with a distinct lag, grey dots the others.{doubt} {ground.caption}"
         ),
     )
 
 
 def machine_direction(r: RegistrationFacts, moving: str) -> tuple[float, str] | None:
-    """Return the machine direction in the fixed layer in degrees, and where it is known from; None where it is not."""
+    """Return the machine direction in degrees from x, clockwise on screen, and its source; None where it is unknown."""
     o = r.orientation
     if o.md_deg_fixed is not None:
-        return o.md_deg_fixed, f"given for {the(r.to)}"
+        return o.md_deg_fixed, f"given for {with_article(r.to)}"
     carried = o.md_deg_fixed_from_moving
-    return None if carried is None else (carried, f"carried over from {the(moving)}")
+    return None if carried is None else (carried, f"carried over from {with_article(moving)}")
 
 
 def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
@@ -232,10 +225,9 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
     y0, x0 = (float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
-    found = [(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles if t.distinct and is_known(t.lag_um)]
-    others = [(t.x + x0, t.y + y0) for t in lag.tiles if not t.distinct or not is_known(t.lag_um)]
-    distinct = np.array(found, dtype=np.float64).reshape(-1, 4)
-    return distinct[:, :2], distinct[:, 2:], np.array(others, dtype=np.float64).reshape(-1, 2)
+    rows = np.array([(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64).reshape(-1, 4)
+    distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
+    return rows[distinct, :2], rows[distinct, 2:], rows[~distinct, :2]
 
 
 def points(marks: xr.Dataset, name: str) -> Array:
@@ -246,13 +238,13 @@ def points(marks: xr.Dataset, name: str) -> Array:
 def _draw_axis(canvas: Canvas, axes: Axes, degrees: float, fixed: Array) -> None:
     """Draw an axis with a head at both ends in the corner that is farthest from all marks."""
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
-    known = axes.place(fixed[np.isfinite(fixed).all(axis=1)])
-    apart = np.hypot(*(corners[:, None] - known[None]).transpose(2, 0, 1)).min(axis=1) if known.size else np.zeros(4)
-    x, y = corners[int(np.argmax(apart))]
-    left = axes.left + (8 if x == 0 else axes.width - _AXIS - 8)
-    top = axes.top + (8 if y == 0 else axes.height - _AXIS - 8)
-    canvas.box(left, top, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
-    corner = canvas.axes(left, top, _AXIS, _AXIS, (-1, 1, 1, -1))
+    marks = axes.place(fixed[np.isfinite(fixed).all(axis=1)])
+    gaps = np.hypot(*(corners[:, None] - marks[None]).transpose(2, 0, 1)).min(axis=1) if marks.size else np.zeros(4)
+    x, y = corners[int(np.argmax(gaps))]
+    x0 = axes.x + (8 if x == 0 else axes.width - _AXIS - 8)
+    y0 = axes.y + (8 if y == 0 else axes.height - _AXIS - 8)
+    canvas.box(x0, y0, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
+    corner = canvas.axes(x0, y0, _AXIS, _AXIS, (-1, 1, 1, -1))
     along = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
     side = np.array([-along[1], along[0]])
     corner.arrows([-0.22 * side] * 2, [0.92 * along, -0.92 * along], colour=INK, width=2.0, halo="")

@@ -13,9 +13,21 @@ from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.facts import is_known
 from planish.report.colours import PROPERTY, Array, Scale
-from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Field, Picture, Table, pitch
-from planish.report.statement import r_interval_text, r_text
-from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
+from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
+from planish.report.text import (
+    HOLES,
+    REGISTERED,
+    by_spread,
+    capital,
+    count,
+    in_words,
+    number,
+    plain,
+    r_interval_text,
+    r_text,
+    unit,
+    unit_of,
+)
 from planish.results import CorrelationRow
 
 Points = tuple[Array, Array]
@@ -209,7 +221,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
-    return tuple(beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
+    return tuple(by_spread(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
 
 
 def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
@@ -239,7 +251,7 @@ def _density(
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
     axes = canvas.axes(left, at, wide, high, (*box[0], *box[1]))
-    axes.image(Field(logs, axes.extent), scale, missing="#ffffff")
+    axes.image(ShownMap(logs, axes.extent), scale, missing="#ffffff")
     canvas.colour_bar(left + wide + 8, at, 10, high, scale, log=True)
     canvas.text(left + wide + 8, at - 8, what, size=SMALL, colour=SOFT)
     return axes

@@ -1,19 +1,25 @@
-"""The page of a series: one file that needs nothing else, no script among it."""
+"""The page of a series: one file that needs nothing else, no script among it, with the figures that it shows.
+
+Figures are sheets and their mean in each group, and small maps of all specimens on one colour scale.
+"""
 
 from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
 from typing import NamedTuple
 from urllib.parse import quote
 
+import numpy as np
+import xarray as xr
+
 from planish.core.series_results import SeriesResults, Specimen
 from planish.report import series_words as words
-from planish.report import statement, text
-from planish.report.draw import Picture
-from planish.report.page import template
-from planish.report.series_figures import SmallMap, draw_groups, tile_maps
+from planish.report import text
+from planish.report.colours import Array, image_uri, limits
+from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, reduced, round_step
 
 _MOST_COLUMNS = 8  # quantities of the table of specimens, and of figures
 _MOST_ORDERS = 9
@@ -33,16 +39,20 @@ _SOURCES = (
     ("Two instruments", "Bias and limits of agreement: Bland and Altman (1986), Lancet 327, 307, with intervals that "
      "count independent points; waves in common by Fourier ring correlation."),
 )  # fmt: skip
+_ROW, _TOP, _LETTER = 30.0, 14.0, 6.3  # pixels: of a group, above the first, of a letter
+_WIDEST_NAME = 190.0
+_WIDE = 150.0  # CSS pixels of the widest small map
+_LEAST = 24.0
 
 
-class Order(NamedTuple):
+class SpecimenOrder(NamedTuple):
     """The specimens in one order: what it is called, and their numbers."""
 
     name: str
     numbers: list[int]
 
 
-class Line(NamedTuple):
+class SpecimenLine(NamedTuple):
     """One specimen as the table shows it."""
 
     specimen: Specimen
@@ -67,63 +77,183 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
         The same input gives the same text.
     """
     columns = list(range(min(len(results.quantities), _MOST_COLUMNS)))
-    pictures: list[tuple[int, Picture]] = [
-        (k, picture) for k in columns if (picture := draw_groups(results, k)) is not None
-    ]
-    factors = [
-        name for name in results.factors if any(name in one.member.factors for one in results.specimens)
-    ]  # fmt: skip
-    page = template("planish.report", "series.html.j2").render(
-        results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
-        columns=columns, lines=[_line(one, factors, columns, results) for one in results.specimens],
-        orders=orders(results, factors), pictures=pictures, tiled=tile_maps(maps),
-        out=[one for one in results.specimens if one.member.state in _OUT],
-        linked=any(one.kind not in (None, "map") for one in results.specimens),
+    drawn = ((k, draw_groups(results, k)) for k in columns)
+    factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
+    page = text.template("planish.report", "series.html.j2").render(
+        results=results, words=words, text=text, sources=_SOURCES, factors=factors,
+        columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
+        orders=_orders(results, factors), pictures=[(k, picture) for k, picture in drawn if picture is not None],
+        tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state in _OUT],
+        linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
     )  # fmt: skip
     return f"{page}\n"
 
 
-def _line(one: Specimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults) -> Line:
+def _line(specimen: Specimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults) -> SpecimenLine:
     cells = [(text.NONE, "")] * len(columns)
-    if one.cells:
-        shown = ((one.cells[k], results.quantities[k]) for k in columns)
-        cells = [(words.cell_text(c, q), _doubt(c.trust, c.why_not)) for c, q in shown]
-    link = "" if one.kind is None else f"{quote(one.member.run or '')}/report.html"
-    return Line(one, link, [one.member.factors.get(name, "") for name in factors], cells)
+    for k in columns if specimen.cells else ():
+        cell = specimen.cells[k]
+        # A word below a figure that is not used like the others.
+        is_apart = cell.trust == "ok" and cell.why_not.startswith(("too few", "points of"))
+        doubt = cell.why_not if is_apart else "" if cell.trust == "ok" else cell.trust
+        cells[k] = words.cell_text(cell, results.quantities[k]), doubt
+    link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
+    return SpecimenLine(specimen, link, [specimen.member.factors.get(name, "") for name in factors], cells)
 
 
-def _doubt(trust: str, why_not: str) -> str:
-    """A word below a figure that is not used like the others."""
-    return trust if trust != "ok" else why_not if why_not.startswith(("too few", "points of")) else ""
-
-
-def orders(results: SeriesResults, factors: Sequence[str]) -> list[Order]:
+def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrder]:
     """The orders in which the table of specimens is written: as listed, by name, by factors, by figures."""
     specimens = results.specimens
-    found = [("as listed", list(range(len(specimens))))]
+    orders = [SpecimenOrder("as listed", list(range(len(specimens))))]
 
     def by(name: str, key: Callable[[Specimen], tuple[object, ...]]) -> None:
         numbers = sorted(range(len(specimens)), key=lambda k: key(specimens[k]))  # pyright: ignore
-        if len(found) < _MOST_ORDERS and all(numbers != other for _, other in found):
-            found.append((name, numbers))
+        if len(orders) < _MOST_ORDERS and all(numbers != order.numbers for order in orders):
+            orders.append(SpecimenOrder(name, numbers))
 
-    by("name", lambda one: (natural(one.member.name),))
-    by("state", lambda one: (one.member.state != "whole", one.member.state, one.light or ""))
+    def figure(specimen: Specimen, k: int) -> tuple[bool, float]:
+        v = specimen.cells[k].value if specimen.cells else None
+        return (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
+
+    by("name", lambda s: (natural(s.member.name),))
+    by("state", lambda s: (s.member.state != "whole", s.member.state, s.light or ""))
     for name in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
-        by(name, lambda one, name=name: (not one.member.factors.get(name), natural(one.member.factors.get(name, ""))))
+        by(name, lambda s, name=name: (not s.member.factors.get(name), natural(s.member.factors.get(name, ""))))
     for k, q in enumerate(results.quantities):
         title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
         if q.map == results.quantities[0].map:
-            by(title, lambda one, k=k: (_known(one, k) is None, _known(one, k) or 0.0))
-    return [Order(name, numbers) for name, numbers in found]
-
-
-def _known(one: Specimen, k: int) -> float | None:
-    v = one.cells[k].value if one.cells else None
-    return v if v is not None and math.isfinite(v) else None
+            by(title, lambda s, k=k: figure(s, k))
+    return orders
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Key that puts 2 before 10."""
     parts = re.findall(r"\d+|\D+", name.casefold())
     return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
+
+
+# --- small maps ------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SmallMap:
+    """A map of one specimen, small; without values where there is none, or it cannot be read."""
+
+    specimen: str
+    values: Array | None
+    width_um: float
+    height_um: float
+    title: str
+    unit: str
+
+
+def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> SmallMap:
+    """Make a small map of a map (rows, cols), of at most so many pixels along its longer side."""
+    if data is None:
+        return SmallMap(specimen=specimen, values=None, width_um=0.0, height_um=0.0, title="", unit="")
+    y, x = (data[d].values.astype(np.float64) for d in data.dims)
+    ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0]))))
+    shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
+    values = np.round(shown.values.astype(np.float32), 6)  # a page needs no more
+    return SmallMap(
+        specimen=specimen, values=values.astype(np.float64), width_um=shown.width, height_um=shown.height,
+        title=text.title_of(data), unit=text.unit_of(data),
+    )  # fmt: skip
+
+
+class _Tiled(NamedTuple):
+    """Small maps ready for the page, all on one colour scale and one scale of lengths."""
+
+    bar: Picture | None
+    images: list[tuple[str, str, float, float]]  # specimen, address of the image, width and height in CSS pixels
+    missing: list[str]
+
+
+def _tile_maps(maps: Sequence[SmallMap]) -> _Tiled:
+    """Colour small maps by one scale: from the 1st to the 99th percentile of all of them."""
+    shown = [(m, m.values) for m in maps if m.values is not None and bool(np.isfinite(m.values).any())]
+    missing = [m.specimen for m in maps if m.specimen not in {m.specimen for m, _ in shown}]
+    if not shown:
+        return _Tiled(None, [], missing)
+    scale = limits(np.concatenate([values.ravel() for _, values in shown]))
+    um = max(max(m.width_um, m.height_um) for m, _ in shown) / _WIDE
+    images = [
+        (m.specimen, image_uri(values, scale), max(m.width_um / um, _LEAST), max(m.height_um / um, _LEAST))
+        for m, values in shown
+    ]
+    # The colours of all small maps, and a length on them.
+    canvas, first = Canvas(HALF, 62), shown[0][0]
+    canvas.colour_bar(8, 6, 300, 12, scale)
+    canvas.text(8, 54, f"{first.title} / {first.unit}" if first.unit else first.title)
+    length = round_step(0.5 * _WIDE * um)
+    canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
+    canvas.text(350, 32, text.plain(length), size=SMALL)
+    return _Tiled(canvas.picture(title="Colours and scale of all maps", caption=""), images, missing)
+
+
+# --- groups ----------------------------------------------------------------------------------------------------------
+
+
+def draw_groups(results: SeriesResults, k: int) -> Picture | None:
+    """Draw one quantity of every sheet, by group, with the mean over sheets and its interval."""
+    q, groups = results.quantities[k], [g for g in results.groups if g.quantity == k and g.fields]
+    if sum(g.fields for g in groups) < 2:
+        return None
+    factor = 100.0 if q.what == "thin_share" else 1.0
+    fields = [  # sheet and value of every specimen of a group that counts
+        [
+            (s.sheet, float(s.cells[k].value or 0.0)) for s in results.specimens
+            if s.cells and s.cells[k].counts and all(s.member.factors.get(f, "") == v for f, v in g.group.items())
+        ]
+        for g in groups
+    ]  # fmt: skip
+    ends = [v * factor for g in groups for v in (g.interval or ())]
+    drawn = np.concatenate([*(np.array([v for _, v in of_group]) * factor for of_group in fields), np.array(ends)])
+    low, high = float(drawn.min()), float(drawn.max())
+    margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
+    low, high = low - margin, high + margin
+    names = [_short_label(g.group) for g in groups]
+    x0 = min(max(len(name) for name in names) * _LETTER + 16, _WIDEST_NAME)
+    x1, bottom = HALF - 20, _TOP + _ROW * len(groups)
+    canvas = Canvas(HALF, bottom + 50)
+    axes = canvas.axes(x0, _TOP, x1 - x0, bottom - _TOP, (low, high, float(len(groups)), 0.0))
+    for i, (g, of_group) in enumerate(zip(groups, fields, strict=True)):
+        y = i + 0.5
+        axes.dots([(v * factor, y - 0.18) for _, v in of_group], colour="#9db4c6", size=4)
+        sheets: dict[str, list[float]] = {}
+        for sheet, v in of_group:
+            sheets.setdefault(sheet, []).append(v * factor)
+        axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
+        if g.interval is not None:
+            axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
+        if g.mean is not None:
+            axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
+        canvas.text(x0 - 8, _TOP + _ROW * y + 4, names[i], anchor="end")
+    canvas.line([(x0, bottom), (x1, bottom)], colour=SOFT, width=0.8)
+    step = round_step((high - low) / 4)
+    for tick in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
+        x = x0 + (tick - low) / (high - low) * (x1 - x0)
+        canvas.line([(x, bottom), (x, bottom + 3)], colour=SOFT, width=0.8)
+        canvas.text(x, bottom + 16, f"{tick + 0.0:.6g}".replace("-", "−"), size=SMALL, anchor="middle")
+    title, unit = words.title(q), words.units(q)
+    canvas.text((x0 + x1) / 2, bottom + 38, f"{title} / {unit}" if unit else title, anchor="middle")
+    rows = [(words.label(g.group), s, v) for g, of_group in zip(groups, fields, strict=True) for s, v in of_group]
+    means = [f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})" for g in groups]
+    return canvas.picture(
+        title=title,
+        caption=(
+            "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval, where there are 3 "
+            f"sheets. Means: {'; '.join(means)}."
+        ),
+        data={"sheets": dict(zip(("group", "sheet", "value"), map(list, zip(*rows, strict=True)), strict=True))},
+    )
+
+
+def _short_label(group: Mapping[str, str]) -> str:
+    """Name a group beside its row: where that is too long, by the beginnings of its levels."""
+    name, most = words.label(group), int((_WIDEST_NAME - 16) / _LETTER)
+    if len(name) <= most:
+        return name
+    each = max(most // len(group) - 3, 4)
+    spare = sum(max(each - len(level), 0) for level in group.values())
+    return words.label({f: v if len(v) <= each + spare else f"{v[: each + spare - 1]}…" for f, v in group.items()})

@@ -1,14 +1,14 @@
-"""What a series of specimens says, in sentences and in numbers with the digits that their intervals allow."""
+"""Sentences and numbers of a series of specimens, with the digits that their intervals allow."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from itertools import groupby
 
 from planish.core.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
-from planish.report.statement import decimals_of_r, p_text
-from planish.report.summary import Tile
-from planish.report.text import NONE, beside, capital, count, fixed, number, typeset, unit
+from planish.report.summary import KeyFigure
+from planish.report.text import NONE, by_spread, capital, count, decimals_of_r, fixed, number, p_text, typeset, unit
 
 _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
@@ -20,42 +20,37 @@ _STATES = {
 
 
 def lead(results: SeriesResults) -> str:
-    """Say what was found, in a sentence with its interval."""
-    if not any(one.kind for one in results.specimens):
+    """State the result of a series in a sentence with its interval."""
+    if not any(specimen.kind for specimen in results.specimens):
         return f"No specimen has a run that can be read. {states(results)}"
     if results.differences:
-        first = results.differences[0]
-        alike = [d for d in results.differences if d.quantity == first.quantity]
-        more = f" {_among(results)}" if len(results.differences) > 1 else ""
-        said = " ".join(difference(d, results) for d in alike[:_LED])
-        other = f" {len(alike) - _LED} more of this quantity stand below." if len(alike) > _LED else ""
-        return f"{said}{other}{more}"
-    own = [g for g in results.groups if g.fields]
-    if not own:
+        alike = [d for d in results.differences if d.quantity == results.differences[0].quantity]
+        sentences = [difference(d, results) for d in alike[:_LED]]
+        if len(alike) > _LED:
+            sentences.append(f"{len(alike) - _LED} more of this quantity stand below.")
+        verdicts = Counter(d.verdict for d in results.differences)
+        total, differ, unknown = len(results.differences), verdicts["differ"], verdicts["unknown"]
+        if unknown == total > 1:
+            sentences.append(f"None of {total} differences can be told.")
+        elif total > 1:
+            words = "none is" if differ == 0 else "1 is" if differ == 1 else f"{differ} are"
+            tail = f"; {unknown} cannot be told" if unknown else ""
+            sentences.append(f"Of {total} differences, {words} distinguishable after Holm{tail}.")
+        return " ".join(sentences)
+    groups = [g for g in results.groups if g.fields]
+    if not groups:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
-    groups = [g for g in own if g.group == own[0].group]
-    shown = [g for g in groups if results.quantities[g.quantity].what in ("mean", "r")][:2]
+    first = [g for g in groups if g.group == groups[0].group]
+    shown = [g for g in first if results.quantities[g.quantity].what in ("mean", "r")][:2]
     return " ".join(group_sentence(g, results) for g in shown)
-
-
-def _among(results: SeriesResults) -> str:
-    """How many of all differences are distinguishable."""
-    total, seen = len(results.differences), sum(d.verdict == "differ" for d in results.differences)
-    unknown = sum(d.verdict == "unknown" for d in results.differences)
-    if unknown == total:
-        return f"None of {total} differences can be told."
-    words = "none is" if seen == 0 else "1 is" if seen == 1 else f"{seen} are"
-    tail = f"; {unknown} cannot be told" if unknown else ""
-    return f"Of {total} differences, {words} distinguishable after Holm{tail}."
 
 
 def states(results: SeriesResults) -> str:
     """Say what became of the specimens."""
-    counts, total = Counter(one.member.state for one in results.specimens), len(results.specimens)
+    counts, total = Counter(member.state for member in results.members), len(results.specimens)
     if counts["whole"] == total:
         return f"All {total} specimens are whole." if total > 1 else "The specimen is whole."
-    parts = [f"{counts[state]} {words}" for state, words in _STATES.items() if counts[state]]
-    return f"Of {total} specimens, {', '.join(parts)}."
+    return f"Of {total} specimens, {', '.join(f'{counts[s]} {words}' for s, words in _STATES.items() if counts[s])}."
 
 
 def light_of(results: SeriesResults) -> str:
@@ -70,16 +65,17 @@ def light_of(results: SeriesResults) -> str:
 # --- numbers -------------------------------------------------------------------------------------------------------
 
 
-def value(v: float | None, q: Quantity, spread: float | None = None) -> str:
-    """Write a value of a quantity: a share in per cent, r with two decimals, others by their spread."""
+def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = None) -> str:
+    """Write a value of a quantity: a share in per cent, r with two decimals, others by the width of an interval."""
     if v is None:
         return NONE
+    spread = None if limits is None else (limits[1] - limits[0]) / 2
     if q.what == "thin_share":
-        return number(100 * v, 2) if spread is None else beside(100 * v, 100 * spread)
+        return number(100 * v, 2) if spread is None else by_spread(100 * v, 100 * spread)
     if q.what == "r":
         ends = None if spread is None else (v - spread, v + spread)
         return fixed(v, _OF_CLOSE if abs(v) > _CLOSE and spread is None else decimals_of_r(ends))
-    return number(v) if spread is None else beside(v, spread)
+    return number(v) if spread is None else by_spread(v, spread)
 
 
 def units(q: Quantity) -> str:
@@ -109,27 +105,23 @@ def title(q: Quantity) -> str:
 
 def interval(limits: tuple[float, float] | None, q: Quantity) -> str:
     """Write both ends of an interval."""
-    if limits is None:
-        return NONE
-    spread = (limits[1] - limits[0]) / 2
-    return f"{value(limits[0], q, spread)} to {value(limits[1], q, spread)}"
+    return NONE if limits is None else f"{value(limits[0], q, limits)} to {value(limits[1], q, limits)}"
 
 
 def short(q: Quantity) -> str:
     """Heading of a column: the statistic with its unit."""
-    at = "" if q.at_um is None else f"{q.at_um:g} µm"
-    name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {at}" if q.at_um else "Bare",
-            "r": f"r with {q.other_layer or 'the image'}, points of {at}"}[q.what]  # fmt: skip
+    size = "" if q.at_um is None else f"{q.at_um:g} µm"
+    name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {size}" if q.at_um else "Bare",
+            "r": f"r with {q.other_layer or 'the image'}, points of {size}"}[q.what]  # fmt: skip
     return f"{name} / {units(q)}" if units(q) else name
 
 
 def cell_text(cell: Cell, q: Quantity) -> str:
     """Write a quantity of one specimen; r with its interval below."""
-    text = value(cell.value, q)
     if q.what == "r" and cell.low is not None and cell.high is not None:
         digits = decimals_of_r((cell.low, cell.high))
         return f"{fixed(cell.value, digits)}\n{fixed(cell.low, digits)} to {fixed(cell.high, digits)}"
-    return text
+    return value(cell.value, q)
 
 
 def label(group: Mapping[str, str]) -> str:
@@ -150,17 +142,13 @@ def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
     q = results.quantities[g.quantity]
     of = "" if not g.group else f"{label(g.group)}: "
     over = f"{sheets_text(g.sheets)}, {g.fields} field{'s' if g.fields != 1 else ''}"
-    mean = with_units(value(g.mean, q, half(g.interval)), q)
-    said = f"{'' if q.what == 'r' else 'the '}{typeset(q.title)} is {mean}"
-    if g.interval is None:
-        said += f", without an interval: {g.reason}" if g.reason else ""
-        return _begin(f"{of}{said} ({over}).")
-    return _begin(f"{of}{said} (95 %: {with_units(interval(g.interval, q), q)}; {over}).")
-
-
-def _begin(text: str) -> str:
-    """Begin a sentence; r stays small."""
-    return text if text.startswith("r of") else capital(text)
+    mean = with_units(value(g.mean, q, g.interval), q)
+    text = f"{of}{'' if q.what == 'r' else 'the '}{typeset(q.title)} is {mean}"
+    if g.interval is not None:
+        text += f" (95 %: {with_units(interval(g.interval, q), q)}; {over})."
+    else:
+        text += f"{f', without an interval: {g.reason}' if g.reason else ''} ({over})."
+    return text if text.startswith("r of") else capital(text)  # r stays small
 
 
 def difference(d: DifferenceFacts, results: SeriesResults) -> str:
@@ -172,28 +160,22 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
         return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
     verdict = {"differ": "differ", "not after Holm": "are not distinguishable after Holm",
                "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
-    change = with_points(signed(d.difference, q, half(d.interval)), q)
+    change, equivalence = with_points(signed(d, q), q), ""
+    if d.equivalence is not None and d.equivalence.verdict != "unknown":
+        margin = f"the declared margin of {margin_text(d.equivalence.margin, q)}"
+        equivalence = {"equivalent": f" They are equivalent within {margin}.",
+                       "larger": f" The difference is larger than {margin}.",
+                       "undecided": f" Smaller than {margin} or not: undecided."}[d.equivalence.verdict]  # fmt: skip
     return capital(
         f"{of}{names} {verdict} in {of_what}: {second} − {first} = {change} "
-        f"(95 %: {with_points(interval(d.interval, q), q)}; {sampled(d)}).{_within_margin(d, q)}"
+        f"(95 %: {with_points(interval(d.interval, q), q)}; {sampled(d)}).{equivalence}"
     )
 
 
-def _within_margin(d: DifferenceFacts, q: Quantity) -> str:
-    """Say what a declared margin makes of a difference; empty without one."""
-    e = d.equivalence
-    if e is None or e.verdict == "unknown":
-        return ""
-    margin = margin_text(e.margin, q)
-    return {"equivalent": f" They are equivalent within the declared margin of {margin}.",
-            "larger": f" The difference is larger than the declared margin of {margin}.",
-            "undecided": f" Smaller than the declared margin of {margin} or not: undecided."}[e.verdict]  # fmt: skip
-
-
-def signed(v: float | None, q: Quantity, spread: float | None) -> str:
+def signed(d: DifferenceFacts, q: Quantity) -> str:
     """Write a difference with its sign."""
-    text = value(v, q, spread)
-    return f"+{text}" if v is not None and v > 0 else text
+    text = value(d.difference, q, d.interval)
+    return f"+{text}" if d.difference is not None and d.difference > 0 else text
 
 
 def sampled(d: DifferenceFacts) -> str:
@@ -228,95 +210,67 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
     return words if e.interval is None else f"{words} (90 %: {interval(e.interval, q)}; p {p_text(e.p)})"
 
 
-def tiles(results: SeriesResults) -> list[Tile]:
+def tiles(results: SeriesResults) -> list[KeyFigure]:
     """The leading map's figures: their differences where something is compared, else their means."""
-    out: list[Tile] = []
-    first = results.quantities[0].map if results.quantities else ""
+    figures: list[KeyFigure] = []
     for k, q in enumerate(results.quantities):
-        if q.map != first or len(out) == 4:
-            continue
         d = next((d for d in results.differences if d.quantity == k), None)
         g = next((g for g in results.groups if g.quantity == k and g.fields), None)
+        if q.map != results.quantities[0].map or len(figures) == 4:
+            continue
         if d is not None:
             of = f"{label(d.within)}; " if d.within else ""
-            note = (
-                f"{of}95 %: {interval(d.interval, q)}; {verdict(d)}" if d.interval else f"{of}no interval: {verdict(d)}"
-            )
-            about = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
-            out.append(
-                Tile(
-                    signed(d.difference, q, half(d.interval)),
-                    "% points" if q.what == "thin_share" else units(q),
-                    about,
-                    note,
-                )
-            )
+            ends = f"95 %: {interval(d.interval, q)}; " if d.interval else "no interval: "
+            unit_of_change = "% points" if q.what == "thin_share" else units(q)
+            title = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
+            figures.append(KeyFigure(signed(d, q), unit_of_change, title, f"{of}{ends}{verdict(d)}"))
         elif g is not None:
             note = f"95 %: {interval(g.interval, q)}" if g.interval else f"no interval: {g.reason}"
-            of = f"{label(g.group)}, " if g.group else ""
-            out.append(
-                Tile(
-                    value(g.mean, q, half(g.interval)),
-                    units(q),
-                    typeset(q.title),
-                    f"{of}{sheets_text(g.sheets)}; {note}",
-                )
-            )
-    return out
+            note = f"{f'{label(g.group)}, ' if g.group else ''}{sheets_text(g.sheets)}; {note}"
+            figures.append(KeyFigure(value(g.mean, q, g.interval), units(q), typeset(q.title), note))
+    return figures
 
 
 def heterogeneous(g: GroupFacts, q: Quantity) -> str:
     """Say whether sheets differ by more than their fields' own scatter."""
     if q.what == "r":
-        found = g.between_sheets
-        if found is None:
+        z = g.between_sheets
+        if z is None:
             return "one sheet: nothing to compare" if g.sheets == 1 else NONE
-        share = f"I² {number(100 * (found.i2 or 0.0), 2)}\u202f%, Q {number(found.q)}, p {p_text(found.p)}"
-        more = "sheets differ beyond their own scatter" if (found.p or 1.0) < 0.05 else "no more than their own scatter"
-        return f"{more}: {share}"
+        verdict = "sheets differ beyond their own scatter" if (z.p or 1.0) < 0.05 else "no more than their own scatter"
+        return f"{verdict}: I² {number(100 * (z.i2 or 0.0), 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
     v = g.variances
     if v is None or v.sd_within is None or v.share is None:
         return (v.reason if v else "") or NONE
-    share = f"{number(100 * v.share, 2)}\u202f% of the variance"
     limits = v.share_interval
     ends = f" (95 %: {number(100 * limits[0], 2)} to {number(100 * limits[1], 2)}\u202f%)" if limits else ""
-    sds = f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within"
-    return f"{sds}; between: {share}{ends}, p {p_text(v.p)}"
-
-
-def half(limits: tuple[float, float] | None) -> float | None:
-    """Half the width of an interval: what digits are written by."""
-    return None if limits is None else (limits[1] - limits[0]) / 2
+    return (
+        f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between: {number(100 * v.share, 2)}"
+        f"\u202f% of the variance{ends}, p {p_text(v.p)}"
+    )
 
 
 def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int]]:
     """Headings over the columns of one map: its title, and how many there are."""
-    out: list[tuple[str, int]] = []
-    for k in columns:
-        title = capital(results.quantities[k].map_title)
-        if out and out[-1][0] == title:
-            out[-1] = (title, out[-1][1] + 1)
-        else:
-            out.append((title, 1))
-    return out
+    titles = groupby(capital(results.quantities[k].map_title) for k in columns)
+    return [(title, len([*alike])) for title, alike in titles]
 
 
 def declared(results: SeriesResults) -> list[tuple[str, str]]:
     """What was declared, and what the program took where nothing was."""
-    said: Mapping[str, object] = results.declared
-    margins = said.get("margin")
-    rows = [
-        ("Compared by", f"{results.compared_by or 'nothing: one group'}{'' if said.get('compare') else ' (usual)'}"),
+    options: Mapping[str, object] = results.declared
+    margins, by = options.get("margin"), results.compared_by or "nothing: one group"
+    return [
+        ("Compared by", f"{by}{'' if options.get('compare') else ' (usual)'}"),
         ("Groups", ", ".join(results.grouped_by) or "one"),
         ("Maps", ", ".join(dict.fromkeys(q.map for q in results.quantities)) or NONE),
         ("Margins", ", ".join(f"{k} {v:g}" for k, v in margins.items()) if isinstance(margins, dict) and margins
          else "none declared"),
-        ("Doubtful figures", "take part" if said.get("doubtful") else "take part in nothing"),
+        ("Doubtful figures", "take part" if options.get("doubtful") else "take part in nothing"),
         ("Sheets", "named in the table" if results.sheets_given else "not all named: see the cautions"),
     ]  # fmt: skip
-    return rows
 
 
-def plain_words(said: str) -> str:
+def plain_words(sentence: str) -> str:
     """Write a sentence for a terminal: units in ASCII, usual blanks and minus signs."""
-    return said.replace("\u202f", " ").replace("µm", "um").replace("−", "-").replace("±", "+-").replace("²", "2")
+    return sentence.replace("\u202f", " ").replace("µm", "um").replace("−", "-").replace("±", "+-").replace("²", "2")

@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.report.colours import GREYS, Array, Scale, limits
-from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Field, Picture, pitch, pixel_of, reduced
+from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, ShownMap, pitch, pixel_of, reduced
 from planish.report.text import count, length, number, plain
 
 # Colours that do not need red and green to be distinguished, and stand out from grey.
@@ -38,16 +38,16 @@ class Slice:
     x: Array
     lines: dict[str, Array]
     used: NDArray[np.bool_]  # columns that were measured
-    at: float
+    place_um: float  # along the axis that it cuts across
 
     def window(self, left: float, right: float, margin: float) -> Window:
         """Return the part between two places that holds the sheet."""
         inside = (self.x >= left) & (self.x <= right)
-        found = np.concatenate([v[inside] for v in self.lines.values()])
-        found = found[np.isfinite(found)]
+        faces = np.concatenate([v[inside] for v in self.lines.values()])
+        faces = faces[np.isfinite(faces)]
         low, high = self.range
-        if found.size:
-            low, high = max(low, float(found.min()) - margin), min(high, float(found.max()) + margin)
+        if faces.size:
+            low, high = max(low, float(faces.min()) - margin), min(high, float(faces.max()) + margin)
         return left, right, low, high
 
     @property
@@ -55,7 +55,7 @@ class Slice:
         """Lowest and highest height."""
         return float(self.heights[-1]), float(self.heights[0])
 
-    def cut(self, window: Window, width: float) -> Field:
+    def cut(self, window: Window, width: float) -> ShownMap:
         """Return the grey values of a window, for axes so many pixels wide."""
         left, right, low, high = window
         cols = (self.x >= left - 1e-6) & (self.x <= right + 1e-6)
@@ -80,7 +80,7 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     top = 0.0
     for k, (cut, span, high, window) in enumerate(zip(cuts, spans, heights, windows, strict=True)):
         canvas.text(1, top + 18, f"Slice {ascii_uppercase[k]}", bold=True)
-        canvas.text(62, top + 18, f"{rows} = {plain(cut.at)}", colour=SOFT)
+        canvas.text(62, top + 18, f"{rows} = {plain(cut.place_um)}", colour=SOFT)
         axes = _draw(canvas, cut, span, (1, top + 26), zoom, scale, 1.1)
         left, right, low, up = window
         axes.line([(left, low), (left, up), (right, up), (right, low), (left, low)], colour=_MARKED, width=1.4)
@@ -102,11 +102,11 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
 
 
 def _draw(
-    canvas: Canvas, cut: Slice, window: Window, at: tuple[float, float], zoom: float, scale: Scale, width: float
+    canvas: Canvas, cut: Slice, window: Window, corner: tuple[float, float], zoom: float, scale: Scale, width: float
 ) -> Axes:
     """Draw a window of a slice with its surfaces."""
     wide, high = (window[1] - window[0]) * zoom, (window[3] - window[2]) * zoom
-    axes = canvas.axes(*at, wide, high, window)
+    axes = canvas.axes(*corner, wide, high, window)
     axes.image(cut.cut(window, wide), scale)
     every = slice(None, None, max(1, cut.x.size // _POINTS))
     for name, _, colour, dash in LINES:
@@ -129,16 +129,16 @@ def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
     high = max((w[3] - w[2]) * zoom for w in windows)
     canvas = Canvas(FULL, high + 92)
     for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
-        left = k * (width + gap) + 1
-        canvas.text(left, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
-        _draw(canvas, cut, window, (left, 26), zoom, scale, 2.0)
+        x0 = k * (width + gap) + 1
+        canvas.text(x0, 18, f"Detail of slice {ascii_uppercase[k]}", bold=True)
+        _draw(canvas, cut, window, (x0, 26), zoom, scale, 2.0)
     canvas.scale_bar(1, 28 + high, width=width, um=width / zoom)
     drawn = [line for line in LINES if any(np.isfinite(cut.lines[line[0]]).any() for cut in cuts)]
     canvas.box(0, high + 60, FULL, 28, fill="#2a2d30")
     for k, (_, name, colour, dash) in enumerate(drawn):
-        left = 14 + k * 205.0
-        canvas.line([(left, high + 74), (left + 28, high + 74)], colour=colour, width=2.6, dash=dash)
-        canvas.text(left + 36, high + 78, name, colour="white")
+        x0 = 14 + k * 205.0
+        canvas.line([(x0, high + 74), (x0 + 28, high + 74)], colour=colour, width=2.6, dash=dash)
+        canvas.text(x0 + 36, high + 78, name, colour="white")
     voxel = pixel_of(cuts[0].x, cuts[0].heights[::-1])
     return canvas.picture(
         title="The layers, close up",
@@ -152,14 +152,14 @@ def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
 def _windows(cuts: list[Slice], centres: list[float], margin: float) -> list[Window]:
     """Return the windows around the given places: as high as the highest, so that they can stand side by side."""
     half = _WINDOW_UM / 2
-    found = [cut.window(c - half, c + half, margin) for cut, c in zip(cuts, centres, strict=True)]
-    tall = max(high - low for _, _, low, high in found)
-    out: list[Window] = []
-    for cut, (left, right, low, high) in zip(cuts, found, strict=True):
+    tight = [cut.window(c - half, c + half, margin) for cut, c in zip(cuts, centres, strict=True)]
+    tall = max(high - low for _, _, low, high in tight)
+    windows: list[Window] = []
+    for cut, (left, right, low, high) in zip(cuts, tight, strict=True):
         floor, ceiling = cut.range
         bottom = min(max((low + high - tall) / 2, floor), max(ceiling - tall, floor))
-        out.append((max(left, float(cut.x[0])), min(right, float(cut.x[-1])), bottom, min(bottom + tall, ceiling)))
-    return out
+        windows.append((max(left, float(cut.x[0])), min(right, float(cut.x[-1])), bottom, min(bottom + tall, ceiling)))
+    return windows
 
 
 def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
@@ -171,16 +171,13 @@ def take_slice(slices: xr.Dataset, surfaces: xr.Dataset, k: int) -> Slice:
     x = slices["x"].values.astype(np.float64)
     # A column may be several voxels wide: each voxel shows the surfaces of its column.
     centres = surfaces["x"].values.astype(np.float64)
-    at = np.clip(np.rint((x - centres[0]) / pitch(centres)), 0, centres.size - 1).astype(int)
-    lines = {name: up * surfaces[name].values[row, at].astype(np.float64) for name, *_ in LINES if name in surfaces}
+    cols = np.clip(np.rint((x - centres[0]) / pitch(centres)), 0, centres.size - 1).astype(int)
+    lines = {name: up * surfaces[name].values[row, cols].astype(np.float64) for name, *_ in LINES if name in surfaces}
     return Slice(
-        grey=slices["grey"].values[k].astype(np.float64)[order],
-        heights=heights[order],
-        x=x,
+        grey=slices["grey"].values[k].astype(np.float64)[order], heights=heights[order], x=x,
         lines={name: lines.get(name, np.full(x.shape, np.nan)) for name, *_ in LINES},
-        used=np.isfinite(surfaces["thickness"].values[row, at]),
-        at=float(slices["slice"].values[k]),
-    )
+        used=np.isfinite(surfaces["thickness"].values[row, cols]), place_um=float(slices["slice"].values[k]),
+    )  # fmt: skip
 
 
 def _span(cut: Slice, margin: float) -> Window:

@@ -10,7 +10,6 @@ from planish.analyze import LagNumbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
 from planish.report.relation import largest, written_difference
-from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import (
     NONE,
     REGISTERED,
@@ -22,17 +21,24 @@ from planish.report.text import (
     number,
     percent,
     plain,
-    the,
+    r2_interval_text,
+    r2_text,
+    r_interval_text,
+    r_text,
     typeset,
     unit,
-)  # fmt: skip
-from planish.results import CorrelationRow, LayerFacts, Results
+    with_article,
+)
+from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]
 """Layer and map -> title of the map."""
 
+PairKey = tuple[str, str, str, str]
+"""A pair of maps: first layer, its map, second layer, its map."""
 
-class Tile(NamedTuple):
+
+class KeyFigure(NamedTuple):
     """One number large, with what it is."""
 
     value: str
@@ -41,8 +47,8 @@ class Tile(NamedTuple):
     note: str
 
 
-class Check(NamedTuple):
-    """Result of the image-based check: its light, also as a word, what was found, and what that means."""
+class LagVerdict(NamedTuple):
+    """Result of the image-based check: its light, also as a word, its sentence, and what that means."""
 
     state: Literal["agrees", "amber", "grey"]
     word: str
@@ -51,7 +57,7 @@ class Check(NamedTuple):
     meaning: str
 
 
-def summarise(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
+def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     """Return the result of a run in one sentence and a few numbers, as far as it goes and no further."""
     if not results.is_link:
         return _of_map(results, titles)
@@ -80,19 +86,35 @@ def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
     return f"is {trust} ({', '.join(dict.fromkeys(names))})"
 
 
+def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
+    """Return the layers and maps of a pair."""
+    return pair.a, pair.a_map, pair.b, pair.b_map
+
+
+def titles_of(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
+    """Return the titles of both maps of a pair, their names where they have none."""
+    return titles.get((pair.a, pair.a_map), pair.a_map), titles.get((pair.b, pair.b_map), pair.b_map)
+
+
+def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
+    """Return the titles of both maps of a pair as they stand in a sentence."""
+    first, second = titles_of(pair, titles)
+    return in_words(first), in_words(second)
+
+
 def by_pair(results: Results) -> list[list[CorrelationRow]]:
     """Group the correlations that are of the same two maps, each group from the pixel to the largest points."""
-    groups: dict[tuple[str, ...], list[CorrelationRow]] = {}
+    groups: dict[PairKey, list[CorrelationRow]] = {}
     for row in results.correlations:
-        groups.setdefault((row.a, row.a_map, row.b, row.b_map), []).append(row)
+        groups.setdefault(key_of(row), []).append(row)
     return [sorted(rows, key=lambda row: row.point_um) for rows in groups.values()]
 
 
 def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
     """Return the correlations of the maps that stand for a layer and for the reference; empty where there are none."""
     wanted = {(moving.name, moving.headline), (results.reference.name, results.reference.headline)}
-    found = [g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == wanted]
-    return found[0] if found else []
+    groups = (g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == wanted)
+    return next(groups, [])
 
 
 def lead_pair(results: Results) -> list[CorrelationRow]:
@@ -105,20 +127,75 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
         return []
     if len(results.moving) == 1:
         return headline_pair(results, results.moving[0])
-    onto = [g for g in by_pair(results) if results.reference.name in (g[0].a, g[0].b) and is_known(largest(g).r2)]
-    return min(onto, key=lambda group: largest(group).r2, default=[])
+    name = results.reference.name
+    groups = (g for g in by_pair(results) if name in (g[0].a, g[0].b) and is_known(largest(g).r2))
+    return min(groups, key=lambda group: largest(group).r2, default=[])
 
 
 def density_of(results: Results, row: CorrelationRow) -> float | None:
     """Density by which the coating of a correlation is drawn as a weight; None where the run knows none."""
-    pair = (row.a, row.a_map, row.b, row.b_map)
-    return next((e.density_g_cm3 for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) == pair), None)
+    return next((e.density_g_cm3 for e in results.evidence if key_of(e) == key_of(row)), None)
 
 
 def quantities(results: Results) -> list[str]:
     """Say of every image what its values are."""
     images = [(layer.name, layer.image) for layer in results.layers if layer.image is not None]
-    return [f"{capital(the(name))}: {typeset(image.sentence)}." for name, image in images]
+    return [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
+
+
+def _percent_of(share: float | None) -> str:
+    return fixed(None if share is None else 100 * share, 0)
+
+
+def _of_map(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
+    sheet, layer = results.reference.sheet, results.reference.name
+    assert sheet is not None
+    measured, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
+    names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
+    sentence = (
+        f"The sheet was found in {percent(measured, 2)} of the columns and flattened; mapped: "
+        f"{', '.join(names) if names else 'no property'}. No image was linked."
+    )
+    if not {"coating_top", "coating_bottom"} & set(sheet.properties):
+        sentence += " No coating was found."
+    thickness, mean, spread = sheet.properties.get("thickness"), None, NONE
+    if thickness is not None and thickness.trust == "ok":
+        mean, spread = thickness.mean, f"standard deviation {number(thickness.sd, 2)} µm"
+    elif thickness is not None:
+        spread = f"{thickness.trust}; see the checks"
+    return sentence, [
+        KeyFigure(number(mean), "µm", "mean sheet thickness", spread),
+        KeyFigure(
+            _percent_of(measured), "%", "of the volume's columns are measured", f"of {count(sheet.surfaces.columns)}"
+        ),
+        KeyFigure(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
+        KeyFigure(
+            number(sheet.flatten.largest_move_um), "µm", "largest displacement", "between projection and flat sheet"
+        ),
+    ]
+
+
+def _of_two(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
+    moving, marks = results.moving[0], results.moving[0].registration
+    rows = headline_pair(results, moving)
+    sentence = _relation(rows, results, titles)
+    if rows and rows[0].trust == "ok" and rows[0].same_quantity:
+        sentence += _difference(largest(rows), titles)
+    loo, note = None, NONE
+    if marks is not None:
+        loo, note, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
+        sentence += (
+            f" {marks.matched} marks were used." if loo is None
+            else f" Each of the {marks.matched} marks is predicted by the others to {length(loo, 2)} (rms)."
+        )  # fmt: skip
+        if e and e.trust == "ok" and e.median_um is not None:
+            note += f"; expected error of a pixel {length(e.median_um, 2)} (median), {length(e.largest_um, 2)} at most"
+    points, pixel = (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
+    return sentence, [
+        _figure_of_r(largest(rows) if rows else None, f"r{points}"),
+        _figure_of_r(rows[0] if rows else None, f"r at the pixel{pixel}"),
+        KeyFigure(number(loo, 2), "µm", "leave-one-out error", note),
+    ]
 
 
 def point_of(row: CorrelationRow) -> str:
@@ -126,85 +203,27 @@ def point_of(row: CorrelationRow) -> str:
     return plain(round(row.point_um, 4))
 
 
-def _whole(share: float | None) -> str:
-    return fixed(None if share is None else 100 * share, 0)
-
-
-def _of_map(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
-    sheet, layer = results.reference.sheet, results.reference.name
-    assert sheet is not None
-    measured, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
-    names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
-    thickness = sheet.properties.get("thickness")
-    sentence = (
-        f"The sheet was found in {percent(measured, 2)} of the columns and flattened; mapped: "
-        f"{', '.join(names) if names else 'no property'}. No image was linked."
-    )
-    if not {"coating_top", "coating_bottom"} & set(sheet.properties):
-        sentence += " No coating was found."
-    shown = thickness if thickness and thickness.trust == "ok" else None
-    spread = f"standard deviation {number(shown.sd, 2)} µm" if shown else NONE
-    if thickness and not shown:
-        spread = f"{thickness.trust}; see the checks"
-    return sentence, [
-        Tile(number(shown.mean if shown else None), "µm", "mean sheet thickness", spread),
-        Tile(_whole(measured), "%", "of the volume's columns are measured", f"of {count(sheet.surfaces.columns)}"),
-        Tile(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
-        Tile(
-            number(sheet.flatten.largest_move_um), "µm", "largest displacement", "between projection and flat sheet"
-        ),
-    ]  # fmt: skip
-
-
-def _of_two(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
-    moving, marks = results.moving[0], results.moving[0].registration
-    rows = headline_pair(results, moving)
-    sentence = _relation(rows, results, titles)
-    if rows and rows[0].trust == "ok" and rows[0].same_quantity:
-        sentence += _difference(largest(rows), titles)
-    loo = marks.leave_one_out_rms_um if marks else None
-    if marks and loo is None:
-        sentence += f" {marks.matched} marks were used."
-    elif marks:
-        sentence += f" Each of the {marks.matched} marks is predicted by the others to {length(loo, 2)} (rms)."
-    placed = NONE
-    if marks:
-        placed, e = f"rms of {marks.matched} marks", marks.expected_error
-        if e and e.trust == "ok" and e.median_um is not None:
-            placed += (
-                f"; expected error of a pixel {length(e.median_um, 2)} (median), {length(e.largest_um, 2)} at most"
-            )
-    return sentence, [
-        _r_tile(largest(rows) if rows else None, f"r, points of {point_of(largest(rows))}" if rows else "r"),
-        _r_tile(rows[0] if rows else None, f"r at the pixel, {point_of(rows[0])}" if rows else "r at the pixel"),
-        Tile(number(loo, 2), "µm", "leave-one-out error", placed),
-    ]
-
-
 def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
     """Describe the correlation of two maps, at the pixel and at the largest points."""
-    pixel = rows[0] if rows else None
-    if pixel is not None and pixel.trust != "ok":
-        a, b = (in_words(titles.get(key, key[1])) for key in ((pixel.a, pixel.a_map), (pixel.b, pixel.b_map)))
-        return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
-    if pixel is None or not is_known(pixel.r):
-        n = count(pixel.n if pixel else 0)
+    if not rows or (rows[0].trust == "ok" and not is_known(rows[0].r)):
+        n = count(rows[0].n if rows else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."
-    a, b = (in_words(titles.get(key, key[1])) for key in ((pixel.a, pixel.a_map), (pixel.b, pixel.b_map)))
+    pixel, row, (a, b) = rows[0], largest(rows), names_in_words(rows[0], titles)
+    if pixel.trust != "ok":
+        return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
     image = results.layer(pixel.b).kind == "image"
-    what, than = ("The image", a) if image else (f"{capital(b)} of {pixel.b}", f"{a} of {pixel.a}")
-    row = largest(rows)
+    second, first = ("the image", a) if image else (f"{b} of {pixel.b}", f"{a} of {pixel.a}")
     independent = f"{count(row.n)} points of {point_of(row)}"
     if is_known(row.n_eff):
         independent += f", {count(round(row.n_eff))} of them independent"
     if not is_known(row.interval):
-        return f"Nothing is claimed about {than} and {what[:1].lower()}{what[1:]}: of {independent} ({REGISTERED})."
+        return f"Nothing is claimed about {first} and {second}: of {independent} ({REGISTERED})."
     limits = f"r = {r_text(row)} with a 95 % interval of {r_interval_text(row)}, over {independent} ({REGISTERED})."
     if not row.direction:
-        return f"No relation of {what[:1].lower()}{what[1:]} with {than} is certain: {limits}"
+        return f"No relation of {second} with {first} is certain: {limits}"
     words = ("brighter", "darker") if image else ("larger", "smaller")
     of = f" ({title[:1].lower()}{title[1:]})" if image and (title := titles.get((pixel.b, pixel.b_map))) else ""
-    return f"{what} is {words[row.direction < 0]}{of} where {than} is larger: {limits}"
+    return f"{capital(second)} is {words[row.direction < 0]}{of} where {first} is larger: {limits}"
 
 
 def cautions(results: Results) -> list[str]:
@@ -231,18 +250,19 @@ def _difference(row: CorrelationRow, titles: Titles) -> str:
         return ""
     units, (mean, _, low, high) = unit(row.units or ""), written_difference(row)
     return (
-        f" Over points of {point_of(row)}, {in_words(titles.get((row.a, row.a_map), row.a_map))} of {row.b} minus that "
-        f"of {row.a} is {mean} {units} on average, with 95 % limits of {low} to {high} {units}."
+        f" Over points of {point_of(row)}, {names_in_words(row, titles)[0]} of {row.b} minus that of {row.a} is "
+        f"{mean} {units} on average, with 95 % limits of {low} to {high} {units}."
     )
 
 
-def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
+def _of_layers(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     reference, names = results.reference.name, [layer.name for layer in results.moving]
     sentence = f"The layers {', '.join(names[:-1])} and {names[-1]} were brought onto the pixels of {reference}."
-    found = [layer.registration.expected_error for layer in results.moving if layer.registration]
-    known = [e for e in found if e and e.trust == "ok" and len(found) == len(results.moving)]
-    median = max((e.median_um for e in known if e.median_um is not None), default=None)
-    most = max((e.largest_um for e in known if e.largest_um is not None), default=None)
+    registered = [layer.registration for layer in results.moving if layer.registration]
+    errors = [e for r in registered if (e := r.expected_error) and e.trust == "ok"]
+    errors = errors if len(registered) == len(results.moving) else []
+    median = max((e.median_um for e in errors if e.median_um is not None), default=None)
+    most = max((e.largest_um for e in errors if e.largest_um is not None), default=None)
     if median is not None:
         sentence += (
             f" The expected error is {length(median, 2)} (rms, median over the worst layer), at most {length(most, 2)}."
@@ -251,28 +271,26 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[Tile]]:
     sentence += next((text for row in rows if row.trust == "ok" and (text := _difference(row, titles))), "")
     lead = lead_pair(results)
     weakest = largest(lead) if lead else None
-    tile = _r_tile(weakest, f"weakest r, points of {point_of(weakest)}" if weakest else "r")
+    figure = _figure_of_r(weakest, f"weakest r, points of {point_of(weakest)}" if weakest else "r")
     share = min((s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None)
     return sentence, [
-        Tile(count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"),
-        Tile(number(most, 2), "µm", "largest expected error", f"median {number(median, 2)} µm in the worst layer"),
-        Tile(_whole(share), "%", "of the reference is covered", "by the layer that covers least"),
-        tile._replace(note=f"{weakest.a} and {weakest.b}: {tile.note}") if weakest else tile,
+        KeyFigure(count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"),
+        KeyFigure(number(most, 2), "µm", "largest expected error", f"median {number(median, 2)} µm in the worst layer"),
+        KeyFigure(_percent_of(share), "%", "of the reference is covered", "by the layer that covers least"),
+        figure._replace(note=f"{weakest.a} and {weakest.b}: {figure.note}") if weakest else figure,
     ]
 
 
-def _r_tile(row: CorrelationRow | None, label: str) -> Tile:
-    if row and row.trust != "ok":
-        return Tile(NONE, "", label, f"{row.trust}; see the checks")
-    if row is None:
-        return Tile(NONE, "", label, NONE)
+def _figure_of_r(row: CorrelationRow | None, label: str) -> KeyFigure:
+    if row is None or row.trust != "ok":
+        return KeyFigure(NONE, "", label, f"{row.trust}; see the checks" if row else NONE)
     interval = f"95 %: {r_interval_text(row)}" if is_known(row.interval) else "no interval"
     square = f"; r² {r2_text(row)}{f' ({r2_interval_text(row)})' if is_known(row.interval) else ''}"
-    known = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if is_known(row.n_eff) else ""
-    return Tile(r_text(row), "", label, f"{interval}{square if is_known(row.r2) else ''}{known}; {REGISTERED}")
+    points = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if is_known(row.n_eff) else ""
+    return KeyFigure(r_text(row), "", label, f"{interval}{square if is_known(row.r2) else ''}{points}; {REGISTERED}")
 
 
-def lag_check(lag: LagNumbers | None, *, first: str, second: str, name: str) -> Check | None:
+def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -> LagVerdict | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
@@ -299,4 +317,4 @@ def lag_check(lag: LagNumbers | None, *, first: str, second: str, name: str) -> 
     else:
         end = "They coincide within the error expected from the marks."
     meaning = f"The fine textures of {first} and {second} were aligned without using the marks. {end}"
-    return Check(state, word, name, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)
+    return LagVerdict(state, word, name, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)

@@ -8,9 +8,8 @@ from typing import Any, NamedTuple, cast
 from planish.core.facts import is_known
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
-from planish.report.statement import limits_text, r_text
-from planish.report.summary import Titles, by_pair, headline_pair
-from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
+from planish.report.summary import Titles, by_pair, headline_pair, titles_of
+from planish.report.text import NONE, capital, fixed, in_words, limits_text, number, plain, r_text, unit
 from planish.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 
 Facts = list[tuple[str, str]]
@@ -48,24 +47,15 @@ def comparison(results: Results) -> list[PairLine]:
     groups: dict[str, list[ComparisonRow]] = {}
     for row in results.comparison:
         groups.setdefault(row.registration, []).append(row)
-    return [
-        PairLine(
-            capital(name),
-            rows,
-            before=(number(rows[0].marks_rms_um, 3),),
-            best=name.startswith("flattened"),
-            after=(_change(rows),),
-        )
-        for name, rows in groups.items()
-    ]
-
-
-def _change(rows: Sequence[ComparisonRow]) -> str:
-    """Write how much larger r is with the run's own registration, at the largest points."""
-    row = max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
-    if not is_known(row.difference):
-        return NONE
-    return f"{fixed(row.difference, 3)}\n{limits_text(row.difference_interval, 3)}"
+    lines: list[PairLine] = []
+    for name, rows in groups.items():
+        # How much larger r is with the run's own registration, at the largest points.
+        row, change = max([row for row in rows if row.n] or rows, key=lambda row: row.point_um), NONE
+        if is_known(row.difference):
+            change = f"{fixed(row.difference, 3)}\n{limits_text(row.difference_interval, 3)}"
+        marks, best = number(rows[0].marks_rms_um, 3), name.startswith("flattened")
+        lines.append(PairLine(capital(name), rows, before=(marks,), best=best, after=(change,)))
+    return lines
 
 
 def comparison_sentence(results: Results) -> str:
@@ -74,10 +64,10 @@ def comparison_sentence(results: Results) -> str:
     size = max((row.point_um for row in rows), default=None)
     rows = [row for row in rows if row.point_um == size]
     flat = [row for row in rows if row.registration.startswith("flattened")]
-    others = [row for row in rows if not row.registration.startswith("flattened")]
-    if not flat or not others:
+    projected = [row for row in rows if not row.registration.startswith("flattened")]
+    if not flat or not projected:
         return ""
-    best = max(others, key=lambda row: row.r2)
+    best = max(projected, key=lambda row: row.r2)
     text = f"Over points of {plain(best.point_um)}, r is {r_text(flat[-1])} flattened and {r_text(best)} by the better "
     text += f"projection ({best.registration})"
     if not is_known(best.difference_interval):
@@ -85,19 +75,16 @@ def comparison_sentence(results: Results) -> str:
     low, high = best.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
     limits = limits_text(best.difference_interval, 3)
-    return f"{text}: {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {limits}).{_light(results)}"
-
-
-def _light(results: Results) -> str:
-    """A caution where the image shows slopes: they brighten one side of a thick place, and a shift can raise r."""
+    text += f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {limits})."
+    # Slopes brighten one side of a thick place, and a shift can raise r.
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
-    if lag is None or not lag.light >= _SIDE_LIGHT:
-        return ""
-    share = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
-    return (
-        f" The image also shows the slopes of the face, as light from one side does ({share}): then a map that is "
-        "displaced towards the light can have a larger r. Judge the registration by its marks."
-    )
+    if lag is not None and lag.light >= _SIDE_LIGHT:
+        share = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
+        text += (
+            f" The image also shows the slopes of the face, as light from one side does ({share}): then a map that is "
+            "displaced towards the light can have a larger r. Judge the registration by its marks."
+        )
+    return text
 
 
 def correlations(results: Results, titles: Titles) -> list[PairLine]:
@@ -107,8 +94,7 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
     differences = any(row.same_quantity for row in results.correlations)
     out: list[PairLine] = []
     for group in by_pair(results):
-        row, at = largest(group), {round(r.point_um, 4): r for r in group}
-        a, b = (titles.get(key, key[1]) for key in ((row.a, row.a_map), (row.b, row.b_map)))
+        row, of_size, (a, b) = largest(group), {round(r.point_um, 4): r for r in group}, titles_of(group[0], titles)
         # One quantity of two layers needs its name only once.
         short = two and (a == b if row.same_quantity else results.layer(row.b).kind == "image")
         difference, units = NONE, unit(row.units or "")
@@ -118,7 +104,7 @@ def correlations(results: Results, titles: Titles) -> list[PairLine]:
         out.append(PairLine(
             name=a if short else f"{row.a}: {in_words(a)}",
             second="" if short else f"{row.b}: {in_words(b)}",
-            rows=[at.get(s) for s in sizes],
+            rows=[of_size.get(s) for s in sizes],
             after=(difference,) if differences else (),
             best=two and group in headlines and len(results.correlations) > len(group),
         ))  # fmt: skip
@@ -136,17 +122,17 @@ def _sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[float]:
 
 def parameters(values: Mapping[str, Any]) -> list[tuple[str, Facts]]:
     """Return every parameter, by section; sections of a list are named by their ``name``."""
-    out: list[tuple[str, Facts]] = []
+    sections: list[tuple[str, Facts]] = []
     loose: Facts = []
     for section, value in values.items():
         if isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
             tables = cast("Sequence[Mapping[str, Any]]", value)
-            out += [(f"{section}, {v.get('name', k + 1)}", _flat(v)) for k, v in enumerate(tables)]
+            sections += [(f"{section}, {v.get('name', k)}", _flat(v)) for k, v in enumerate(tables, 1)]
         elif isinstance(value, Mapping):
-            out.append((section, _flat(cast("Mapping[str, Any]", value))))
+            sections.append((section, _flat(cast("Mapping[str, Any]", value))))
         else:
             loose.append((section, _parameter(value, section)))
-    return [(name, rows) for name, rows in [*out, ("others", loose)] if rows]
+    return [(name, rows) for name, rows in [*sections, ("others", loose)] if rows]
 
 
 def _flat(values: Mapping[str, Any], before: str = "") -> Facts:

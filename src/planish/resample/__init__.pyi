@@ -1,6 +1,3 @@
-from .fields import resample as resample
-from .fields import resample_dataset as resample_dataset
-from .fields import support as support
 from .maps import Lattice as Lattice
 from .maps import SheetOnto as SheetOnto
 from .maps import image_attrs as image_attrs
@@ -10,4 +7,7 @@ from .places import Mesh as Mesh
 from .places import Places as Places
 from .places import covering_grid as covering_grid
 from .places import find_places as find_places
+from .places import resample as resample
+from .places import resample_dataset as resample_dataset
+from .places import support as support
 from .warp import warp_image as warp_image

@@ -13,8 +13,7 @@ from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
 from planish.core.transform import Similarity, axial_angle
 from planish.core.typing import Bools, Floats
-from planish.resample.fields import resample_dataset
-from planish.resample.places import Mesh, covering_grid, find_places
+from planish.resample.places import Mesh, covering_grid, find_places, resample_dataset
 from planish.resample.warp import warp_image
 
 _LATTICE_SIDE = 200  # places a side at which the expected error is worked out; it varies over millimetres

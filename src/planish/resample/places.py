@@ -1,4 +1,4 @@
-"""The places of the pixels of a regular grid in a flattened quad mesh.
+"""The places of the pixels of a regular grid in a flattened quad mesh, and values brought to them.
 
 Hirn et al. (2009), section 2.3.4, triangulate the moved points anew (Delaunay). Here the connectivity of the mesh is
 used: no triangle can bridge a gap, and overlaps are noticed. The paper's mode can be had for comparison.
@@ -6,18 +6,20 @@ used: no triangle can bridge a gap, and overlaps are noticed. The paper's mode c
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.threads import count_threads, map_threads
-from planish.core.typing import Floats
-from planish.resample._kernels import locate
+from planish.core.transform import Pair
+from planish.core.typing import Bools, Floats
+from planish.resample._kernels import locate, sample
 
 Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
@@ -107,10 +109,19 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     step = pixel[1] / fine, pixel[0] / fine
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
     first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
-    find = _in_quads if method == "quads" else _in_delaunay
-    size = shape[0] * fine, shape[1] * fine
-    triangle, weight, corners, overlaps = find(np.ascontiguousarray(uv, dtype=np.float64), first, step, size)
-    mesh = int(uv.shape[0]), int(uv.shape[1])
+    size, mesh = (shape[0] * fine, shape[1] * fine), (int(uv.shape[0]), int(uv.shape[1]))
+    uv, corners, overlaps = np.ascontiguousarray(uv, dtype=np.float64), np.empty((0, 3), dtype=np.int32), 0
+    triangle, weight = np.empty(size, np.int32), np.empty((2, *size))
+    if method == "delaunay":
+        corners = _locate_in_delaunay(uv, first, step, triangle, weight)
+    else:
+        low, high = _extents(uv[..., 1], first[1], step[1])
+        twice = np.zeros(size, np.uint8)
+
+        def band(begin: int, end: int) -> int:
+            return locate(uv, first, step, _SEGMENT, low, high, triangle, weight, twice, begin, end)
+
+        overlaps = sum(each_band(band, size[0]))
     return Places(triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps)
 
 
@@ -179,20 +190,6 @@ def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
     return map_threads(work, edges[:-1], edges[1:], number=min(threads, count))
 
 
-def _in_quads(
-    uv: Floats, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
-) -> tuple[Indices, Floats, Indices, int]:
-    """Give the triangles of the quads, weights, no table of corners, and how many sub-pixels lie in several quads."""
-    low, high = _extents(uv[..., 1], first[1], step[1])
-    triangle, weight, twice = np.empty(size, np.int32), np.empty((2, *size)), np.zeros(size, np.uint8)
-
-    def band(begin: int, end: int) -> int:
-        return locate(uv, first, step, _SEGMENT, low, high, triangle, weight, twice, begin, end)
-
-    overlaps = sum(each_band(band, size[0]))
-    return triangle, weight, np.empty((0, 3), dtype=np.int32), overlaps
-
-
 def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     """Extent of each row's segments of nodes, both ends included, in rows of the target; without the missing ones."""
     rows, cols = v.shape
@@ -207,9 +204,7 @@ def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     return bounds[0], bounds[1]
 
 
-def _in_delaunay(
-    uv: Floats, first: tuple[float, float], step: tuple[float, float], size: tuple[int, int]
-) -> tuple[Indices, Floats, Indices, int]:
+def _locate_in_delaunay(uv: Floats, first: Pair, step: Pair, triangle: Indices, weight: Floats) -> Indices:
     """Locate pixels in triangles made anew as in the paper: they bridge gaps and bays, and notice no fold."""
     from scipy.spatial import Delaunay, QhullError
 
@@ -223,10 +218,9 @@ def _in_delaunay(
             "Check the flat coordinates."
         ) from error
     corners = np.ascontiguousarray(finite[triangulation.simplices], dtype=np.int32)
-    triangle, weight = np.empty(size, dtype=np.int32), np.empty((2, *size))
-    u = first[0] + step[0] * np.arange(size[1])
-    for begin in range(0, size[0], _LEAST_ROWS):
-        v = first[1] + step[1] * np.arange(begin, min(begin + _LEAST_ROWS, size[0]))
+    u = first[0] + step[0] * np.arange(triangle.shape[1])
+    for begin in range(0, len(triangle), _LEAST_ROWS):
+        v = first[1] + step[1] * np.arange(begin, min(begin + _LEAST_ROWS, len(triangle)))
         points = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1)
         simplex = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
@@ -236,4 +230,86 @@ def _in_delaunay(
         triangle[rows] = simplex
         weight[0, rows] = first_two[..., 1]
         weight[1, rows] = 1.0 - first_two.sum(axis=-1)
-    return triangle, weight, corners, 0
+    return corners
+
+
+def resample(field: NDArray[Any], places: Places) -> Floats:
+    """Values of a mesh field on the grid: linear in each triangle, the mean over a pixel's sub-pixels.
+
+    Parameters
+    ----------
+    field : (rows, cols)
+        Value of each node; NaN is missing.
+    places : Places
+        From :func:`find_places`, of a mesh of (rows, cols).
+
+    Returns
+    -------
+    (rows, cols) of the grid, float64
+        A sub-pixel is known where the corners of its triangle are; a pixel is NaN unless half of its area is known.
+
+    Raises
+    ------
+    SurfaceError
+        The field does not have the mesh's shape.
+    """
+    return _sampled(field, places, np.empty((0, 0)))
+
+
+def support(known: Bools, places: Places) -> Floats:
+    """Share of each pixel's area that is known on the mesh, from 0 to 1.
+
+    ``support(np.isfinite(field), places) >= 0.5`` is where :func:`resample` of the same field has a value.
+
+    Parameters
+    ----------
+    known : (rows, cols)
+        Nodes with a value.
+    places : Places
+        As for :func:`resample`.
+    """
+    share = np.empty(places.shape)
+    _sampled(np.where(known, 0.0, np.nan), places, share)
+    return share
+
+
+def resample_dataset(
+    data: xr.Dataset, places: Places, *, dims: tuple[str, str], coords: Mapping[str, NDArray[Any]]
+) -> xr.Dataset:
+    """Resample every floating variable of ``data`` (rows, cols); units and names are set anew from the source's.
+
+    Parameters
+    ----------
+    data : Dataset
+        Variables on the nodes of the mesh.
+    places : Places
+        From :func:`find_places`.
+    dims : (str, str)
+        Names of the grid's rows and columns.
+    coords : mapping of str to array
+        Positions of the grid's rows and columns in um.
+    """
+    variables: dict[str, Any] = {}
+    for name, variable in data.data_vars.items():
+        attrs = {k: variable.attrs[k] for k in ("units", "long_name", "role", "support_um") if k in variable.attrs}
+        if np.issubdtype(variable.dtype, np.floating):
+            variables[str(name)] = (dims, resample(variable.values, places), attrs)
+    return xr.Dataset(variables, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()})
+
+
+def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
+    """Values; ``share`` is set to the share of each pixel that is known where it is not empty."""
+    if field.shape != places.mesh:
+        raise SurfaceError(
+            f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the nodes of that mesh."
+        )
+    nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
+    out = np.empty(places.shape)
+
+    def band(begin: int, end: int) -> None:
+        sample(
+            nodes, places.mesh[1], places.triangle, places.weight, places.corners, places.fine, out, share, begin, end
+        )
+
+    each_band(band, out.shape[0])
+    return out

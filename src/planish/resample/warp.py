@@ -40,7 +40,6 @@ _ERROR = 0.5 * TOLERANCE  # what the polynomial may err by where it is tested; t
 _NODES = np.array([0.0, 1.0, 2.0, 3.0]) / 3
 _TEST = np.array([1.0, 3.0, 5.0]) / 6
 _MOST_PIXELS = 2**18  # of the source under a patch: what is summed for area means then stays in the cache
-_MOST_UNDER = 2**26  # source pixels under one pixel
 _NEAR = 2.0  # source pixels: a patch that is further away from the source than this shows nothing of it
 _EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
 _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
@@ -120,9 +119,21 @@ def warp_image(
 
     out = np.full(shape, np.nan, dtype=image.dtype)
     map_threads(partial(_warp_tile, image, mapping, out), tiles_of(shape, _TILE))
-    if must_meet and not np.isfinite(out).any():
-        raise _no_overlap(mapping, shape, size, pixel_um)
-    return out
+    if np.isfinite(out).any() or not must_meet:
+        return out
+    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
+    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
+    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
+    where = "nowhere"
+    if len(points_um):
+        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
+        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
+    height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
+    raise CannotRegister(
+        f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
+        "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
+        "(use its inverse if not)."
+    )
 
 
 def _warp_tile(image: NDArray[Any], mapping: Mapping, out: NDArray[Any], tile: Tile) -> None:
@@ -145,7 +156,7 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
     """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
     low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
     high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
-    if np.prod((high - low).astype(np.float64)) > _MOST_UNDER:
+    if np.prod((high - low).astype(np.float64)) > 2**26:  # source pixels under one pixel
         raise ResourceError(
             f"{np.prod((high - low).astype(np.float64)):.1e} pixels of the source lie under one pixel. Warp to smaller "
             "pixels first, then take means."
@@ -167,9 +178,8 @@ def _averaged(image: NDArray[Any], nodes: Floats) -> Floats:
     along = 0.5 * (y[:, :-1] + y[:, 1:]) * np.diff(x, axis=1)
     side = 0.5 * (y[:-1] + y[1:]) * np.diff(x, axis=0)
     area = (along[:-1] - side[:, :-1]) + side[:, 1:] - along[1:]
-    longest = np.maximum(
-        np.sum((nodes[1:, 1:] - nodes[:-1, :-1]) ** 2, axis=-1), np.sum((nodes[:-1, 1:] - nodes[1:, :-1]) ** 2, axis=-1)
-    )
+    diagonals = nodes[1:, 1:] - nodes[:-1, :-1], nodes[:-1, 1:] - nodes[1:, :-1]
+    longest = np.maximum(*(np.sum(line**2, axis=-1) for line in diagonals))
     area[2 * np.abs(area) <= _FLAT * longest] = np.nan
     total = integrals(_sums(np.where(is_valid, part, 0.0)), x, y)
     weight = area if is_valid.all() else integrals(_sums(is_valid), x, y)
@@ -234,24 +244,5 @@ def _quarters(bounds: Integers) -> Integers:
     """Cut rectangles in the middle of both sides."""
     y, x = (bounds[:, 0] + bounds[:, 1] + 1) // 2, (bounds[:, 2] + bounds[:, 3] + 1) // 2
     y0, y1, x0, x1 = bounds.T
-    parts = np.concatenate(
-        [np.stack(e, axis=1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))]
-    )
+    parts = np.concatenate([np.stack(e, 1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))])
     return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]
-
-
-def _no_overlap(mapping: Mapping, shape: tuple[int, int], size: tuple[int, ...], pixel_um: Pair) -> CannotRegister:
-    """The error for a target that does not meet the source."""
-    x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
-    points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
-    points_um = points_um[np.isfinite(points_um).all(axis=-1)]
-    where = "nowhere"
-    if len(points_um):
-        (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
-        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
-    height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
-    return CannotRegister(
-        f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
-        "overlaps. Check the pixel sizes and the origin, and whether the transformation goes from target to image "
-        "(use its inverse if not)."
-    )

@@ -3,6 +3,10 @@
 Aligning each section to the one before adds up errors and straightens the specimen's true bend. Here the offsets
 between all sections up to five apart are fitted together, and waves longer than some fifty sections, in which the
 bend of the sheet cannot be separated from a drift of the stage, are left as they are.
+
+What is fixed to the stage, the edge of the block or a line of the fixture, shows that drift itself. An edge or line
+along the rows of the photographs gives the place along the columns and the rotation, one along the columns the other
+place.
 """
 
 from __future__ import annotations
@@ -10,14 +14,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.ndimage import gaussian_filter1d
 
+from planish.core.errors import VolumeError
+from planish.core.threads import map_threads
+from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
-from planish.sections.band import SectionSeries
+from planish.sections.band import SectionSeries, Stack
 from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, slow_part, solve_places
 from planish.sections.pairs import FINEST_UM, GROUPS, Bands, SectionPairs, compare
 
 _GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
-_CUTOFF_SECTIONS = 50.0  # corrections with longer wavelengths are not applied
 _REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
 _ROUNDS = 3  # of measuring the offsets, each with the corrections of the last
 _FINE_ROUNDS = 2
@@ -90,7 +97,7 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     from section to section; it belongs to the slow part, and the band follows it before anything is compared.
     """
     away, n = series.away_um, series.away_um.size
-    cutoff = _CUTOFF_SECTIONS * series.pitch_um
+    cutoff = 50.0 * series.pitch_um  # corrections with longer wavelengths are not applied
     first, second = neighbours(away, series.pitch_um, _REACH)
     # Course of the sheet itself as a pose: mean height and slope of the smooth surface, which the pairs do not see.
     course = _sheet_course(series)
@@ -133,15 +140,10 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     pose[:, 2] *= max(0.0, 1.0 - variance[2] / mean_square_turn) if mean_square_turn > 0 else 0.0
     fixed_axes = _add_fixed_drift(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
     return Alignment(
-        shift_um=pose[:, :2].copy(),
-        rotation_rad=pose[:, 2].copy(),
-        aligned=aligned,
-        jitter_left_um=np.sqrt(variance[:2]),
-        pairs_used=int(np.count_nonzero(is_used)),
-        pairs_refused=int(is_used.size - np.count_nonzero(is_used)),
-        cutoff_um=cutoff,
-        fixed=fixed_axes,
-    )
+        shift_um=pose[:, :2].copy(), rotation_rad=pose[:, 2].copy(), aligned=aligned,
+        jitter_left_um=np.sqrt(variance[:2]), pairs_used=int(np.count_nonzero(is_used)),
+        pairs_refused=int(is_used.size - np.count_nonzero(is_used)), cutoff_um=cutoff, fixed=fixed_axes,
+    )  # fmt: skip
 
 
 def _measure_pairs(
@@ -192,10 +194,7 @@ def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Index, Ind
 
 
 def _sheet_course(series: SectionSeries, without: int = -1) -> Floats:
-    """Mean height in um, 0, and slope of the smooth surface in each section; (sections, 3).
-
-    ``without`` leaves out the columns of one group of parts.
-    """
+    """Mean height in um, 0, and slope of the smooth surface in each section, (sections, 3), ``without`` one group."""
     band, (_, rows, cols) = series.band, series.stack.shape
     blocks = band.at_col * GROUPS // cols != without
     x = (band.at_col[blocks] - 0.5 * (cols - 1)) * series.pixel_um[1]
@@ -217,12 +216,138 @@ def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
 
 
 def _join_columns(coarse: SectionPairs, fine: SectionPairs, n: int) -> Floats:
-    """Places along the columns from the coarse and the fine texture together; (sections,).
-
-    The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
-    """
+    """Places along the columns from the coarse and the fine texture together; (sections,)."""
+    # The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
     first = np.concatenate([p.first[p.sound] for p in (coarse, fine)])
     second = np.concatenate([p.second[p.sound] for p in (coarse, fine)])
     offset = np.concatenate([p.offset[p.sound, 1] for p in (coarse, fine)])
     sigma = np.concatenate([_COARSE_FACTOR * coarse.sigma[coarse.sound, 1], fine.sigma[fine.sound, 1]])
     return solve_places(first, second, offset, sigma, n)[0]
+
+
+Strip = tuple[int, int]
+
+_PARTS = 12  # pieces along the line: their spread says how sure a place is, their course gives the rotation
+_STEPS = 4
+_LEAST = 4  # pixels across a strip
+
+
+def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, cols: Strip | None = None) -> Floats:
+    """Find the place of every section against lines that lie still.
+
+    Parameters
+    ----------
+    stack : ndarray (sections, rows, cols)
+    pixel_um : (row, col)
+    rows : (int, int), optional
+        First and last row of a strip that shows a line or edge along the rows, and nothing else that changes.
+    cols : (int, int), optional
+        The same for a line or edge along the columns.
+
+    Returns
+    -------
+    ndarray (sections, 3)
+        Shift along (row, col) in um and rotation in rad, about their means over the sections, signs as in
+        :class:`planish.sections.Alignment`; NaN where no strip was given for it or a section does not show the line.
+
+    Raises
+    ------
+    VolumeError
+        If a strip lies outside the photographs, is too narrow, or shows no line.
+    """
+    n = stack.shape[0]
+    places = np.full((n, 3), np.nan)
+    for axis, strip in ((0, rows), (1, cols)):
+        if strip is None:
+            continue
+        size = stack.shape[1 + axis]
+        low, high = strip
+        if not (low >= 0 and low + _LEAST <= high < size):
+            raise VolumeError(
+                f"The strip {low} to {high} of a fixed line does not lie in the photographs, which have {size} "
+                f"{'rows' if axis == 0 else 'columns'}, or is narrower than {_LEAST} pixels. Give first and last one."
+            )
+        place, turn = _line_places(stack, axis, strip, pixel_um)
+        places[:, axis] = place
+        if np.isnan(places[:, 2]).all():
+            # Along a column the place is smaller by rotation y, along a row larger by rotation x.
+            places[:, 2] = turn if axis == 0 else -turn
+    mean = np.array([np.nanmean(c) if np.isfinite(c).any() else 0.0 for c in places.T])
+    return places - mean
+
+
+def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float]) -> tuple[Floats, Floats]:
+    """Place in um and slope of the line of each section, against their mean."""
+    n, pixel = stack.shape[0], pixel_um[axis]
+    length = stack.shape[2 - axis]
+    edges = np.linspace(0, length, _PARTS + 1).astype(int)
+
+    def cut(i: int) -> Floats:
+        grey = np.asarray(stack[i], dtype=np.float64)
+        grey = grey[strip[0] : strip[1] + 1] if axis == 0 else grey[:, strip[0] : strip[1] + 1].T
+        return np.add.reduceat(grey, edges[:-1], axis=1).T / np.diff(edges)[:, None]
+
+    profiles = np.stack(map_threads(cut, range(n)))  # (sections, pieces, across)
+    off = np.zeros(profiles.shape[:2])
+    alike = np.zeros(profiles.shape[:2])
+    for blur in (12.0, 4.0, 2.0):  # Gaussian sigma, from coarse to fine: the first reaches as far as sections are off
+        smooth = gaussian_filter1d(profiles, max(blur / pixel, 0.5), axis=2, mode="nearest")
+        for _ in range(_STEPS):
+            moved = _shifted(smooth, off)
+            template = np.median(moved, axis=0)
+            step, alike = _match_template(moved, template)
+            off += np.clip(step, -2 * blur / pixel, 2 * blur / pixel)
+            off -= np.median(off)
+    shows_line = alike > 0.7  # correlation with the mean profile below which a piece does not show the line
+    if np.count_nonzero(shows_line.sum(axis=1) >= _PARTS // 2) < 0.5 * n:
+        direction = "rows" if axis == 0 else "columns"
+        raise VolumeError(
+            f"The {direction} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at "
+            "a few photographs and give a strip that shows the same straight line throughout."
+        )
+    along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
+    return _fit_lines(off * pixel, shows_line, along)
+
+
+def _shifted(profiles: Floats, off: Floats) -> Floats:
+    """Profiles read at their places plus ``off``, linearly between pixels."""
+    across = profiles.shape[2]
+    position = np.clip(np.arange(across) + off[..., None], 0, across - 1)
+    low = np.minimum(position.astype(int), across - 2)
+    share = position - low
+    a, b = (np.take_along_axis(profiles, k, axis=2) for k in (low, low + 1))
+    return a * (1 - share) + b * share
+
+
+def _match_template(moved: Floats, template: Floats) -> tuple[Floats, Floats]:
+    """Match profiles with a template: how much further each lies, in pixels, and its correlation with it.
+
+    A profile is gain x template + offset, moved a little: least squares for the three.
+    """
+    slope = np.gradient(template, axis=1)
+    inner = slice(2, -2)
+    t, g, f = template[:, inner], slope[:, inner], moved[..., inner]
+    t, g, f = (v - v.mean(axis=-1, keepdims=True) for v in (t, g, f))
+    tt, tg, gg = (t * t).sum(axis=-1), (t * g).sum(axis=-1), (g * g).sum(axis=-1)
+    ft, fg, ff = (f * t).sum(axis=-1), (f * g).sum(axis=-1), (f * f).sum(axis=-1)
+    det = np.maximum(tt * gg - tg * tg, 1e-12)
+    gain, move = (ft * gg - fg * tg) / det, (fg * tt - ft * tg) / det
+    alike = ft / np.sqrt(np.maximum(ff * tt, 1e-12))
+    good = gain > 0.2
+    return np.where(good, -move / np.where(good, gain, 1.0), 0.0), alike
+
+
+def _fit_lines(off: Floats, shows_line: Bools, along: Floats) -> tuple[Floats, Floats]:
+    """Mean and slope of each section's pieces; the mean course of all sections is the line's own and is taken off."""
+    measured = np.where(shows_line, off, np.nan)
+    counted = shows_line.sum(axis=0) > 0
+    line_course = np.zeros(off.shape[1])
+    line_course[counted] = np.nanmedian(measured[:, counted], axis=0)
+    place, turn = np.full(off.shape[0], np.nan), np.full(off.shape[0], np.nan)
+    for i in range(off.shape[0]):
+        pieces = shows_line[i]
+        if np.count_nonzero(pieces) < _PARTS // 2:
+            continue
+        slope, mean = np.polyfit(along[pieces], (off[i] - line_course)[pieces], 1)
+        place[i], turn[i] = mean, slope
+    return place, turn

@@ -1,7 +1,7 @@
 """Course of the sheet in a stack of sections: a smooth surface through its middle, and the grey levels on both sides.
 
 The surface need not be exact. It straightens the band in which neighbours are compared, and it is smooth from section
-to section, so it lends neighbours no difference of its own.
+to section, so it lends neighbours no difference of its own. Gains and offsets make the grey levels equal.
 """
 
 from __future__ import annotations
@@ -16,14 +16,12 @@ from scipy.ndimage import distance_transform_edt, gaussian_filter, gaussian_filt
 
 from planish.core.errors import VolumeError
 from planish.core.lazy import LazyArray
+from planish.core.robust import mad_sd
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections.network import slow_part
 
 _BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
-_BORDER = 0.15  # share of the rows at each end that is taken to be background
-_SMOOTH_SECTIONS = 30.0  # shortest wave of the surface
-_FILLED = 1e-3  # weight of a place where the sheet was not found, against 1
 
 
 Stack = NDArray[Any] | LazyArray
@@ -119,47 +117,43 @@ class SectionSeries:
     @cached_property
     def band(self) -> Band:
         """Course of the sheet."""
-        return _find_band(self.stack, self.away_um, self.pixel_um)
+        # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to
+        # the section's background; the largest connected part is the sheet.
+        n, rows, cols = self.stack.shape
+        tall = max(1, min(round(_BLOCK_UM[0] / self.pixel_um[0]), rows // 16))
+        wide = max(1, min(round(_BLOCK_UM[1] / self.pixel_um[1]), cols // 8))
 
+        def means(i: int) -> NDArray[np.float32]:
+            return block_means(self.stack[i], tall, wide)
 
-def _find_band(stack: Stack, away_um: Floats, pixel_um: tuple[float, float]) -> Band:
-    """Find the course of the sheet through a stack of sections.
-
-    Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to the
-    section's background; the largest connected part is the sheet.
-    """
-    n, rows, cols = stack.shape
-    tall = max(1, min(round(_BLOCK_UM[0] / pixel_um[0]), rows // 16))
-    wide = max(1, min(round(_BLOCK_UM[1] / pixel_um[1]), cols // 8))
-
-    def means(i: int) -> NDArray[np.float32]:
-        return block_means(stack[i], tall, wide)
-
-    blocks = np.stack(map_threads(means, range(n)))
-    border = max(1, int(_BORDER * blocks.shape[1]))
-    ends = np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1)
-    background = _row_medians(ends)
-    sheet, weight = _find_sheet(blocks, background)
-    count = sheet.sum(axis=1)
-    usual = float(np.median(count[count > 0]))
-    total = weight.sum(axis=1)
-    sound = (count >= 0.5 * usual) & (count <= 2.0 * usual) & (total > 0)
-    if not sound.any():
-        raise VolumeError("No sheet of an even thickness found in the sections. Check the files and the pixel size.")
-    at_row = np.arange(blocks.shape[1])[:, None]
-    middle = np.where(sound, (weight * at_row).sum(axis=1) / np.where(total > 0, total, 1.0), np.nan)
-    middle = (middle + 0.5) * tall - 0.5
-    smooth = _smooth_surface(middle, away_um)
-    off = np.where(sound, middle - smooth, np.nan)
-    jump = np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in off])
-    return Band(
-        row=smooth,
-        at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1),
-        jump=jump,
-        half_um=0.5 * usual * tall * pixel_um[0],
-        background=np.where(np.isfinite(background), background, np.nanmedian(background)),
-        contrast=_sheet_contrast(blocks, sheet, background),
-    )
+        blocks = np.stack(map_threads(means, range(n)))
+        border = max(1, int(0.15 * blocks.shape[1]))  # share of the rows at each end that is taken to be background
+        background = _row_medians(np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1))
+        sheet, weight = _find_sheet(blocks, background)
+        count = sheet.sum(axis=1)
+        usual = float(np.median(count[count > 0]))
+        total = weight.sum(axis=1)
+        sound = (count >= 0.5 * usual) & (count <= 2.0 * usual) & (total > 0)
+        if not sound.any():
+            raise VolumeError(
+                "No sheet of an even thickness found in the sections. Check the files and the pixel size."
+            )
+        at_row = np.arange(blocks.shape[1])[:, None]
+        middle = np.where(sound, (weight * at_row).sum(axis=1) / np.where(total > 0, total, 1.0), np.nan)
+        middle = (middle + 0.5) * tall - 0.5
+        smooth = _smooth_surface(middle, self.away_um)
+        off = np.where(sound, middle - smooth, np.nan)
+        jump = np.array([np.nanmedian(row) if np.isfinite(row).any() else 0.0 for row in off])
+        contrast = _row_medians(np.where(sheet, blocks, np.nan).reshape(n, -1)) - background
+        typical = float(np.nanmedian(contrast))
+        # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
+        is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
+        return Band(
+            row=smooth, at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1), jump=jump,
+            half_um=0.5 * usual * tall * self.pixel_um[0],
+            background=np.where(np.isfinite(background), background, np.nanmedian(background)),
+            contrast=np.where(is_fair, contrast, typical),
+        )  # fmt: skip
 
 
 def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:
@@ -167,19 +161,20 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     difference = np.abs(blocks - background[:, None, None])
     difference[~np.isfinite(difference)] = 0.0
     smoothed: Floats = gaussian_filter(difference, 1.0)
-    sheet = _largest_part(smoothed > _otsu_threshold(smoothed[:: max(1, len(blocks) // 200)].ravel()))
-    if sheet is None:
+    greys = smoothed[:: max(1, len(blocks) // 200)].ravel()
+    counts, edges = np.histogram(greys, 512)
+    # Otsu's threshold separates two groups best: the variance between them is largest.
+    below = np.cumsum(counts)[:-1]
+    above, mass = greys.size - below, np.cumsum(counts * (0.5 * (edges[1:] + edges[:-1])))
+    low, high = mass[:-1] / np.maximum(below, 1), (mass[-1] - mass[:-1]) / np.maximum(above, 1)
+    threshold = edges[1 + int(np.argmax(below.astype(np.float64) * above * (high - low) ** 2))]
+    names, count = label(smoothed > float(threshold))
+    if count == 0:
         raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
+    sizes = np.bincount(names.ravel())
+    sizes[0] = 0
+    sheet = names == int(np.argmax(sizes))  # the largest connected part
     return sheet, np.where(sheet, difference, 0.0)
-
-
-def _sheet_contrast(blocks: NDArray[np.float32], sheet: Bools, background: Floats) -> Floats:
-    """Give the grey level of the sheet less that of the background, of each section."""
-    contrast = _row_medians(np.where(sheet, blocks, np.nan).reshape(len(blocks), -1)) - background
-    typical = float(np.nanmedian(contrast))
-    # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
-    is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
-    return np.where(is_fair, contrast, typical)
 
 
 def block_means(section: NDArray[Any], rows: int, cols: int) -> NDArray[np.float32]:
@@ -196,36 +191,106 @@ def _row_medians(rows: NDArray[np.float32]) -> Floats:
     return np.array([np.median(v[h]) if h.any() else np.nan for v, h in zip(rows, is_valid, strict=True)], np.float64)
 
 
-def _otsu_threshold(greys: Floats) -> float:
-    """Threshold that separates two groups best: the one with the largest variance between them."""
-    counts, edges = np.histogram(greys, 512)
-    centres = 0.5 * (edges[1:] + edges[:-1])
-    below = np.cumsum(counts)[:-1]
-    above = greys.size - below
-    mass = np.cumsum(counts * centres)
-    low, high = mass[:-1] / np.maximum(below, 1), (mass[-1] - mass[:-1]) / np.maximum(above, 1)
-    return float(edges[1 + int(np.argmax(below.astype(np.float64) * above * (high - low) ** 2))])
-
-
-def _largest_part(mask: Bools) -> Bools | None:
-    """Return the largest connected part, None where there is nothing."""
-    names: NDArray[Any]
-    names, count = label(mask)
-    if count == 0:
-        return None
-    sizes = np.bincount(names.ravel())
-    sizes[0] = 0
-    return names == int(np.argmax(sizes))
-
-
 def _smooth_surface(middle: Floats, away_um: Floats) -> Floats:
     """Smooth the middle of the sheet (sections, blocks) along both axes and fill it where it is NaN."""
     is_valid = np.isfinite(middle)
     nearest: NDArray[Any] = distance_transform_edt(~is_valid, return_distances=False, return_indices=True)
     filled = median_filter(middle[tuple(nearest)], size=(1, 3), mode="nearest")
-    weights = np.where(is_valid, 1.0, _FILLED)
-    cutoff = _SMOOTH_SECTIONS * float(np.median(np.diff(away_um)))
-    columns = [
-        slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])
-    ]
-    return gaussian_filter1d(np.stack(columns, axis=1), 1.0, axis=1, mode="nearest")
+    weights = np.where(is_valid, 1.0, 1e-3)  # weight of a place where the sheet was not found, against 1
+    cutoff = 30.0 * float(np.median(np.diff(away_um)))  # shortest wave of the surface
+    lines = [slow_part(away_um, filled[:, k], cutoff_um=cutoff, weights=weights[:, k]) for k in range(middle.shape[1])]
+    return gaussian_filter1d(np.stack(lines, axis=1), 1.0, axis=1, mode="nearest")
+
+
+_CORE = 0.7  # of half the thickness: away from the faces and their coatings
+_OFF_UM = 30.0  # beyond the faces
+_MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
+_LEAST = 50  # pixels for a level
+_ROUNDS = 6
+_WIDTH = 2.0  # standard deviations on both sides that the mean of the crowd takes in
+_LARGEST_DRIFT = 0.3  # a gain farther from 1 is no drift of colour but another thing in the picture
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Gains:
+    """Corrections that make the grey levels of all sections equal: gain x grey + offset.
+
+    Attributes
+    ----------
+    gain, offset : ndarray (sections,)
+        1 and 0 where the levels could not be measured.
+    measured : ndarray of bool (sections,)
+    """
+
+    gain: Floats
+    offset: Floats
+    measured: Bools
+
+
+def normalise_sections(series: SectionSeries) -> Gains:
+    """Find gain and offset of each section from two anchors; one section at a time is looked at.
+
+    Returns
+    -------
+    Gains
+        They bring both anchors to their medians over all sections.
+
+    Raises
+    ------
+    VolumeError
+        If no sheet is found.
+
+    Notes
+    -----
+    The anchors are the mode of the background and the middle of the sheet's core; both are the mean of the crowd around
+    the median, iterated, which is surer than the median. What limits the gain is the sheet: its fibres go up and down
+    together by their standard deviation over the root of the number of flocs in the core, some 0.3 % of the contrast in
+    8 mm, and this, like a slow change of the sheet's own material, is taken for a drift of colour.
+    """
+    band, pixel = series.band, series.pixel_um[0]
+    n, rows, cols = series.stack.shape
+    near, far = _CORE * band.half_um / pixel, (band.half_um + _OFF_UM) / pixel
+    inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
+    step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
+
+    def levels(i: int) -> tuple[float, float]:
+        height = band.heights(i, cols) + np.float32(band.jump[i])
+        inner, outer = core_and_background(series.stack[i], height, near, far, step)
+        return _crowd_mean(outer), _crowd_mean(inner)
+
+    background, material = np.array(map_threads(levels, range(n)), np.float64).T
+    contrast = material - background
+    typical = float(np.nanmedian(contrast)) if np.isfinite(contrast).any() else np.nan
+    measured = np.abs(contrast - typical) <= _LARGEST_DRIFT * abs(typical)
+    gain = np.where(measured, typical / np.where(measured, contrast, 1.0), 1.0)
+    level = float(np.median(background[measured])) if measured.any() else 0.0
+    offset = np.where(measured, level - gain * np.where(measured, background, 0.0), 0.0)
+    return Gains(gain=gain, offset=offset, measured=measured)
+
+
+def core_and_background(
+    section: NDArray[Any], height: NDArray[np.float32], near: float, far: float, step: tuple[int, int]
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Grey levels of the sheet's core and of the background.
+
+    height[c] is the row of the sheet: pixels within ``near`` of it are the core, of which every step[0]-th is taken;
+    those beyond ``far`` are the background, of which every step[1]-th is.
+    """
+    row, middle = np.arange(section.shape[0])[:, None], height.astype(np.float64)
+    core = section[(row >= middle - near) & (row <= middle + near)][:: step[0]].astype(np.float32)
+    off = section[(row <= middle - far) | (row >= middle + far)][:: step[1]].astype(np.float32)
+    return core[~np.isnan(core)][: 2 * _MOST], off[~np.isnan(off)][: 2 * _MOST]
+
+
+def _crowd_mean(greys: NDArray[np.float32]) -> float:
+    """Value around which most of the data lie, by iteration from the median; NaN for a few pixels."""
+    if greys.size < _LEAST:
+        return np.nan
+    precise = greys.astype(np.float64)
+    level = float(np.median(precise))
+    spread = mad_sd(precise)
+    if spread == 0.0:
+        return level
+    for _ in range(_ROUNDS):
+        level = float(precise[np.abs(precise - level) <= _WIDTH * spread].mean())
+    return level

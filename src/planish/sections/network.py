@@ -14,6 +14,7 @@ from scipy.linalg import solveh_banded
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 
 Index = NDArray[np.intp]
@@ -27,7 +28,6 @@ _ORDER = 4
 """Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
 series, with 4 by 0.1 um."""
 
-_LEAST_STEP = 0.25  # pitches
 
 _HALF = 1.0 / np.sqrt(0.5) - 1.0
 """(1 - H)^2 = 1/2 of the smoother applied twice, H = 1 / (1 + l w^8), so l w^8 = 1 / _HALF at the cut-off."""
@@ -59,7 +59,7 @@ def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: 
         np.add.at(right_side, first, -w * offset)
         place = np.asarray(solveh_banded(band, right_side), np.float64)
         residual = np.abs(offset - (place[second] - place[first])) / sigma
-        scale = max(1.4826 * float(np.median(residual)), 1.0)
+        scale = max(mad_sd(residual, 0.0), 1.0)
         shares = 1.0 / (1.0 + (residual / (_CAUCHY * scale)) ** 2)
     return place, shares
 
@@ -97,7 +97,7 @@ def slow_part(at_um: Floats, values: Floats, *, cutoff_um: float, weights: Float
         return values.copy()
     pitch = float(np.median(np.diff(at_um)))
     # Two sections at almost one place would make the fourth derivative between them infinite.
-    x = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(at_um) / pitch, _LEAST_STEP))])
+    x = np.concatenate([[0.0], np.cumsum(np.maximum(np.diff(at_um) / pitch, 0.25))])  # pitches
     stiffness = (cutoff_um / pitch / (2.0 * np.pi)) ** (2 * _ORDER) / _HALF
     rows = n - _ORDER
     coefficients = np.full((_ORDER + 1, rows), float(math.factorial(_ORDER)))

@@ -22,9 +22,7 @@ Samples = NDArray[np.float32]
 
 _PITCH_UM = (2.5, 5.0)  # of the samples, rows and cols: about; a whole number of pixels
 _BLUR_UM = 6.0  # standard deviation; wide against the shifts to be measured, narrow against the texture
-_FINE_BLUR_UM = 1.0  # or one pixel
 _FINE_PITCH_UM = (1.6, 0.8)
-_FINE_PASS = 4.0  # blurs of the Gaussian whose mean along the columns is taken off
 FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
 _MEND_UM = (75.0, 5.0)  # window of the median against which a knife mark stands out, and its surroundings
 _MARGIN_UM = 30.0  # beyond the faces
@@ -36,7 +34,6 @@ _OUTLIER_SIGMAS = 4.0
 _TURN_UM = 1000.0  # rotations are carried as the shift at this distance, so that all unknowns are alike in size
 _ALIKE = 0.5  # correlation of two bands below which they do not show the same sheet
 _LARGEST_SIGMA_UM = 5.0
-_LEAST_SIGMA_UM = 0.02  # no pair is better than this, whatever its parts say
 _STIFF = 1e-6
 _BLOCK = 32  # sections that a thread takes at a time
 
@@ -112,12 +109,12 @@ class Bands:
         samples -= np.float32(self.band.background[section])
         samples /= np.float32(self.band.contrast[section])
         self._replace_knife_marks(samples)
-        blur = max(_FINE_BLUR_UM, pixel_c) if self.fine else _BLUR_UM
+        blur = max(1.0, pixel_c) if self.fine else _BLUR_UM  # or one pixel
         weights = [_gaussian(blur / pitch) for pitch in (pitch_r, pitch_c)]
         smoothed = np.empty_like(samples)
         smooth(samples, weights[0], weights[1], np.empty(samples.shape[1] + weights[1].size, np.float32), smoothed)
         if self.fine:
-            wide = _gaussian(_FINE_PASS * blur / pitch_c)
+            wide = _gaussian(4.0 * blur / pitch_c)  # blurs of the Gaussian whose mean along the columns is taken off
             smooth(smoothed, np.ones(1, np.float32), wide, np.empty(samples.shape[1] + wide.size, np.float32), samples)
             smoothed -= samples
         middle = (np.arange(samples.shape[1]) + 0.5) * across - 0.5
@@ -145,19 +142,18 @@ class Bands:
 
     def sums(self, pose: Floats, first: Index, second: Index) -> Floats:
         """Sums of `pair_sums` for pairs that are ordered by the first section; (pairs, parts, 13)."""
+        cols = self.stack.shape[2] // self.step[1]
+        x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
+        parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
 
         # A block of sections at a time: each band is made once or twice, and few are held.
         def block(k: int) -> Floats:
             in_block = slice(np.searchsorted(first, k * _BLOCK), np.searchsorted(first, (k + 1) * _BLOCK))
-            return self._block_sums(pose, first[in_block], second[in_block])
+            return self._block_sums(pose, first[in_block], second[in_block], x.astype(np.float32), parts)
 
         return np.concatenate(map_threads(block, range(-(-pose.shape[0] // _BLOCK))))
 
-    def _block_sums(self, pose: Floats, first: Index, second: Index) -> Floats:
-        cols = self.stack.shape[2] // self.step[1]
-        x = ((np.arange(cols) + 0.5) * self.step[1] - 0.5 - 0.5 * (self.stack.shape[2] - 1)) * self.pixel_um[1]
-        x32 = x.astype(np.float32)
-        parts = int(np.clip(self.stack.shape[2] * self.pixel_um[1] / _PART_UM, *_PARTS))
+    def _block_sums(self, pose: Floats, first: Index, second: Index, x32: Samples, parts: int) -> Floats:
         sums = np.zeros((first.size, parts, 13))
         shared = 1.0 if self.fine else 0.0
         bands: dict[int, tuple[Samples, Samples]] = {}
@@ -168,7 +164,14 @@ class Bands:
                 if s not in bands:
                     bands[s] = self.samples(s, pose[s])
             (a, y_a), (b, y_b) = bands[i], bands[j]
-            limit, trust = _limits_and_trust(a, b)
+            # Beyond a limit a sample of a row is an outlier, and its residual has a weight. Faces are rough and differ
+            # more than the fibres between them: rows in which they lie count less. No row counts more than the median
+            # row, or the empty resin would count.
+            difference = np.abs(a[:, ::4] - b[:, ::4])
+            is_valid = np.isfinite(difference)
+            mean = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
+            mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
+            limit, trust = _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
             # Columns move along the sheet here, not at a fixed row: where the sheet is tilted, its faces would else
             # tell the shift along the columns, and every unevenness of the smooth surface would count as one. What
             # this neglects vanishes with the shift itself, after two or three rounds.
@@ -216,7 +219,7 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
     sigma = np.full((first.size, 3), np.inf)
     sigma[:, :size] = np.sqrt(np.einsum("pii->pi", covariance) * parts / max(parts - 1, 1))
     sound = alike & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
-    sigma = np.maximum(sigma, _LEAST_SIGMA_UM)
+    sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
     return SectionPairs(
         first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base,
@@ -230,19 +233,6 @@ def _part_weights(matrix: Floats, pull: Floats) -> Floats:
     away = np.abs(pull / strength)
     sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
     return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
-
-
-def _limits_and_trust(a: Samples, b: Samples) -> tuple[Floats, Floats]:
-    """Difference beyond which a sample is an outlier, and the weight of its residual, for each row of two bands.
-
-    Faces are rough and differ more than the fibres between them: rows in which they lie count less. No row counts more
-    than the median row, or the empty resin would count.
-    """
-    difference = np.abs(a[:, ::4] - b[:, ::4])
-    is_valid = np.isfinite(difference)
-    mean = np.where(is_valid, difference, 0.0).sum(axis=1) / np.maximum(is_valid.sum(axis=1), 1)
-    mean = np.maximum(mean, max(float(np.median(mean)), 1e-6))
-    return _OUTLIER_SIGMAS * 1.2533 * mean, (mean.min() / mean) ** 2
 
 
 def _gaussian(sigma: float) -> Samples:

@@ -16,21 +16,16 @@ from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections._kernels import between
 from planish.sections.align import Alignment
-from planish.sections.band import SectionSeries, Stack
-from planish.sections.normalise import Gains
+from planish.sections.band import Gains, SectionSeries, Stack
 
 _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
 _MOST_GAPS = 5  # written out in a message
 
 
 def regular_volume(
-    series: SectionSeries,
-    *,
-    alignment: Alignment | None = None,
-    gains: Gains | None = None,
-    most_missing: int = 3,
+    series: SectionSeries, *, alignment: Alignment | None = None, gains: Gains | None = None, most_missing: int = 3,
     attrs: Mapping[str, Any] | None = None,
-) -> xr.DataArray:
+) -> xr.DataArray:  # fmt: skip
     """Put aligned sections on a regular grid.
 
     Parameters
@@ -70,44 +65,30 @@ def regular_volume(
             f"{used.size} of {n} sections could be aligned, two are needed. Check that they show one sheet, in order."
         )
     missing = np.rint(np.diff(series.away_um[used]) / series.pitch_um).astype(int) - 1
-    if not real:
-        _check_gaps(series.positions_um[used], missing, most_missing)
-    planes = _place_planes(series, used, np.flatnonzero(missing > most_missing), alignment, gains)
+    gaps = np.flatnonzero(missing > most_missing)
+    if gaps.size and not real:
+        um = series.positions_um[used]
+        named = ", ".join(f"{missing[k]} between {um[k]:g} and {um[k + 1]:g} um" for k in gaps[:_MOST_GAPS])
+        more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
+        raise VolumeError(
+            f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
+            "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
+        )
+    planes = _place_planes(series, used, gaps, alignment, gains)
     values: NDArray[Any] | Planes = planes
     if isinstance(stack, np.ndarray):
         values = np.empty(planes.shape, stack.dtype)
         map_threads(planes.fill, range(planes.shape[0]), values)
     voxel = (series.pitch_um, *map(float, series.pixel_um))
     volume_attrs: dict[str, Any] = {
-        "units": "1",
-        "long_name": "Grey value",
-        "voxel_um": list(voxel),
-        "voxel_um_source": "given",
-        "full_scale": None if real else int(np.iinfo(stack.dtype).max),
-        **(attrs or {}),
-        "sections": int(used.size),
-        "sections_missing": int(np.maximum(missing, 0).sum()),
-        "first_position_um": float(series.positions_um[used[0]]),
-    }
+        "units": "1", "long_name": "Grey value", "voxel_um": list(voxel), "voxel_um_source": "given",
+        "full_scale": None if real else int(np.iinfo(stack.dtype).max), **(attrs or {}), "sections": int(used.size),
+        "sections_missing": int(np.maximum(missing, 0).sum()), "first_position_um": float(series.positions_um[used[0]]),
+    }  # fmt: skip
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
     encoding = {} if isinstance(stack, np.ndarray) else {"whole_slices": True}
     return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs, encoding=encoding)
-
-
-def _check_gaps(positions_um: Floats, missing: NDArray[np.intp], most_missing: int) -> None:
-    """Refuse runs of missing sections that are too long to be interpolated."""
-    gaps = np.flatnonzero(missing > most_missing)
-    if not gaps.size:
-        return
-    named = ", ".join(
-        f"{missing[k]} between {positions_um[k]:g} and {positions_um[k + 1]:g} um" for k in gaps[:_MOST_GAPS]
-    )
-    more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
-    raise VolumeError(
-        f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
-        "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
-    )
 
 
 def _place_planes(
@@ -124,15 +105,16 @@ def _place_planes(
     share[np.abs(planes - places[before]) <= _ON_SECTION * pitch] = 0.0
     share[np.abs(planes - places[after]) <= _ON_SECTION * pitch] = 1.0
     share[after == before] = 0.0
+    poses = np.zeros((n, 4))  # as the kernels take them: pixels, and pixels per pixel
+    if alignment is not None:
+        poses[:, :2] = alignment.shift_um / np.asarray(series.pixel_um)
+        poses[:, 2] = alignment.rotation_rad * series.pixel_um[1] / series.pixel_um[0]
+        poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
     return Planes(
-        stack=series.stack,
-        before=used[before],
-        after=used[after],
-        share=share,
-        empty=(share > 0) & (share < 1) & np.isin(before, gaps),
-        poses=_poses(n, alignment, series.pixel_um),
+        stack=series.stack, before=used[before], after=used[after], share=share,
+        empty=(share > 0) & (share < 1) & np.isin(before, gaps), poses=poses,
         grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
-    )
+    )  # fmt: skip
 
 
 @dataclass(kw_only=True, eq=False)
@@ -176,13 +158,3 @@ class Planes(LazyArray):
             self.fill(k, whole)
             parts.append(whole[where[1:]].copy())
         return np.stack(parts)
-
-
-def _poses(n: int, alignment: Alignment | None, pixel_um: tuple[float, float]) -> Floats:
-    """Poses of the sections as the kernels take them: pixels, and pixels per pixel."""
-    poses = np.zeros((n, 4))
-    if alignment is not None:
-        poses[:, :2] = alignment.shift_um / np.asarray(pixel_um)
-        poses[:, 2] = alignment.rotation_rad * pixel_um[1] / pixel_um[0]
-        poses[:, 3] = alignment.rotation_rad * pixel_um[0] / pixel_um[1]
-    return poses

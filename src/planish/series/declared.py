@@ -21,7 +21,7 @@ class Declared(Params):
     )  # fmt: skip
     headline: tuple[str, ...] = option(
         (), metavar="MAP", help="Map to compare; repeatable, the leading one first. Those of the runs where not given."
-    )  # fmt: skip
+    )
     margin: dict[str, float] = option(
         {}, cli=None,
         help="Largest difference that does not matter, by MAP (its mean), MAP.sd, MAP.thin_share or r.",
@@ -52,6 +52,5 @@ def declared_of(values: Declared | Mapping[str, Any]) -> Declared:
     try:
         return Declared.model_validate(dict(values))
     except ValidationError as error:
-        faults = "; ".join(model_faults(error, ("compare",)))
-        known = ", ".join(Declared.model_fields)
-        raise InputError(f"What is to be compared cannot be read: {faults}. The table has {known}.") from error
+        faults, options = "; ".join(model_faults(error, ("compare",))), ", ".join(Declared.model_fields)
+        raise InputError(f"What is to be compared cannot be read: {faults}. The table has {options}.") from error

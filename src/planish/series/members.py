@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
 
 from planish.core.errors import FileError, InputError
-from planish.core.series import Member
-from planish.core.tables import Row, Table, parse_table, read_text
+from planish.core.series_results import Member
+from planish.core.tables import parse_table, read_text
 from planish.pipeline.run import is_run
 
 _MOST_NAMES = 5
@@ -40,109 +39,100 @@ def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -
     InputError
         If a run is given twice, also as a copy, or the table does not fit.
     """
-    rows = _rows(table) if table is not None else None
-    if rows is not None and not runs:
-        if "run" not in rows[0].header:
-            raise InputError(f"{rows[0].name} has no column run. Add one with the folders of the runs, or name them.")
-        runs = [_beside(table, rows[0].text(row, "run")) for row in rows[1]]
-    places = [_place(run) for run in runs]
-    _refuse_twice(runs, places)
-    names = _names(places)
-    factors = [{} for _ in places] if rows is None else _factors(rows, table, places)
+    sheet = None if table is None else _read_table(table)
+    if sheet is not None and not runs:
+        if "run" not in sheet.header:
+            raise InputError(f"{sheet.name} has no column run. Add one with the folders of the runs, or name them.")
+        runs = [_from_table(table, sheet.text(row, "run")) for row in sheet.rows]
+    folders = [_folder_of(run) for run in runs]
+    _refuse_twice(runs, folders)
+    depth = 1
+    while True:  # names of folders, with those above them where two are the same
+        names = ["/".join(folder.parts[-min(depth, len(folder.parts)) :]) for folder in folders]
+        if len(set(names)) == len(names):
+            break
+        depth += 1
+    factors = [{} for _ in folders] if sheet is None else _factors(sheet, table, folders)
     return tuple(
-        Member(name=name, factors=own, run=_relative(place, home))
-        for name, own, place in zip(names, factors, places, strict=True)
+        Member(name=name, factors=of_run, run=relative_path(folder, home))
+        for name, of_run, folder in zip(names, factors, folders, strict=True)
     )
 
 
-def _rows(path: Path) -> tuple[Table, list[Row]]:
-    found = parse_table(
-        read_text(path), path.name, needed=(), error=InputError, advice="It needs a column run or name."
-    )
-    if not {"run", "name"} & set(found.header):
-        found.faults.append(f"neither a column run nor name (found {', '.join(found.header)[:120]})")
-    found.check("Correct the table.")
-    if not found.rows:
+def relative_path(folder: Path, home: Path) -> str:
+    """Path of a folder from another one; absolute where none leads there, as between drives."""
+    try:
+        return Path(os.path.relpath(folder, home)).as_posix()
+    except ValueError:
+        return folder.as_posix()
+
+
+def _read_table(path: Path) -> CsvTable:
+    advice = "It needs a column run or name."
+    table = parse_table(read_text(path), path.name, needed=(), error=InputError, advice=advice)
+    if not {"run", "name"} & set(table.header):
+        table.faults.append(f"neither a column run nor name (found {', '.join(table.header)[:120]})")
+    table.check("Correct the table.")
+    if not table.rows:
         raise InputError(f"{path.name} has a header and no rows. Give a row for each run.")
-    return found, found.rows
+    return table
 
 
-def _beside(table: Path | None, cell: str) -> Path:
+def _from_table(table: Path | None, cell: str) -> Path:
     return Path(cell) if table is None else table.absolute().parent / cell
 
 
-def _place(run: Path) -> Path:
-    """The folder of a run; damaged ones are found out when they are read."""
-    if not run.is_dir():
-        found = "is no folder" if run.exists() else "is not there"
-        raise FileError(f"{run} {found}. Give the folder that 'planish map' or 'planish link' made.")
-    if not is_run(run) and not (run / "results.json").is_file():
-        raise FileError(f"{run} is no run. Give the folder that 'planish map' or 'planish link' made.")
+def _folder_of(run: Path) -> Path:
+    """The folder of a run; damaged ones show when they are read."""
+    fault = "is not there" if not run.exists() else "is no folder" if not run.is_dir() else ""
+    if not fault and not is_run(run) and not (run / "results.json").is_file():
+        fault = "is no run"
+    if fault:
+        raise FileError(f"{run} {fault}. Give the folder that 'planish map' or 'planish link' made.")
     return run.resolve()
 
 
-def _refuse_twice(runs: Sequence[Path], places: Sequence[Path]) -> None:
+def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
     """Raise InputError where one specimen would count twice: the same folder, or a copy of it."""
-    seen: dict[Path | bytes, Path] = {}
-    for run, place in zip(runs, places, strict=True):
-        if place in seen:
-            raise InputError(f"{run} is given twice. Give each run once: a specimen counts once.")
-        seen[place] = run
-    for run, place in zip(runs, places, strict=True):
-        file = place / "results.json"
-        data = file.read_bytes() if file.is_file() else b""
-        if data and data in seen:
+    if len(set(folders)) < len(folders):
+        run = next(run for k, run in enumerate(runs) if folders[k] in folders[:k])
+        raise InputError(f"{run} is given twice. Give each run once: a specimen counts once.")
+    originals: dict[bytes, Path] = {}
+    for run, folder in zip(runs, folders, strict=True):
+        file = folder / "results.json"
+        content = file.read_bytes() if file.is_file() else b""
+        if content and content in originals:
             raise InputError(
-                f"{seen[data]} and {run} hold the same results, byte by byte: one is a copy. Give one of them: a "
-                "specimen counts once."
+                f"{originals[content]} and {run} hold the same results, byte by byte: one is a copy. Give one of "
+                "them: a specimen counts once."
             )
-        seen[data] = run
+        originals[content] = run
 
 
-def _names(places: Sequence[Path]) -> list[str]:
-    """Names of folders, with those above them where two are the same."""
-    depth = 1
-    while True:
-        names = ["/".join(place.parts[-min(depth, len(place.parts)) :]) for place in places]
-        if len(set(names)) == len(names):
-            return names
-        depth += 1
-
-
-def _factors(rows: tuple[Table, list[Row]], table: Path | None, places: Sequence[Path]) -> list[dict[str, str]]:
+def _factors(sheet: CsvTable, table: Path | None, folders: Sequence[Path]) -> list[dict[str, str]]:
     """The factors of each run: of the row whose run, or name, is its folder."""
-    found, used = list[dict[str, str]](), Counter[int]()
-    sheet, lines = rows
-    for place in places:
-        own = [row for row in lines if _is_of(sheet, row, table, place)]
-        if len(own) != 1:
-            few = "no row" if not own else f"{len(own)} rows"
+
+    def is_of(row: CsvRow, folder: Path) -> bool:
+        cell = sheet.text(row, "run")
+        paths = (_from_table(table, cell).resolve(), Path(cell).resolve()) if cell else ()
+        return folder in paths or folder.name in (cell, sheet.text(row, "name"))
+
+    factors, used = list[dict[str, str]](), set[int]()
+    for folder in folders:
+        rows = [row for row in sheet.rows if is_of(row, folder)]
+        if len(rows) != 1:
+            few = "no row" if not rows else f"{len(rows)} rows"
             raise InputError(
-                f"{sheet.name} has {few} for the run {place.name}. Give it one row: its path or name in the column "
+                f"{sheet.name} has {few} for the run {folder.name}. Give it one row: its path or name in the column "
                 f"{'run' if 'run' in sheet.header else 'name'}."
             )
-        used[own[0].line] += 1
-        cells = {name: sheet.text(own[0], name) for name in sheet.header if name not in ("run", "name", "")}
-        found.append({name: cell for name, cell in cells.items() if cell})
-    if idle := [row for row in lines if not used[row.line]]:
+        used.add(rows[0].line)
+        cells = {name: sheet.text(rows[0], name) for name in sheet.header if name not in ("run", "name", "")}
+        factors.append({name: cell for name, cell in cells.items() if cell})
+    if idle := [row for row in sheet.rows if row.line not in used]:
         shown = ", ".join(sheet.text(row, "run") or sheet.text(row, "name") or "empty" for row in idle[:_MOST_NAMES])
         raise InputError(
             f"{sheet.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: {shown}. "
             "Give these runs, too, or take the rows out."
         )
-    return found
-
-
-def _is_of(sheet: Table, row: Row, table: Path | None, place: Path) -> bool:
-    cell = sheet.text(row, "run")
-    if cell and (_beside(table, cell).resolve() == place or Path(cell).resolve() == place):
-        return True
-    return place.name in (cell, sheet.text(row, "name"))
-
-
-def _relative(place: Path, home: Path) -> str:
-    """Path of a run from a folder; absolute where there is none, as between drives."""
-    try:
-        return Path(os.path.relpath(place, home)).as_posix()
-    except ValueError:
-        return str(place)
+    return factors

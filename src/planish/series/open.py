@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.errors import FileError
 from planish.core.series_results import SeriesResults
@@ -20,12 +19,12 @@ _OF_PAIRS = (
     "r", "r2", "slope", "points", "n_eff", "n_eff_interval", "bias", "limit_low", "limit_high", "shared_um",
 )  # fmt: skip
 _OF_REGISTRATIONS = ("marks_used", "residual", "leave_one_out", "expected_error", "largest_expected_error")
+_SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 _JUDGED = {"mean": "trust", "r": "pair_trust", "expected_error": "registration_trust"}
 """Quantities whose trust stands for all of their dims."""
 
 _TRUST = {"ok": 0, "doubtful": 1, "withheld": 2}
 _LARGEST = 2_000_000_000
-Entry = tuple[tuple[Any, ...], float, float, float, int, str]
 
 
 def open_study(path: str | Path) -> xr.Dataset:
@@ -70,64 +69,44 @@ def open_study(path: str | Path) -> xr.Dataset:
     needed = ("specimen", "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low",
               "high", "trust")  # fmt: skip
     table = parse_table(text, VALUES, needed=needed, error=FileError)
-    rows = [dict(zip(table.header, row.cells, strict=True)) for row in table.rows]
+    of_quantity: dict[str, list[dict[str, str]]] = {}
+    names = [specimen.member.name for specimen in results.specimens]
+    for line in table.rows:
+        row = dict(zip(table.header, line.cells, strict=True))
+        of_quantity.setdefault(row["quantity"], []).append(row)
     table.check("Write the series again.")
-    names = [one.member.name for one in results.specimens]
-    unknown = sorted({row["specimen"] for row in rows} - set(names))
-    if unknown:
+    if unknown := {row["specimen"] for rows in of_quantity.values() for row in rows} - set(names):
         raise FileError(
-            f"{VALUES} has figures of {', '.join(unknown[:3])}, which {RESULTS} does not know: the two files are of "
-            "different series. Write the series again."
+            f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not know: the two files "
+            "are of different series. Write the series again."
         )
-    several = any(one.kind in ("two volumes", "layers") for one in results.specimens)
-    found: dict[str, xr.DataArray] = {}
-    for quantity in dict.fromkeys(row["quantity"] for row in rows):
-        own = [row for row in rows if row["quantity"] == quantity]
-        found |= _arrays(quantity, [_entry(row, several) for row in own], names, _dims(quantity))
-    data = xr.Dataset(found)
-    data = data.assign_coords(specimen=("specimen", np.array(names, dtype=object)))
-    taken = {"state", *map(str, data.dims), *map(str, data.data_vars)}
+    several = any(specimen.kind in ("two volumes", "layers") for specimen in results.specimens)
+    arrays: dict[str, xr.DataArray] = {}
+    for quantity, rows in of_quantity.items():
+        arrays |= _arrays(quantity, rows, names, several)
+    study = xr.Dataset(arrays).assign_coords(specimen=("specimen", np.array(names, dtype=object)))
+    reserved = {"state", *map(str, study.dims), *map(str, study.data_vars)}
     for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
-        levels = [one.member.factors.get(name, "") for one in results.specimens]
-        data = data.assign_coords({f"factor_{name}" if column in taken else column: ("specimen", levels)})
-    data = data.assign_coords(state=("specimen", [one.member.state for one in results.specimens]))
-    return data.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
+        levels = [specimen.member.factors.get(name, "") for specimen in results.specimens]
+        study = study.assign_coords({f"factor_{name}" if column in reserved else column: ("specimen", levels)})
+    study = study.assign_coords(state=("specimen", [specimen.member.state for specimen in results.specimens]))
+    return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
 
 
-def _dims(quantity: str) -> tuple[str, ...]:
-    """Dims of a quantity beside the specimen."""
-    if quantity in _OF_PAIRS:
-        return ("pair", "point_um")
-    if quantity in _OF_REGISTRATIONS:
-        return ("registration",)
+def _labels(row: Mapping[str, str], several: bool) -> dict[str, Any]:
+    """Dims of a figure beside the specimen, and its labels."""
+    quantity, layer, other_layer = row["quantity"], row["layer"], row["other_layer"]
     if quantity.startswith("checks_"):
-        return ()
+        return {}
     if quantity == "measured_share":
-        return ("layer",)
-    own = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}.get(quantity)
-    return ("map", own) if own else ("map",)
-
-
-def _entry(row: Mapping[str, str], several: bool) -> Entry:
-    """Where a row stands, its value with the ends of its interval, what the checks leave of it, and its unit."""
-
-    def named(layer: str, name: str) -> str:
-        return f"{layer}.{name}" if several and layer else name
-
-    first, quantity = named(row["layer"], row["map"]), row["quantity"]
-    at: tuple[Any, ...] = (first,)
+        return {"layer": layer}
+    if quantity in _OF_REGISTRATIONS:
+        return {"registration": f"{layer}/{other_layer}"}
+    first = f"{layer}.{row['map']}" if several and layer else row["map"]
     if quantity in _OF_PAIRS:
-        at = (f"{first}/{named(row['other_layer'], row['other_map'])}", _number(row["at_um"]))
-    elif quantity in _OF_REGISTRATIONS:
-        at = (f"{row['layer']}/{row['other_layer']}",)
-    elif quantity == "measured_share":
-        at = (row["layer"],)
-    elif len(_dims(quantity)) == 2:
-        at = (first, _number(row["at_um"]))
-    elif not _dims(quantity):
-        at = ()
-    value, low, high = (_number(row[name]) for name in ("value", "low", "high"))
-    return (row["specimen"], *at), value, low, high, _TRUST.get(row["trust"], -1), row["unit"]
+        second = f"{other_layer}.{row['other_map']}" if several and other_layer else row["other_map"]
+        return {"pair": f"{first}/{second}", "point_um": _number(row["at_um"])}
+    return {"map": first} | ({_SIZES[quantity]: _number(row["at_um"])} if quantity in _SIZES else {})
 
 
 def _number(text: str) -> float:
@@ -138,35 +117,31 @@ def _number(text: str) -> float:
 
 
 def _arrays(
-    quantity: str, entries: Sequence[Entry], names: Sequence[str], dims: tuple[str, ...]
+    quantity: str, rows: Sequence[Mapping[str, str]], names: Sequence[str], several: bool
 ) -> dict[str, xr.DataArray]:
     """A quantity as an array, the ends of its intervals where it has any, and what the checks leave of it."""
-    labels: list[list[Any]] = [list(names)]
-    labels += [_labels(entry[0][k + 1] for entry in entries) for k in range(len(dims))]
-    places = [{label: k for k, label in enumerate(own)} for own in labels]
-    shape = tuple(len(own) for own in labels)
-    values, low, high = (np.full(shape, np.nan) for _ in range(3))
-    trust = np.full(shape, -1, dtype=np.int8)
-    for at, value, lower, upper, trusted, _ in entries:
-        place = tuple(own[label] for own, label in zip(places, at, strict=True))
-        values[place], low[place], high[place], trust[place] = value, lower, upper, trusted
-    units = {entry[5] for entry in entries}
-    attrs = {"units": units.pop()} if len(units) == 1 else {}
-    coords = {d: np.array(own, dtype=object if isinstance(own[0], str) else np.float64)
-              for d, own in zip(dims, labels[1:], strict=True)}  # fmt: skip
-
-    def array(data: NDArray[Any], more: Mapping[str, Any]) -> xr.DataArray:
-        return xr.DataArray(data, dims=("specimen", *dims), coords=coords, attrs=dict(more))
-
-    found = {quantity: array(values, attrs)}
-    if np.isfinite(low).any():
-        found |= {f"{quantity}_low": array(low, attrs), f"{quantity}_high": array(high, attrs)}
+    places = [{"specimen": row["specimen"]} | _labels(row, several) for row in rows]
+    labels: dict[str, list[Any]] = {"specimen": list(names)}
+    for dim in [*places[0]][1:]:  # texts as they come, numbers in their order
+        once = list(dict.fromkeys(place[dim] for place in places))
+        labels[dim] = once if isinstance(once[0], str) else sorted(once)
+    numbers = {dim: {label: k for k, label in enumerate(once)} for dim, once in labels.items()}
+    values = np.full((3, *map(len, labels.values())), np.nan)  # the figure and the ends of its interval
+    trust = np.full(values.shape[1:], -1, dtype=np.int8)
+    for row, place in zip(rows, places, strict=True):
+        index = tuple(numbers[dim][label] for dim, label in place.items())
+        values[(slice(None), *index)] = [_number(row[name]) for name in ("value", "low", "high")]
+        trust[index] = _TRUST.get(row["trust"], -1)
+    units = {row["unit"] for row in rows}
+    attrs: dict[str, Any] = {"units": units.pop()} if len(units) == 1 else {}
+    coords = {dim: np.array(once, dtype=object if isinstance(once[0], str) else np.float64)
+              for dim, once in labels.items() if dim != "specimen"}  # fmt: skip
+    variables = {quantity: (values[0], attrs)}
+    if np.isfinite(values[1]).any():
+        variables |= {f"{quantity}_low": (values[1], attrs), f"{quantity}_high": (values[2], attrs)}
     if quantity in _JUDGED:
-        found[_JUDGED[quantity]] = array(trust, {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)})
-    return found
-
-
-def _labels(labels: Iterable[Any]) -> list[Any]:
-    """Labels once, texts as they come and numbers in their order."""
-    found = list(dict.fromkeys(labels))
-    return found if found and isinstance(found[0], str) else sorted(found)
+        variables[_JUDGED[quantity]] = trust, {"flag_values": [0, 1, 2], "flag_meanings": " ".join(_TRUST)}
+    return {
+        name: xr.DataArray(array, dims=list(labels), coords=coords, attrs=dict(about))
+        for name, (array, about) in variables.items()
+    }

@@ -1,24 +1,30 @@
-"""The folder of a series: its page, its numbers, and its tables."""
+"""The folder of a series: its page with a small map of every specimen, its numbers, and its tables."""
 
 from __future__ import annotations
 
 import io
-import os
-from collections.abc import Iterator, Mapping, Sequence
+import math
+from collections.abc import Mapping, Sequence
 from importlib.util import find_spec
+from itertools import count
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import PlanishError
 from planish.core.files import delete, write_whole
-from planish.core.series import Member
-from planish.core.series_results import Quantity, SeriesResults
+from planish.core.series_results import Cell, Member, Quantity, RunKind, SeriesResults, Specimen
 from planish.core.tables import table_text
-from planish.report import series_page
+from planish.io.map_store import OVERVIEWS
+from planish.io.run_folder import read_group
+from planish.pipeline.run import MAPS
+from planish.report import SmallMap, series_page, small_map
 from planish.series.declared import Declared, declared_of
-from planish.series.gather import gather
-from planish.series.rows import Row
+from planish.series.gather import FigureRow, gather
+from planish.series.members import relative_path
 from planish.series.summary import summary_of
-from planish.series.thumbnails import thumbnails_of
 
 REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
     "report.html", "results.json", "specimens.csv", "values.csv", "values.parquet",
@@ -28,12 +34,17 @@ REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
 _OF_A_ROW = (
     "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low", "high", "trust", "checks",
 )  # fmt: skip
-_TEXTS = ("layer", "map", "other_layer", "other_map", "quantity", "unit", "trust", "checks")
+_OF_A_SPECIMEN = (
+    "specimen", "state", "kind", "counts_as_sheet", "light", "checks_fail", "checks_look", "marks_used",
+    "leave_one_out_um", "expected_error_um",
+)  # fmt: skip
+_MANY = 250  # specimens, from which on their maps are drawn with fewer pixels: the page has to stay below 10 MB
+_PIXELS = 150.0  # along the longer side
 
 
 def write_series(
     members: Sequence[Member], home: Path, declared: Declared | Mapping[str, Any], out: Path
-) -> SeriesResults:  # fmt: skip
+) -> SeriesResults:
     """Write the page of a series, its numbers and its tables.
 
     Parameters
@@ -65,110 +76,115 @@ def write_series(
     The same runs give the same bytes, on every machine and in any order of work; those of the Parquet file hold for one
     version of pyarrow.
     """
-    found = gather(members, home)
-    results = summary_of(found, declared_of(declared))
-    drawn = thumbnails_of(results, home)
-    moved = {one.name: _moved(one, home, out) for one in found.members}
-    results = results.model_copy(
-        update={
-            "specimens": tuple(one.model_copy(update={"member": moved[one.member.name]}) for one in results.specimens)
-        }
-    )
-    table = values_text(found.rows, results.factors).encode()
-    packed = parquet_bytes(found.rows, results.factors) if find_spec("pyarrow") is not None else None
-    for name, data in (
-        (VALUES, table), (PARQUET, packed), (SPECIMENS, specimens_text(results).encode()),
-        (RESULTS, results.to_json().encode()), (REPORT, series_page(results, drawn).encode()),
+    gathered = gather(members, home)
+    results = summary_of(gathered, declared_of(declared))
+    maps = _small_maps(results, home)
+    specimens: list[Specimen] = []
+    for specimen in results.specimens:
+        folder = specimen.member.folder(home)
+        run = None if folder is None else relative_path(folder.resolve(), out.resolve())
+        member = specimen.member.model_copy(update={"run": run})
+        specimens.append(specimen.model_copy(update={"member": member}))
+    results = results.model_copy(update={"specimens": tuple(specimens)})
+    header, rows = figures_table(gathered.rows, results.factors)
+    for name, content in (
+        (VALUES, table_text(header, rows).encode()),
+        (PARQUET, parquet_bytes(header, rows) if find_spec("pyarrow") is not None else None),
+        (SPECIMENS, _specimens_text(results).encode()), (RESULTS, results.to_json().encode()),
+        (REPORT, series_page(results, maps).encode()),
     ):  # fmt: skip
-        if data is None:
+        if content is None:
             delete(out / name)  # one of an earlier time would say something else
         else:
-            write_whole(out / name, data, over=True)
+            write_whole(out / name, content, over=True)
     return results
 
 
-def _moved(member: Member, home: Path, out: Path) -> Member:
-    """A member whose run is relative to another folder; absolute where no path leads there, as between drives."""
-    folder = member.folder(home)
-    if folder is None:
-        return member
-    try:
-        place = os.path.relpath(folder.resolve(), out.resolve())
-    except ValueError:
-        place = str(folder.resolve())
-    return member.model_copy(update={"run": Path(place).as_posix()})
+def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
+    """The map that leads of every specimen that has it, one read after the other; without values where none can be."""
+    maps: list[SmallMap] = []
+    pixels = _PIXELS * min(1.0, math.sqrt(_MANY / max(len(results.specimens), 1)))
+    for specimen in results.specimens if results.quantities else ():
+        folder, lead = specimen.member.folder(home), results.quantities[0]
+        if specimen.kind is None or folder is None or specimen.cells[0].why_not == "not measured":
+            continue
+        try:
+            data = _read_map(folder / MAPS, specimen.kind, lead)
+        except (PlanishError, OSError, KeyError):
+            data = None
+        maps.append(small_map(specimen.member.name, data, pixels=pixels))
+    return maps
 
 
-def factor_columns(factors: Sequence[str]) -> list[str]:
+def _read_map(store: Path, kind: RunKind, lead: Quantity) -> xr.DataArray | None:
+    """The map of a sheet, flat or, of two sheets, on the pixels of the reference; the smallest copy that will do."""
+    name, of_layer = lead.map, f"layers/{lead.layer}"
+    for group in (f"{of_layer}/maps", of_layer, "maps", *(() if kind == "map" else ("linked",))):
+        if (store / group / name).is_dir():
+            smallest = group
+            for k in count(1):
+                if not (store / OVERVIEWS / group / str(k) / name).is_dir():
+                    break
+                smallest = f"{OVERVIEWS}/{group}/{k}"
+            data = read_group(store, smallest, [v for v in (name, "valid") if (store / smallest / v).is_dir()])
+            values = data[name].values.astype(np.float64)
+            if "valid" in data:
+                values = np.where(data["valid"].values.astype(bool), values, np.nan)
+            return data[name].copy(data=values)
+    return None
+
+
+# --- tables ----------------------------------------------------------------------------------------------------------
+
+
+def factor_columns(factors: Sequence[str], columns: Sequence[str] = ("specimen", *_OF_A_ROW)) -> list[str]:
     """Columns of factors, none with the name of another column."""
-    taken = {"specimen", *_OF_A_ROW}
-    return [f"factor_{name}" if name in taken else name for name in factors]
+    return [f"factor_{name}" if name in columns else name for name in factors]
 
 
-def values_text(rows: Sequence[Row], factors: Sequence[str]) -> str:
-    """Text of values.csv: one row a figure."""
-    header = ("specimen", *factor_columns(factors), *_OF_A_ROW)
-    return table_text(header, ([_cell(value) for value in one] for one in _tidy(rows, factors)))
+def figures_table(rows: Sequence[FigureRow], factors: Sequence[str]) -> tuple[list[str], list[list[Any]]]:
+    """Header and cells of values.csv: one row a figure."""
+    header = ["specimen", *factor_columns(factors), *_OF_A_ROW]
+    return header, [
+        [row.specimen, *(row.factors.get(name, "") for name in factors), *(getattr(row, name) for name in _OF_A_ROW)]
+        for row in rows
+    ]
 
 
-def _tidy(rows: Sequence[Row], factors: Sequence[str]) -> Iterator[list[Any]]:
-    for row in rows:
-        yield [
-            row.specimen, *(row.factors.get(name, "") for name in factors),
-            *(getattr(row, name) for name in _OF_A_ROW),
-        ]  # fmt: skip
-
-
-def _cell(value: Any) -> Any:
-    return "" if value is None else value
-
-
-def parquet_bytes(rows: Sequence[Row], factors: Sequence[str]) -> bytes:
+def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes:
     """Bytes of values.parquet: the columns of values.csv; missing numbers are null."""
     import pyarrow as pa  # pyright: ignore[reportMissingImports]
     import pyarrow.parquet as pq  # pyright: ignore[reportMissingImports]
 
-    names = ("specimen", *factor_columns(factors), *_OF_A_ROW)
-    columns = list(zip(*_tidy(rows, factors), strict=True)) or [()] * len(names)
+    columns = list(zip(*rows, strict=True)) or [()] * len(header)
     numbers = {"at_um", "value", "low", "high"}
-    arrays = [pa.array(c, pa.float64() if n in numbers else pa.string()) for n, c in zip(names, columns, strict=True)]
+    arrays = [pa.array(c, pa.float64() if n in numbers else pa.string()) for n, c in zip(header, columns, strict=True)]
     data = io.BytesIO()
-    pq.write_table(pa.table(arrays, names=list(names)), data, compression="zstd")
+    pq.write_table(pa.table(arrays, names=list(header)), data, compression="zstd")
     return data.getvalue()
 
 
-def specimens_text(results: SeriesResults) -> str:
+def _specimens_text(results: SeriesResults) -> str:
     """Text of specimens.csv: one row a specimen, its quantities in columns named by map, statistic and unit."""
-    of_r = [q.what == "r" for q in results.quantities]
-    header = ["specimen", *(f"factor_{n}" if n in _OF_A_TABLE else n for n in results.factors), *_OF_A_TABLE[1:]]
-    for quantity, is_r in zip(results.quantities, of_r, strict=True):
-        name = column_of(quantity)
-        header += [name, *([f"{name}_low", f"{name}_high", f"{name}_n_eff"] if is_r else []), f"{name}_trust"]
-    header += ["message", "run"]
+    header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
+    for quantity in results.quantities:
+        name, ends = _column_of(quantity), ("_low", "_high", "_n_eff") if quantity.what == "r" else ()
+        header += [f"{name}{end}" for end in ("", *ends, "_trust")]
     rows: list[list[Any]] = []
-    for one in results.specimens:
-        m = one.member
-        row: list[Any] = [m.name, *(m.factors.get(n, "") for n in results.factors), m.state, one.kind, one.sheet]
-        row += [one.light, "; ".join(one.spoken.get("fail", ())), "; ".join(one.spoken.get("look", ()))]
-        row += [one.marks_used, one.leave_one_out_um, one.expected_error_um]
-        for k, is_r in enumerate(of_r):
-            cell = one.cells[k] if one.cells else None
-            values = [None] * (5 if is_r else 2)
-            if cell is not None:
-                beside = [cell.low, cell.high, cell.n_eff] if is_r else []
-                values = [cell.value, *beside, cell.trust if cell.value is not None or cell.trust != "ok" else None]
-            row += values
-        rows.append([_cell(value) for value in (*row, m.message, m.run)])
-    return table_text(header, rows)
+    for specimen in results.specimens:
+        m = specimen.member
+        row: list[Any] = [m.name, *(m.factors.get(n, "") for n in results.factors), m.state, specimen.kind]
+        row += [specimen.sheet, specimen.light, *("; ".join(specimen.spoken.get(s, ())) for s in ("fail", "look"))]
+        row += [specimen.marks_used, specimen.leave_one_out_um, specimen.expected_error_um]
+        cells = specimen.cells or [Cell()] * len(results.quantities)
+        for quantity, cell in zip(results.quantities, cells, strict=True):
+            interval = [cell.low, cell.high, cell.n_eff] if quantity.what == "r" else []
+            row += [cell.value, *interval, cell.trust if cell.value is not None or cell.trust != "ok" else None]
+        rows.append([*row, m.message, m.run])
+    return table_text([*header, "message", "run"], rows)
 
 
-_OF_A_TABLE = (
-    "specimen", "state", "kind", "counts_as_sheet", "light", "checks_fail", "checks_look", "marks_used",
-    "leave_one_out_um", "expected_error_um",
-)  # fmt: skip
-
-
-def column_of(quantity: Quantity) -> str:
+def _column_of(quantity: Quantity) -> str:
     """Name of the column of a quantity."""
     parts = [quantity.layer, quantity.map, quantity.what]
     if quantity.what == "r":

@@ -13,25 +13,24 @@ from typing import Any, cast
 from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
-from planish.core.mistakes import mistakes, toml_mistake
-from planish.core.names import fault_of_name
-from planish.core.series import Member
+from planish.core.files import fault_of_name
+from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
+from planish.core.series_results import Member
 from planish.core.tables import parse_table, raise_faults, read_text
-from planish.core.toml_lines import KeyLines, key_lines
 from planish.io import find_place
 from planish.pipeline.build import study_of
 from planish.series.declared import Declared
 from planish.study import Study, as_study, in_study_words, with_paths, with_values
 
 _FILES = ("volume", "image", "layers")
-_OWN = ("name", *_FILES, "set")
+_NO_FACTORS = ("name", *_FILES, "set")
 _NEEDED = "It needs a column volume, or layers with a semicolon between them"
 _NO_NAME = re.compile(r'[/\\<>:"|?*\x00-\x1f]')
 _LONGEST_NAME = 80
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Specimen:
+class PlannedSpecimen:
     """One specimen as the table has it.
 
     Attributes
@@ -63,7 +62,7 @@ class Plan:
 
     Attributes
     ----------
-    specimens : tuple of Specimen
+    specimens : tuple of PlannedSpecimen
     home : Path
         Folder of the file, to which paths in it are relative.
     sections : dict
@@ -76,14 +75,14 @@ class Plan:
         Options of all specimens, ``SECTION.NAME=VALUE``.
     """
 
-    specimens: tuple[Specimen, ...]
+    specimens: tuple[PlannedSpecimen, ...]
     home: Path
     sections: dict[str, dict[str, Any]] = field(default_factory=dict[str, dict[str, Any]])
     declared: Declared = field(default_factory=Declared)
     watch: dict[str, Any] = field(default_factory=dict[str, Any])
     changes: tuple[str, ...] = ()
 
-    def study(self, specimen: Specimen) -> Study:
+    def study(self, specimen: PlannedSpecimen) -> Study:
         """The study of one specimen.
 
         Raises
@@ -118,17 +117,15 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
         If an option or a column is unknown, or two specimens are the same; all faults are named.
     """
     text = read_text(path, what="table of specimens")
-    home = path.absolute().parent
-    if path.suffix.lower() == ".toml":
-        return _of_toml(path, text, home, tuple(changes))
-    return _plan(path, _rows_of(path, text), Plan(specimens=(), home=home, changes=tuple(changes)))
+    plan = Plan(specimens=(), home=path.absolute().parent, changes=tuple(changes))
+    return _of_toml(path, text, plan) if path.suffix.lower() == ".toml" else _checked(path, _rows_of(path, text), plan)
 
 
 # --- the two forms ---------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
-class _Row:
+class _TableRow:
     """One specimen before it is checked, and where it stands."""
 
     where: str
@@ -137,106 +134,102 @@ class _Row:
     layers: tuple[str, ...] = ()
 
 
-def _rows_of(path: Path, text: str) -> list[_Row]:
+def _rows_of(path: Path, text: str) -> list[_TableRow]:
     table = parse_table(text, path.name, needed=(), error=InputError, advice=f"{_NEEDED}.")
     if not {"volume", "layers"} & set(table.header):
         table.faults.append(f"neither a column volume nor layers (found {', '.join(table.header)[:120]}). {_NEEDED}")
     table.check("Correct the table.")
-    rows: list[_Row] = []
+    rows: list[_TableRow] = []
     for row in table.rows:
-        cells = {name: table.text(row, name) for name in table.header if name}
-        options = tuple(f"{name}={cells.pop(name)}" for name in list(cells) if "." in name and cells[name])
-        cells = {name: cell for name, cell in cells.items() if cell and "." not in name}
+        cells = {name: cell for name in table.header if name and (cell := table.text(row, name))}
+        options = tuple(f"{name}={cell}" for name, cell in cells.items() if "." in name)
         layers = tuple(part.strip() for part in cells.pop("layers", "").split(";") if part.strip())
-        rows.append(_Row(f"row {row.line}", cells, options, layers))
+        cells = {name: cell for name, cell in cells.items() if "." not in name}
+        rows.append(_TableRow(f"row {row.line}", cells, options, layers))
     return rows
 
 
-def _of_toml(path: Path, text: str, home: Path, changes: tuple[str, ...]) -> Plan:
+def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     try:
-        data = tomllib.loads(f"{text}\n")
+        sections = tomllib.loads(f"{text}\n")
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
-    if not {"specimens", "watch"} & set(data):
+    if not {"specimens", "watch"} & set(sections):
         raise FileError(
             f"{path} is the study of one specimen. Do it with: planish run {path}. A series has a table [[specimens]] "
             "for each of them."
         )
     lines = key_lines(text)
-    listed = data.pop("specimens", [])
-    if not isinstance(listed, list) or not all(isinstance(one, dict) for one in cast("list[Any]", listed)):
+    tables = sections.pop("specimens", [])
+    if not isinstance(tables, list) or not all(isinstance(table, dict) for table in cast("list[Any]", tables)):
         raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
-    data.pop("planish", None)
-    own = {name: data.pop(name) for name in ("compare", "watch") if name in data}
-    _check_common(path, data, lines)
+    compare, watch = sections.pop("compare", {}), sections.pop("watch", {})
+    sections.pop("planish", None)
+    _check_common(path, sections, lines)
     try:
-        declared = Declared.model_validate(own.get("compare", {}))
+        declared = Declared.model_validate(compare)
     except ValidationError as error:
-        found = mistakes(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
-        raise InputError(f"{path}: {'; '.join(found)}.") from error
+        faults = mistakes(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
+        raise InputError(f"{path}: {'; '.join(faults)}.") from error
     faults: list[str] = []
-    rows: list[_Row] = []
-    for k, one in enumerate(cast("list[dict[str, Any]]", listed)):
+    rows: list[_TableRow] = []
+    for k, table in enumerate(cast("list[dict[str, Any]]", tables)):
         where = f"line {lines.of(('specimens', k))}"
-        cells: dict[str, str] = {}
-        for name, value in one.items():
-            if name in ("set", "layers"):
+        cells, lists = dict[str, str](), dict[str, tuple[str, ...]]()
+        for name, value in table.items():
+            if name in _EXAMPLES:
                 if not isinstance(value, list) or not all(isinstance(v, str) for v in cast("list[Any]", value)):
                     faults.append(f"{where}: {name} is a list of texts, such as {_EXAMPLES[name]}")
+                else:
+                    lists[name] = tuple(cast("list[str]", value))
             elif isinstance(value, (str, int, float)) and not isinstance(value, bool):
                 cells[name] = str(value)
             else:
                 faults.append(f"{where}: {name} has to be a text or a number; options stand in set = [...]")
-        given = {name: one[name] for name in ("set", "layers") if isinstance(one.get(name), list)}
-        rows.append(_Row(where, cells, tuple(given.get("set", ())), tuple(given.get("layers", ()))))
+        rows.append(_TableRow(where, cells, lists.get("set", ()), lists.get("layers", ())))
     raise_faults(path.name, faults, "Correct these lines.", error=InputError)
     for kind in ("volume", "image"):  # stands for the specimens that name none
-        if common := data.get(kind, {}).pop("path", None):
+        if common := sections.get(kind, {}).pop("path", None):
             for row in rows:
                 if not row.layers:
                     row.cells.setdefault(kind, str(common))
-    watch = own.get("watch", {})
-    return _plan(
-        path, rows, Plan(specimens=(), home=home, sections=data, declared=declared, watch=watch, changes=changes)
-    )
+    return _checked(path, rows, replace(plan, sections=sections, declared=declared, watch=watch))
 
 
 _EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
 
 
-def _check_common(path: Path, data: Mapping[str, Any], lines: KeyLines) -> None:
+def _check_common(path: Path, sections: Mapping[str, Any], lines: KeyLines) -> None:
     """Refuse options that no study has; each with its line."""
-    if "layers" in data:
+    if "layers" in sections:
         raise InputError(
             f"{path}: line {lines.of(('layers',))}, layers: each specimen names its own; take them out, or write "
             f"layers = {_EXAMPLES['layers']} under [[specimens]]."
         )
-    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in data.items()}  # type: ignore[reportUnknownArgumentType]
+    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in sections.items()}  # type: ignore[reportUnknownArgumentType]
     for kind in ("volume", "image"):
         if isinstance(table := tables.setdefault(kind, {}), dict):
             cast("dict[str, Any]", table).setdefault("path", "x")
     try:
         as_study(tables)
     except ValidationError as error:
-        found = mistakes(error, Study, lambda loc: (loc, lines.of(loc)) if loc[:1] != ("layers",) else (
-            loc[2:], lines.of(loc[2:])
-        ))  # fmt: skip
-        number = f"{len(found)} wrong parameter{'s' if len(found) > 1 else ''}"
-        raise InputError("\n  ".join([f"{path} has {number}:", *found])) from error
+        faults = mistakes(
+            error, Study, lambda loc: (loc, lines.of(loc)) if loc[:1] != ("layers",) else (loc[2:], lines.of(loc[2:]))
+        )
+        number = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
+        raise InputError("\n  ".join([f"{path} has {number}:", *faults])) from error
 
 
 # --- what both have in common ----------------------------------------------------------------------------------------
 
 
-def _plan(path: Path, rows: Sequence[_Row], plan: Plan) -> Plan:
+def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
     """Check the specimens of either form against each other."""
-    home = plan.home
-    faults: list[str] = []
-    found: list[Specimen] = []
     if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
-    names = _names(rows, home)
-    for row, name in zip(rows, names, strict=True):
+    faults: list[str] = []
+    specimens: list[PlannedSpecimen] = []
+    for row, name in zip(rows, _names(rows, plan.home), strict=True):
         if row.layers and {"volume", "image"} & set(row.cells):
             faults.append(f"{row.where}: give layers, or volume and image, not both")
         if not row.layers and "volume" not in row.cells:
@@ -244,46 +237,46 @@ def _plan(path: Path, rows: Sequence[_Row], plan: Plan) -> Plan:
         if fault := _fault_of(name):
             faults.append(f"{row.where}: {name!r} cannot name a specimen: {fault}; give it another name")
         files = row.layers or tuple(row.cells[kind] for kind in ("volume", "image") if kind in row.cells)
-        factors = {key: cell for key, cell in row.cells.items() if key not in _OWN}
-        found.append(
-            Specimen(name=name, files=tuple(_placed(one, home) for one in files), factors=factors, changes=row.changes)
-        )
-    seen: dict[str, str] = {}
-    same: dict[tuple[tuple[str, ...], tuple[str, ...]], str] = {}
-    for row, one in zip(rows, found, strict=True):
-        for what, first in (
-            (f"the name {one.name!r}", seen.setdefault(one.name.casefold(), row.where)),
-            ("the same files and options", same.setdefault((one.files, one.changes), row.where)),
+        specimens.append(PlannedSpecimen(
+            name=name, files=tuple(_absolute(file, plan.home) for file in files), changes=row.changes,
+            factors={key: cell for key, cell in row.cells.items() if key not in _NO_FACTORS},
+        ))  # fmt: skip
+    first: dict[Any, str] = {}
+    for row, specimen in zip(rows, specimens, strict=True):
+        for words, key in (
+            (f"the name {specimen.name!r}", specimen.name.casefold()),
+            ("the same files and options", (specimen.files, specimen.changes)),
         ):
-            if first != row.where:
-                faults.append(f"{row.where}: {what} as {first}")
+            if (where := first.setdefault(key, row.where)) != row.where:
+                faults.append(f"{row.where}: {words} as {where}")
     raise_faults(path.name, faults, "Correct the table.", error=InputError)
-    known = {factor for one in found for factor in one.factors}
-    if (by := plan.declared.compare) is not None and by not in known and not plan.watch:
+    factors = sorted({factor for specimen in specimens for factor in specimen.factors})
+    if (by := plan.declared.compare) is not None and by not in factors and not plan.watch:
         raise InputError(
-            f"{path}: compare names {by}, and no specimen has that factor; there are "
-            f"{', '.join(sorted(known)) or 'none'}. Add a column {by}, or name another one."
+            f"{path}: compare names {by}, and no specimen has that factor; there are {', '.join(factors) or 'none'}. "
+            f"Add a column {by}, or name another one."
         )
-    return replace(plan, specimens=tuple(found))
+    return replace(plan, specimens=tuple(specimens))
 
 
-def _names(rows: Sequence[_Row], home: Path) -> list[str]:
+def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     """Names as given; else the factors, or the files, whichever tells all specimens apart."""
-    by_factor = ["-".join(cell for key, cell in row.cells.items() if key not in _OWN) for row in rows]
+    by_factor = ["-".join(cell for key, cell in row.cells.items() if key not in _NO_FACTORS) for row in rows]
     first = [(row.layers[:1] or (row.cells.get("volume", ""),))[0].rpartition("=")[2] for row in rows]
     by_file = [find_place(home / file).stem if file else "" for file in first]
-    for guess in (by_factor, by_file):
-        if all(guess) and len({one.casefold() for one in guess}) == len(guess):
-            return [row.cells.get("name", checked_name(one)) for row, one in zip(rows, guess, strict=True)]
     width = len(str(len(rows)))
-    return [row.cells.get("name", f"specimen-{k:0{width}d}") for k, row in enumerate(rows, 1)]
+    guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]
+    for names in (by_file, by_factor):
+        if all(names) and len({name.casefold() for name in names}) == len(names):
+            guesses = [checked_name(name) for name in names]
+    return [row.cells.get("name", guess) for row, guess in zip(rows, guesses, strict=True)]
 
 
 def _fault_of(name: str) -> str | None:
     if not name.strip() or name.startswith("."):
         return "a name begins with a letter or a digit"
-    if found := _NO_NAME.search(name):
-        return f"{found[0]!r} cannot stand in the name of a folder"
+    if sign := _NO_NAME.search(name):
+        return f"{sign[0]!r} cannot stand in the name of a folder"
     if len(name) > _LONGEST_NAME:
         return f"it has more than {_LONGEST_NAME} characters"
     return fault_of_name(name, windows=True)
@@ -294,9 +287,9 @@ def checked_name(guess: str) -> str:
     return _NO_NAME.sub("-", guess)
 
 
-def _placed(file: str, home: Path) -> str:
+def _absolute(file: str, home: Path) -> str:
     """An absolute path; ``NAME=`` stays before it."""
-    name, sign, rest = file.partition("=")
-    if sign and rest and not find_place(home / file).path.exists():
-        return f"{name}={os.path.normpath(home / rest)}"
+    name, sign, path = file.partition("=")
+    if sign and path and not find_place(home / file).path.exists():
+        return f"{name}={os.path.normpath(home / path)}"
     return os.path.normpath(home / file)

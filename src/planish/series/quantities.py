@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass
 
 from planish.core.errors import InputError
 from planish.core.series_results import Cell, Quantity, What
@@ -12,46 +11,14 @@ from planish.core.text import likely
 from planish.measure import registered
 from planish.report.text import in_words
 from planish.series.declared import Declared
-from planish.series.gather import Brief, Gathered
-from planish.series.rows import Row
+from planish.series.gather import FigureRow, RunSummary
 
 _STATISTICS: tuple[What, ...] = ("mean", "sd", "thin_share")
 _ALIKE = 1e-3  # of a length: point sizes that are one
 _MOST_SCATTERED = 4.0  # independent points, from which on the scatter of Fisher's z is known
 
-
-@dataclass(frozen=True, slots=True)
-class Layers:
-    """How layers are called over all specimens: the only sheet, and the only image, need no name."""
-
-    briefs: Mapping[str, Brief]
-
-    def name(self, specimen: str, layer: str) -> str:
-        """Name of a layer of a specimen for the whole series."""
-        own = self.briefs[specimen]
-        of = "sheets" if layer in own.sheets else "images"
-        return "" if all(len(getattr(one, of)) <= 1 for one in self.briefs.values()) else layer
-
-
-def headlines_of(found: Gathered, declared: Declared) -> tuple[str, ...]:
-    """Maps that are compared: those declared, or those that stand for most runs; and those with a margin.
-
-    Raises
-    ------
-    InputError
-        If a map that was declared is in no run.
-    """
-    maps = {row.map for row in found.rows if row.quantity == "mean"}
-    wanted = maps_of(declared)
-    for name in wanted:
-        if name not in maps and found.briefs:
-            raise InputError(
-                f"No run has a map {name}; there are {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one "
-                "of them."
-            )
-    usual = Counter(name for brief in found.briefs.values() for name in brief.headlines)
-    leading = declared.headline or tuple(name for name, _ in usual.most_common())
-    return tuple(dict.fromkeys([*leading, *wanted]))
+Pair = tuple[str, str, str, str]
+"""Layers and maps of a correlation, the sheet first: layer, map, other layer, other map."""
 
 
 def check_maps_known(declared: Declared) -> None:
@@ -70,168 +37,162 @@ def check_maps_known(declared: Declared) -> None:
 
 
 def maps_of(declared: Declared) -> list[str]:
-    """Maps that were declared, by themselves or with a margin."""
-    return [*declared.headline, *(_map_of(name) for name in declared.margin if _map_of(name))]
-
-
-def _map_of(margin: str) -> str:
-    """Map of a margin, ``MAP``, ``MAP.sd`` ...; empty for that of r."""
-    name, dot, what = margin.rpartition(".")
-    return ("" if margin == "r" else margin) if not dot or what not in (*_STATISTICS, "r") else name
+    """Maps that were declared, by themselves or with a margin: of ``MAP`` or ``MAP.sd``; that of r has none."""
+    names = list(declared.headline)
+    for margin in declared.margin:
+        name, dot, statistic = margin.rpartition(".")
+        if margin != "r":
+            names.append(name if dot and statistic in (*_STATISTICS, "r") else margin)
+    return names
 
 
 def margin_of(quantity: Quantity, declared: Declared) -> float | None:
     """The margin that was declared for a quantity."""
-    names = [f"{quantity.map}.{quantity.what}"]
-    names += [quantity.map] if quantity.what == "mean" else ["r"] if quantity.what == "r" else []
-    return next((declared.margin[name] for name in names if name in declared.margin), None)
+    name = f"{quantity.map}.{quantity.what}"
+    short = {"mean": quantity.map, "r": "r"}.get(quantity.what, name)
+    return declared.margin.get(name, declared.margin.get(short))
 
 
-def quantities_of(found: Gathered, declared: Declared) -> tuple[Quantity, ...]:
-    """What is compared: of each leading map its mean, standard deviation and thin share, and r with the other map."""
-    layers, maps = Layers(found.briefs), headlines_of(found, declared)
-    limits = Counter(brief.thin_um for brief in found.briefs.values() if brief.thin_um is not None)
+def quantities_of(
+    rows: Sequence[FigureRow], runs: Mapping[str, RunSummary], declared: Declared
+) -> tuple[Quantity, ...]:
+    """What is compared: of each leading map its mean, standard deviation and thin share, and r with the other map.
+
+    Maps lead that are declared, or else those that stand for most runs; those with a margin follow.
+
+    Raises
+    ------
+    InputError
+        If a map that was declared is in no run.
+    """
+    maps, wanted = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
+    for name in wanted if runs else ():
+        if name not in maps:
+            raise InputError(
+                f"No run has a map {name}; there are {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one "
+                "of them."
+            )
+    usual = Counter(name for run in runs.values() for name in run.headlines).most_common()
+    limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
     thin_um = declared.thin_um if declared.thin_um is not None else max(limits, key=lambda k: limits[k], default=None)
-    out: list[Quantity] = []
-    for name in maps:
-        own = [row for row in found.rows if name in (row.map, row.other_map)]
-        for layer in dict.fromkeys(layers.name(r.specimen, r.layer) for r in own if r.quantity == "mean"):
-            of_layer = [r for r in own if r.map == name and layers.name(r.specimen, r.layer) == layer]
-            out += [q for what in _STATISTICS if (q := _statistic(of_layer, what, layer, thin_um)) is not None]
-        out += _correlations(own, name, layers)
-    return tuple(out)
+    quantities: list[Quantity] = []
+    for name in dict.fromkeys([*(declared.headline or (name for name, _ in usual)), *wanted]):
+        of_map = [row for row in rows if name in (row.map, row.other_map)]
+        for layer in dict.fromkeys(row.layer for row in of_map if row.quantity == "mean"):
+            of_layer = [row for row in of_map if row.map == name and row.layer == layer]
+            statistics = (_statistic(of_layer, statistic, layer, thin_um) for statistic in _STATISTICS)
+            quantities += [q for q in statistics if q is not None]
+        quantities += _correlations(of_map, name)
+    return tuple(quantities)
 
 
-def _statistic(rows: Sequence[Row], what: What, layer: str, thin_um: float | None) -> Quantity | None:
+def _statistic(rows: Sequence[FigureRow], statistic: What, layer: str, thin_um: float | None) -> Quantity | None:
     """Mean, standard deviation or thin share of a map; None where no run states it."""
-    rows = [r for r in rows if r.quantity == what and (what != "thin_share" or _alike(r.at_um, thin_um))]
+    at_um = thin_um if statistic == "thin_share" else None
+    rows = [row for row in rows if row.quantity == statistic]
+    rows = [row for row in rows if _alike(row.at_um, at_um)] if statistic == "thin_share" else rows
     if not rows:
         return None
-    words = in_words(title_of(rows[0].map)) + (f" of {layer}" if layer else "")
+    words = _in_words(rows[0].map, layer)
     title = {
         "mean": f"mean {words}", "sd": f"standard deviation of {words}",
         "thin_share": f"share with {words} below {thin_um:g} um" if thin_um else f"share without {words}",
-    }[what]  # fmt: skip
-    at_um = thin_um if what == "thin_share" else None
+    }[statistic]  # fmt: skip
     return Quantity(
-        layer=layer, map=rows[0].map, what=what, at_um=at_um, unit=rows[0].unit, title=title, map_title=words
+        layer=layer, map=rows[0].map, what=statistic, at_um=at_um, unit=rows[0].unit, title=title, map_title=words
     )
 
 
-def _correlations(rows: Sequence[Row], name: str, layers: Layers) -> list[Quantity]:
+def _in_words(name: str, layer: str) -> str:
+    """A map in a sentence: as the program calls it, or by its name where the program does not know it."""
+    properties = registered()
+    title = properties[name].long_name if name in properties else name.replace("_", " ")
+    return in_words(title) + (f" of {layer}" if layer else "")
+
+
+def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     """Correlations of a map with the images, or with the same map of another sheet, at the usual points."""
-    found: dict[tuple[str, str, str, str], Counter[float]] = {}
+    sizes_of: dict[Pair, Counter[float]] = {}
     for specimen in dict.fromkeys(row.specimen for row in rows):
-        for key, size in _largest_points([r for r in rows if r.specimen == specimen], name, layers).items():
-            found.setdefault(key, Counter())[round(size, 3)] += 1
-    out: list[Quantity] = []
-    for (layer, first, other_layer, second), sizes in found.items():
+        of_specimen = [row for row in rows if row.specimen == specimen]
+        for pair, size in _largest_points(of_specimen, name).items():
+            sizes_of.setdefault(pair, Counter())[round(size, 3)] += 1
+    quantities: list[Quantity] = []
+    for (layer, first, other_layer, second), sizes in sizes_of.items():
         at_um = max(sizes, key=lambda size: (sizes[size], size))
-        words = in_words(title_of(first)) + (f" of {layer}" if layer else "")
+        words = _in_words(first, layer)
         other = f"{other_layer or 'the image'}" if second == "image" else f"that of {other_layer}"
-        out.append(
-            Quantity(
-                layer=layer,
-                map=first,
-                what="r",
-                other_layer=other_layer,
-                other_map=second,
-                at_um=at_um,
-                unit="1",
-                title=f"r of {words} and {other}, points of {at_um:g} um",
-                map_title=words,
-            )
-        )
-    return out
+        title = f"r of {words} and {other}, points of {at_um:g} um"
+        quantities.append(Quantity(
+            layer=layer, map=first, what="r", other_layer=other_layer, other_map=second, at_um=at_um, unit="1",
+            title=title, map_title=words,
+        ))  # fmt: skip
+    return quantities
 
 
-def _largest_points(rows: Iterable[Row], name: str, layers: Layers) -> dict[tuple[str, str, str, str], float]:
+def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
     """The largest points of each correlation of a map, over which there is any point."""
-    found: dict[tuple[str, str, str, str], float] = {}
+    sizes: dict[Pair, float] = {}
     for row in rows:
-        key = key_of(row, layers)
-        if row.quantity == "points" and row.value and row.at_um and key is not None and key[1] == name:
-            found[key] = max(found.get(key, 0.0), row.at_um)
-    return found
+        pair = _pair_of(row)
+        if row.quantity == "points" and row.value and row.at_um and pair is not None and pair[1] == name:
+            sizes[pair] = max(sizes.get(pair, 0.0), row.at_um)
+    return sizes
 
 
-def key_of(row: Row, layers: Layers) -> tuple[str, str, str, str] | None:
-    """Layers and maps of a correlation, the sheet first; None where it is none with an image or the same map."""
-    one, two = ((layers.name(row.specimen, n), m) for n, m in ((row.layer, row.map), (row.other_layer, row.other_map)))
-    if one[1] == "image" and two[1] != "image":
-        one, two = two, one
-    return (*one, *two) if two[1] in ("image", one[1]) else None
+def _pair_of(row: FigureRow) -> Pair | None:
+    """Pair of a correlation; None where it is none with an image or the same map."""
+    first, second = (row.layer, row.map), (row.other_layer, row.other_map)
+    if first[1] == "image" and second[1] != "image":
+        first, second = second, first
+    return (*first, *second) if second[1] in ("image", first[1]) else None
 
 
-def cells_of(
-    specimen: str, rows: Sequence[Row], quantities: Sequence[Quantity], layers: Layers, *, doubtful: bool
-) -> tuple[Cell, ...]:
-    """The quantities of one specimen, and whether each takes part in means.
-
-    Parameters
-    ----------
-    specimen : str
-    rows : sequence of Row
-        Of this specimen.
-    quantities : sequence of Quantity
-    layers : Layers
-    doubtful : bool
-        Whether doubtful figures take part.
-    """
-    return tuple(
-        _cell_of_r(rows, q, layers, doubtful=doubtful) if q.what == "r"
-        else _cell(specimen, rows, q, layers, doubtful=doubtful)
-        for q in quantities
-    )  # fmt: skip
-
-
-def _cell(specimen: str, rows: Sequence[Row], q: Quantity, layers: Layers, *, doubtful: bool) -> Cell:
+def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
+    """A quantity of the specimen that rows are of, and whether it takes part in means, as doubtful figures may."""
+    if q.what == "r":
+        return _cell_of_r(rows, q, with_doubtful=with_doubtful)
     for row in rows:
-        same = row.quantity == q.what and row.map == q.map and layers.name(specimen, row.layer) == q.layer
-        if same and (q.what != "thin_share" or _alike(row.at_um, q.at_um)):
-            why = _why_not(row, doubtful=doubtful)
+        is_same = (row.quantity, row.map, row.layer) == (q.what, q.map, q.layer)
+        if is_same and (q.what != "thin_share" or _alike(row.at_um, q.at_um)):
+            why = _why_not(row, with_doubtful=with_doubtful)
             return Cell(value=row.value, trust=row.trust, counts=not why, why_not=why)
     # A map that is withheld takes its thin shares along; the row is not there then.
-    withheld = [r for r in rows if r.map == q.map and r.quantity == "mean" and r.trust == "withheld"]
-    if withheld and q.what == "thin_share":
-        return Cell(trust="withheld", why_not=_why_not(withheld[0], doubtful=doubtful))
+    for row in rows if q.what == "thin_share" else ():
+        if row.map == q.map and row.quantity == "mean" and row.trust == "withheld":
+            return Cell(trust="withheld", why_not=_why_not(row, with_doubtful=with_doubtful))
     return Cell(why_not="not measured")
 
 
-def _cell_of_r(rows: Sequence[Row], q: Quantity, layers: Layers, *, doubtful: bool) -> Cell:
-    key = (q.layer, q.map, q.other_layer, q.other_map)
-    own = [row for row in rows if row.other_map and key_of(row, layers) == key]
-    sizes = _largest_points(own, q.map, layers)
-    if key not in sizes:
-        return Cell(why_not="not linked" if not any(r.quantity == "r" for r in rows) else "not measured")
-    at_um = next((r.at_um for r in own if r.quantity == "r" and _alike(r.at_um, q.at_um)), sizes[key])
-    found = {r.quantity: r for r in own if r.at_um == at_um}
-    row, scatter = found["r"], found["n_eff_interval"].value
-    why = _why_not(row, doubtful=doubtful)
+def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
+    pair = (q.layer, q.map, q.other_layer, q.other_map)
+    of_pair = [row for row in rows if row.other_map and _pair_of(row) == pair]
+    sizes = _largest_points(of_pair, q.map)
+    if pair not in sizes:
+        return Cell(why_not="not linked" if not any(row.quantity == "r" for row in rows) else "not measured")
+    usual = (row.at_um for row in of_pair if row.quantity == "r" and _alike(row.at_um, q.at_um))
+    at_um = next(usual, sizes[pair])
+    figures = {row.quantity: row for row in of_pair if row.at_um == at_um}
+    r, n_eff, scatter = figures["r"], figures["n_eff"].value, figures["n_eff_interval"].value
+    why = _why_not(r, with_doubtful=with_doubtful)
     if not why and not _alike(at_um, q.at_um):
         why = f"points of {at_um:g} um, others of {q.at_um:g} um"
-    if not why and (scatter is None or scatter <= _MOST_SCATTERED or abs(row.value or 0.0) >= 1):
+    if not why and (scatter is None or scatter <= _MOST_SCATTERED or abs(r.value or 0.0) >= 1):
         why = "too few independent points"
     return Cell(
-        value=row.value, low=row.low, high=row.high, n_eff=found["n_eff"].value, n_eff_interval=scatter,
-        trust=row.trust, counts=not why, why_not=why,
+        value=r.value, low=r.low, high=r.high, n_eff=n_eff, n_eff_interval=scatter, trust=r.trust, counts=not why,
+        why_not=why,
     )  # fmt: skip
 
 
-def _why_not(row: Row, *, doubtful: bool) -> str:
+def _why_not(row: FigureRow, *, with_doubtful: bool) -> str:
     """Why a figure takes part in no mean; empty where it does."""
     by = f" ({row.checks})" if row.checks else ""
     if row.trust == "withheld":
         return f"withheld{by}"
     if row.value is None:
         return "not measured"
-    return f"doubtful{by}" if row.trust == "doubtful" and not doubtful else ""
-
-
-def title_of(name: str) -> str:
-    """Title of a map, as the program has it; its name where the program does not know it."""
-    known = registered()
-    return known[name].long_name if name in known else name.replace("_", " ")
+    return f"doubtful{by}" if row.trust == "doubtful" and not with_doubtful else ""
 
 
 def _alike(a: float | None, b: float | None) -> bool:

@@ -1,24 +1,38 @@
-"""A series from its plan to its runs."""
+"""A series from its plan to its runs: jobs on processes of this computer or on a cluster.
+
+A process that dies takes no other job with it.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+import multiprocessing
+import os
+import signal
+import threading
+import time
+from collections import Counter, deque
+from collections.abc import Callable, Generator, Iterable, Iterator
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
 from pathlib import Path
+from typing import Final
 
-from planish.compute import Compute
-from planish.core.series import Member
+from planish.compute import Compute, engine
+from planish.core.series_results import Member
 from planish.core.threads import count_threads
-from planish.series.jobs import Book, Job
-from planish.series.plan import Plan, Specimen
-from planish.series.workers import outcomes
+from planish.series.jobs import Job, JobOutcome, SeriesState, do, killed
+from planish.series.plan import Plan, PlannedSpecimen
 
 Tell = Callable[[Member, float | None], None]
 """Called with each specimen that is done, and the seconds that it took; None where it was done before."""
 
+_PAUSE = 1.0  # seconds until it is asked again whether there is more to do
+_END: Final = object()
+
 
 def run_series(
     plan: Plan, out: Path, *, compute: Compute, jobs: int = 1, tell: Tell, members: dict[str, Member],
-    coming: Iterable[Specimen | None] | None = None,
+    coming: Iterable[PlannedSpecimen | None] | None = None,
 ) -> None:  # fmt: skip
     """Do all specimens of a series that are not done, each into ``out/runs/NAME``.
 
@@ -35,7 +49,7 @@ def run_series(
         Called as each specimen is done.
     members : dict
         Filled as specimens come in and are done, so that it can be read after an interrupt, too.
-    coming : iterable of Specimen or None, optional
+    coming : iterable of PlannedSpecimen or None, optional
         Specimens instead of those of the plan, as they appear; None for none as yet.
 
     Raises
@@ -43,33 +57,167 @@ def run_series(
     PlanishError
         If the folder cannot be written or the scheduler is lost; not for what is wrong with a specimen.
     """
-    book, of = Book(out, plan), dict[str, Specimen]()
-    own = share(compute, jobs)
+    state, specimens = SeriesState(out, plan), dict[str, PlannedSpecimen]()
+    if compute.scheduler is not None:  # one thread, since the scheduler counts threads
+        of_job = compute.model_copy(update={"scheduler": None, "threads": compute.threads or 1})
+    elif jobs > 1:
+        threads = compute.threads or max(1, count_threads(None) // jobs)
+        of_job = compute.model_copy(update={"memory_bytes": compute.memory // jobs, "threads": threads})
+    else:
+        of_job = compute
 
     def opened() -> Iterator[Job | None]:
         for specimen in plan.specimens if coming is None else coming:
             if specimen is None:
                 yield None
                 continue
-            of[specimen.name] = specimen
-            found = book.open(specimen, own)
-            if isinstance(found, Job):
+            specimens[specimen.name] = specimen
+            job = state.open(specimen, of_job)
+            if isinstance(job, Job):
                 members[specimen.name] = specimen.member
-                yield found
+                yield job
             else:
-                members[specimen.name] = found
-                tell(found, None)
+                members[specimen.name] = job
+                tell(job, None)
 
     for job, outcome in outcomes(opened(), compute, jobs):
-        members[job.name] = book.close(of[job.name], job, outcome)
+        members[job.name] = state.close(specimens[job.name], job, outcome)
         tell(members[job.name], outcome.seconds)
 
 
-def share(compute: Compute, jobs: int) -> Compute:
-    """What one job may use: on a cluster one thread, since the scheduler counts threads."""
+def outcomes(jobs: Iterable[Job | None], compute: Compute, at_once: int) -> Generator[tuple[Job, JobOutcome]]:
+    """Give each job with its outcome as it is done.
+
+    Parameters
+    ----------
+    jobs : iterable of Job or None
+        Taken one by one as there is room, so they may come in while others are worked on; None for none as yet.
+    compute : Compute
+        With a ``scheduler``, whole jobs go to its workers, which need to see the same folders; else to processes.
+    at_once : int
+        Processes of this computer.
+
+    Raises
+    ------
+    InputError, ResourceError
+        If no scheduler answers, or it is lost.
+    """
+    waiting = iter(jobs)
     if compute.scheduler is not None:
-        return compute.model_copy(update={"scheduler": None, "threads": compute.threads or 1})
-    if jobs == 1:
-        return compute
-    threads = compute.threads or max(1, count_threads(None) // jobs)
-    return compute.model_copy(update={"memory_bytes": compute.memory // jobs, "threads": threads})
+        with engine(compute) as cluster:
+            assert cluster.executor is not None
+            yield from _run_jobs(waiting, _Cluster(cluster.executor, cluster.at_once))
+        return
+    processes = _Processes(at_once)
+    try:
+        yield from _run_jobs(waiting, processes)
+    finally:
+        processes.stop()
+
+
+def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, JobOutcome]]:
+    """Keep all workers busy; give outcomes in the order in which they come."""
+    busy: dict[Future[JobOutcome], Job] = {}
+    tries: Counter[str] = Counter()
+    again: deque[Job] = deque()
+    more = True
+    while more or busy or again:
+        idle = False
+        while len(busy) < workers.at_once and (more or again) and not idle:
+            job = again.popleft() if again else next(waiting, _END)
+            if isinstance(job, Job):
+                busy[workers.start(job)] = job
+            else:
+                more, idle = more and job is None, job is None
+        if not busy:
+            if idle:
+                time.sleep(_PAUSE)
+            continue
+        done, _ = wait(busy, timeout=_PAUSE if idle else None, return_when=FIRST_COMPLETED)
+        for future in done:
+            job = busy.pop(future)
+            try:
+                yield job, future.result()
+            except workers.deaths:
+                tries[job.name] += 1
+                workers.forget(future)
+                if tries[job.name] < workers.tries:
+                    again.append(job)
+                else:
+                    yield job, killed()
+
+
+class _Cluster:
+    """Workers of a dask scheduler, so many jobs at a time as these have threads. It tries lost jobs again itself."""
+
+    tries = 1
+
+    def __init__(self, executor: Executor, at_once: int) -> None:
+        from distributed import KilledWorker
+
+        self._executor, self.at_once = executor, at_once
+        self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
+
+    def start(self, job: Job) -> Future[JobOutcome]:
+        return self._executor.submit(do, job)
+
+    def forget(self, future: Future[JobOutcome]) -> None:
+        """Nothing: the scheduler starts no worker."""
+
+
+class _Processes:
+    """Processes of this computer, each doing job after job; another takes its place where one ends."""
+
+    deaths: tuple[type[BaseException], ...] = (BrokenProcessPool,)
+    tries = 2
+
+    def __init__(self, at_once: int) -> None:
+        self.at_once = at_once
+        self._free: list[ProcessPoolExecutor] = []
+        self._used: dict[Future[JobOutcome], ProcessPoolExecutor] = {}
+
+    def start(self, job: Job) -> Future[JobOutcome]:
+        done = [future for future in self._used if future.done()]
+        self._free += [self._used.pop(future) for future in done]
+        while self._free:
+            pool = self._free.pop()
+            try:
+                future = pool.submit(do, job)
+            except BrokenProcessPool:  # it ended while it had nothing to do
+                continue
+            self._used[future] = pool
+            return future
+        # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
+        pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
+        future = pool.submit(do, job)
+        self._used[future] = pool
+        return future
+
+    def forget(self, future: Future[JobOutcome]) -> None:
+        self._used.pop(future).shutdown(wait=False)
+
+    def stop(self) -> None:
+        """End all: idle ones by themselves; busy ones leave their job, which goes on from there the next time."""
+        for future, pool in self._used.items():
+            if not future.done():
+                for process in list((pool._processes or {}).values()):  # pyright: ignore[reportPrivateUsage]
+                    process.terminate()
+        for pool in (*self._free, *self._used.values()):
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _begin() -> None:
+    """Leave Ctrl-C to the process that started this one, and end where that is gone: nobody waits any more.
+
+    Terminated, a process leaves its job as a single run does at Ctrl-C, and its libraries give their locks back.
+    """
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    signal.signal(signal.SIGTERM, signal.default_int_handler)
+    parent = multiprocessing.parent_process()
+
+    def watch() -> None:
+        if parent is not None:
+            parent.join()
+            os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

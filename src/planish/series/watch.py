@@ -6,7 +6,6 @@ import re
 import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 from pydantic import Field, ValidationError
 
@@ -16,11 +15,9 @@ from planish.core.tables import model_faults
 from planish.io import find_place
 from planish.io.info import describe
 from planish.series.jobs import stamp_of
-from planish.series.plan import Plan, Specimen, checked_name
+from planish.series.plan import Plan, PlannedSpecimen, checked_name
 
 _FACTOR = re.compile(r"\{([A-Za-z_][A-Za-z0-9_]*)\}")
-
-Told = Callable[[str], None]
 
 
 class WatchParams(Params):
@@ -36,21 +33,21 @@ def watch_params(plan: Plan) -> WatchParams:
     if not plan.watch:
         raise InputError(f"--watch needs to know how files pair. Write a table {example} into the study.")
     try:
-        found = WatchParams.model_validate(plan.watch)
+        params = WatchParams.model_validate(plan.watch)
     except ValidationError as error:
         raise InputError(f"{'; '.join(model_faults(error, ['watch']))}. Needed: {example}.") from error
-    names = _FACTOR.findall(found.volume)
+    names = _FACTOR.findall(params.volume)
     if not names or len(set(names)) < len(names):
-        raise InputError(f"watch.volume {found.volume!r} needs each factor once, in braces. Needed: {example}.")
-    if found.image is not None and sorted(set(_FACTOR.findall(found.image))) != sorted(names):
-        raise InputError(f"watch.image {found.image!r} needs the factors of watch.volume. Needed: {example}.")
-    return found
+        raise InputError(f"watch.volume {params.volume!r} needs each factor once, in braces. Needed: {example}.")
+    if params.image is not None and sorted(set(_FACTOR.findall(params.image))) != sorted(names):
+        raise InputError(f"watch.image {params.image!r} needs the factors of watch.volume. Needed: {example}.")
+    return params
 
 
 def watched(
-    plan: Plan, folder: Path, *, settle_s: float, idle_s: float | None, tell: Told,
+    plan: Plan, folder: Path, *, settle_s: float, idle_s: float | None, tell: Callable[[str], None],
     clock: Callable[[], float] = time.monotonic,
-) -> Iterator[Specimen | None]:  # fmt: skip
+) -> Iterator[PlannedSpecimen | None]:  # fmt: skip
     """Give specimens as their files are whole; None where there is none as yet.
 
     A file is taken when it has not changed for ``settle_s`` and its own reader finds it complete. One that is not
@@ -58,59 +55,48 @@ def watched(
     """
     params = watch_params(plan)
     wanted = find_place(params.volume)
-    pattern = _pattern(str(wanted.path))
-    given: dict[str, str] = {}  # name of a specimen -> stamp of its files
-    refused: dict[str, str] = {}
+    parts = _FACTOR.split(str(wanted.path))  # a name with its factors as groups
+    groups = (re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)" for k, part in enumerate(parts))
+    pattern = re.compile("".join(groups))
+    judged: dict[str, str] = {}  # name of a specimen that was taken or refused -> stamp of its files
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
     last = clock()
     while True:
         came = False
         for entry in sorted(folder.iterdir()):
-            found = pattern.fullmatch(entry.name)
-            if found is None:
+            match = pattern.fullmatch(entry.name)
+            if match is None:
                 continue
-            factors = found.groupdict()
-            volume = Path(f"{entry}:{wanted.part}") if wanted.part else entry
+            factors = match.groupdict()
             images = [folder / params.image.format(**factors)] if params.image else []
-            files = [volume, *images]
+            files = [Path(f"{entry}:{wanted.part}") if wanted.part else entry, *images]
             name = checked_name("-".join(factors.values()))
             if not all(image.exists() for image in images):
                 continue
             stamp = " ".join(stamp_of(file) for file in files)
-            first = since.get(name)
-            if first is None or first[0] != stamp:
+            if name not in since or since[name][0] != stamp:
                 since[name] = stamp, clock()
                 continue
-            if clock() - first[1] < settle_s or given.get(name) == stamp or refused.get(name) == stamp:
+            if clock() - since[name][1] < settle_s or judged.get(name) == stamp:
                 continue
+            judged[name] = stamp
             if fault := _incomplete(files):
-                refused[name] = stamp
                 tell(f"{name}: {fault} It is tried again when the file changes.")
                 continue
-            given[name], came = stamp, True
-            last = clock()
-            yield Specimen(name=name, files=tuple(str(file.absolute()) for file in files), factors=factors)
+            came, last = True, clock()
+            yield PlannedSpecimen(name=name, files=tuple(str(file.absolute()) for file in files), factors=factors)
         if not came:
             if idle_s is not None and clock() - last >= idle_s:
                 return
             yield None
 
 
-def _pattern(text: str) -> re.Pattern[str]:
-    """A name with its factors as groups."""
-    parts = _FACTOR.split(text)
-    return re.compile("".join(
-        re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)" for k, part in enumerate(parts)
-    ))  # fmt: skip
-
-
 def _incomplete(files: list[Path]) -> str | None:
     """What is missing of a file by its own header."""
     for file in files:
         try:
-            facts: dict[str, Any] = describe(file)
+            if not describe(file)["shape"]:
+                return f"{file.name} holds nothing."
         except PlanishError as error:
             return error.text
-        if not facts["shape"]:
-            return f"{file.name} holds nothing."
     return None

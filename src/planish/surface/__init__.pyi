@@ -3,9 +3,9 @@ from .corrected import correct_surfaces as correct_surfaces
 from .corrected import correction_check as correction_check
 from .corrected import preview_faces as preview_faces
 from .corrected import uncorrected as uncorrected
-from .corrections import Corrections as Corrections
-from .corrections import Stretch as Stretch
-from .corrections import read_corrections as read_corrections
 from .find import find_surfaces as find_surfaces
+from .params import Corrections as Corrections
 from .params import LabelParams as LabelParams
+from .params import Stretch as Stretch
 from .params import SurfaceParams as SurfaceParams
+from .params import read_corrections as read_corrections

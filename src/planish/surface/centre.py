@@ -21,7 +21,6 @@ from planish.core.typing import Floats
 # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half (ISO
 # 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
 _GAMMA = 0.887
-_REACH = 1.5  # in units of GAMMA lambda; the weight there is 0.0009
 _POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
 _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
 _LEAST_WEIGHT = 0.04  # of a full neighbourhood: below it the surface would be extrapolated
@@ -35,18 +34,24 @@ def gaussian_regression(height: Floats, pitch_um: tuple[float, float], *, cutoff
     # The result has no wavelengths below the cut-off, so blocks of a 25th of it lose nothing.
     # A field that is hardly wider than that is cut into four all the same.
     rows, cols = (max(1, min(int(cutoff_um / 25 / p), n // 4)) for p, n in zip(pitch_um, height.shape, strict=True))
-    block = rows, cols
-    mean, weight = _blocks(height, block)
+    is_finite = np.isfinite(height)
+    down, across = (np.arange(0, n, b) for n, b in zip(height.shape, (rows, cols), strict=True))
+    total, count = (
+        np.add.reduceat(np.add.reduceat(part, down, 0), across, 1)
+        for part in (np.where(is_finite, height, 0.0), is_finite.astype(float))
+    )
+    # A partial block's mean does not lie at its nominal centre; it is left out unless it is (nearly) whole.
+    is_whole = count >= 0.5 * rows * cols
     pad = 8  # the spline forgets its end condition by a factor of four a node
-    mean, weight = np.pad(mean, pad), np.pad(weight, pad)
-    coarse_pitch = pitch_um[0] * block[0], pitch_um[1] * block[1]
-    regression = _Regression(weight, coarse_pitch, cutoff_um)
+    mean = np.pad(np.where(is_whole, total / np.maximum(count, 1.0), 0.0), pad)
+    weight = np.pad(np.where(is_whole, count / (rows * cols), 0.0), pad)
+    regression = _Regression(weight, (pitch_um[0] * rows, pitch_um[1] * cols), cutoff_um)
     coarse = regression(mean)
     # A second pass over what the first left behind: a wave of 1500 um then loses 0.02 % of its height and not 0.6 %.
     coarse += regression(np.where(weight > 0, mean - coarse, 0.0))
     grid_lines = [
         np.clip((np.arange(n) - 0.5 * (b - 1)) / b + pad, 0, m - 1)
-        for n, b, m in zip(height.shape, block, coarse.shape, strict=True)
+        for n, b, m in zip(height.shape, (rows, cols), coarse.shape, strict=True)
     ]
     return interpolate(coarse, grid_lines, order=3)
 
@@ -81,17 +86,6 @@ def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floa
     return out
 
 
-def _blocks(height: Floats, block: tuple[int, int]) -> tuple[Floats, Floats]:
-    """Return mean and count share of blocks; the last block of an axis may be smaller and then counts less."""
-    is_finite = np.isfinite(height)
-    edges = [np.arange(0, n, b) for n, b in zip(height.shape, block, strict=True)]
-    total = np.add.reduceat(np.add.reduceat(np.where(is_finite, height, 0.0), edges[0], 0), edges[1], 1)
-    count = np.add.reduceat(np.add.reduceat(is_finite.astype(float), edges[0], 0), edges[1], 1)
-    # A partial block's mean does not lie at its nominal centre; it is left out unless it is (nearly) whole.
-    whole = count >= 0.5 * block[0] * block[1]
-    return np.where(whole, total / np.maximum(count, 1.0), 0.0), np.where(whole, count / (block[0] * block[1]), 0.0)
-
-
 class _Regression:
     """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
@@ -100,7 +94,7 @@ class _Regression:
         self.weight = weight
         self.axes: list[tuple[Floats, Floats]] = []
         for p in pitch:
-            half = max(2, int(np.ceil(_REACH * scale / p)))
+            half = max(2, int(np.ceil(1.5 * scale / p)))  # in units of GAMMA lambda; the weight there is 0.0009
             x: Floats = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
             self.axes.append((x, np.exp(-np.pi * x * x)))
         moments = self._moments(weight, _POWERS)

@@ -14,6 +14,8 @@ from planish.core.typing import Bools, Floats
 from planish.surface import _kernels
 from planish.surface.centre import interpolate
 
+Blocks = NDArray[np.float32]
+"""Means over blocks of columns: (block rows, block cols, depth)."""
 CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
 _SECOND_SHEET = 0.25  # share of the largest piece's area above which a second piece counts as another sheet
 _LEAVES = 0.5  # share of columns that may run out of the volume
@@ -45,29 +47,19 @@ class CoarseSheet:
 class Choice:
     """Which object is the sheet."""
 
+    block: int  # edge of a block in voxels
     describe: Callable[[tuple[int, int, int]], str]  # turns such a point into what a user would give as a seed
     # Block row, block column and depth of a point in it; the largest object where not given.
     seed: tuple[int, int, int] | None = None
 
 
-def search_sheet(
-    blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
-) -> CoarseSheet:
+def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
     """Find the sheet at the seed point, or the only one where no seed is given."""
-    search = coarse_sheet if choice.seed is None else followed_sheet
-    return search(blocks, inside, threshold, block, choice)
+    return (coarse_sheet if choice.seed is None else followed_sheet)(blocks, inside, threshold, choice)
 
 
-def coarse_sheet(
-    blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
-) -> CoarseSheet:
-    """Keep one connected slab of ``inside``, the chosen or the largest one, and measure its extent.
-
-    Raises
-    ------
-    VolumeError
-        If there is no slab, more than one, or if it fills the volume from end to end.
-    """
+def coarse_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
+    """Measure the largest slab of ``inside``; VolumeError for none, for several, and for one from end to end."""
     labels, count = ndimage.label(inside)
     if count == 0:
         raise VolumeError(
@@ -110,24 +102,26 @@ def coarse_sheet(
             f"{_CHOOSE}"
         )
     low, high = _extent(blocks, np.where(is_sheet, first, -1), np.where(is_sheet, last, -1), threshold)
+    sizes = np.sum([np.bincount(row.ravel(), minlength=count + 1) for row in labels], axis=0)[1:]
     return CoarseSheet(
-        low=low, high=high, block=block,
-        leaves=mask[..., 0] | mask[..., -1], threshold=threshold, touching=np.zeros(is_sheet.shape, bool),
-        specks=int(np.count_nonzero(_sizes(labels, count) >= _SPECK)) - 1,
+        low=low, high=high, block=choice.block, leaves=mask[..., 0] | mask[..., -1], threshold=threshold,
+        touching=np.zeros(is_sheet.shape, bool), specks=int(np.count_nonzero(sizes >= _SPECK)) - 1,
     )  # fmt: skip
 
 
-def followed_sheet(
-    blocks: NDArray[np.float32], inside: Bools, threshold: float, block: int, choice: Choice
-) -> CoarseSheet:
-    """Follow the sheet that holds the seed point from column to column.
-
-    Raises
-    ------
-    VolumeError
-        If there is nothing at the seed point, or what is there is no sheet.
-    """
-    row, col, depth = _seed_block(inside, choice)
+def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
+    """Follow the sheet at the seed point from column to column; VolumeError if there is none."""
+    assert choice.seed is not None
+    seed = np.asarray(choice.seed)
+    corner = np.maximum(seed - _NEAR, 0)
+    places = np.argwhere(inside[tuple(slice(int(a), int(k) + _NEAR + 1) for a, k in zip(corner, seed, strict=True))])
+    if places.size == 0:
+        raise VolumeError(
+            f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
+            "sheet with --seed-um."
+        )
+    # The nearest block of material to the seed point.
+    row, col, depth = (int(k) for k in places[int(np.argmin(np.sum((places + corner - seed) ** 2, axis=1)))] + corner)
     run = inside[row, col]
     outside = np.flatnonzero(~run)
     start = int(outside[outside < depth].max(initial=-1)) + 1
@@ -156,7 +150,7 @@ def followed_sheet(
             "--seed-um."
         )
     first, last = _extent(blocks, low, high, threshold)
-    return CoarseSheet(low=first, high=last, block=block, leaves=leaves, threshold=threshold, touching=merged)
+    return CoarseSheet(low=first, high=last, block=choice.block, leaves=leaves, threshold=threshold, touching=merged)
 
 
 def flags_to_columns(field: Bools, block: int, shape: tuple[int, int]) -> Bools:
@@ -171,21 +165,6 @@ def to_columns(field: Floats, block: int, shape: tuple[int, int]) -> Floats:
         np.clip((np.arange(n) - 0.5 * (block - 1)) / block, 0, m - 1) for n, m in zip(shape, field.shape, strict=True)
     ]
     return interpolate(field, lines, order=1)
-
-
-def _seed_block(inside: Bools, choice: Choice) -> tuple[int, int, int]:
-    """Nearest block of material to the seed point."""
-    assert choice.seed is not None
-    seed = np.asarray(choice.seed)
-    corner = np.maximum(seed - _NEAR, 0)
-    places = np.argwhere(inside[tuple(slice(int(a), int(k) + _NEAR + 1) for a, k in zip(corner, seed, strict=True))])
-    if places.size == 0:
-        raise VolumeError(
-            f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
-            "sheet with --seed-um."
-        )
-    row, col, depth = places[int(np.argmin(np.sum((places + corner - seed) ** 2, axis=1)))] + corner
-    return int(row), int(col), int(depth)
 
 
 def _inner_point(mask: Bools) -> tuple[int, int, int]:
@@ -207,18 +186,9 @@ def _cover(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
     return cover[1:]
 
 
-def _sizes(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
-    """Count the blocks of each object."""
-    return np.sum([np.bincount(row.ravel(), minlength=count + 1) for row in labels], axis=0)[1:]
-
-
-def _extent(
-    blocks: NDArray[np.float32], low: NDArray[np.int64], high: NDArray[np.int64], threshold: float
-) -> tuple[Floats, Floats]:
-    """Move first and last index (-1: none) outwards to where the grey crosses the threshold.
-
-    A sheet that touches the end of its column is cut there: its face is not in the volume.
-    """
+def _extent(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float) -> tuple[Floats, Floats]:
+    """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
+    # A sheet that touches the end of its column is cut there: its face is not in the volume, and that end is NaN.
     ends: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):

@@ -1,6 +1,6 @@
-"""The volume as columns through the sheet, read in tiles: the only place where the surface search meets its voxels.
+"""The volume as columns through the sheet, read in tiles, and the priors of their fit.
 
-For the fit columns are oriented: the air at 0, the sheet above it.
+Only here the surface search meets its voxels. For the fit columns are oriented: the air at 0, the sheet above it.
 """
 
 from __future__ import annotations
@@ -72,16 +72,10 @@ class Columns:
     def grey(
         self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)
     ) -> NDArray[np.float32]:
-        """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
+        """Grey of the columns of a tile, (rows, cols, depth), or of a part of the depth; NaN is missing.
 
-        Parameters
-        ----------
-        tile : Tile
-        slope : two (rows, cols), optional
-            How far the sheet rises along the column from one voxel row to the next, and from one voxel column to the
-            next, in voxels. The voxels that a column is the mean of are moved by it to the nearest voxel.
-        depth : slice, optional
-            Part of the depth; not together with ``slope``.
+        ``slope``, two (rows, cols): how far the sheet rises in voxels from one voxel row, or column, to the next. The
+        voxels that a column is the mean of are moved by it to the nearest voxel; not with a part of the depth.
         """
         raw = self.voxels(tile, depth)
         if self.step > 1:
@@ -102,19 +96,16 @@ class Columns:
         rows, cols, depth = self.shape
         column = depth * self.step**2 * (self.volume.dtype.itemsize + _WORKING / self.step**2)
         budget = engine.memory_bytes / (engine.at_once + 1) / 2
-        edge = int(np.clip(np.sqrt(budget / column), 8, _TILE))
-        chunks = self.volume.encoding.get("chunks")
+        chunks, edges = self.volume.encoding.get("chunks"), [multiple]
         if chunks is not None:
-            multiple = int(np.lcm.reduce([multiple, *(self._chunk(chunks, axis) for axis in "rc")]))
-        edge = max(edge // multiple, 1) * multiple
+            # Columns in a chunk of the file where they fit into it evenly.
+            sizes = [chunks["zyx".index(axis)] for axis in (self.frame.rows, self.frame.cols)]
+            edges += [n // self.step for n in sizes if n % self.step == 0 and n // self.step <= _TILE]
+        multiple = int(np.lcm.reduce(edges))
+        edge = max(int(np.clip(np.sqrt(budget / column), 8, _TILE)) // multiple, 1) * multiple
         # Along the rows of the file as far as memory allows, so that neighbours in the file are read together.
         wide = max(int(budget / column / edge) // multiple, 1) * multiple
         return tiles_of((rows, cols), (edge, max(min(wide, 4 * edge), edge)))
-
-    def _chunk(self, chunks: tuple[int, ...], axis: str) -> int:
-        """Columns in a chunk of the file where they fit into it evenly."""
-        size = chunks["zyx".index(self.frame.rows if axis == "r" else self.frame.cols)]
-        return size // self.step if size % self.step == 0 and size // self.step <= _TILE else 1
 
 
 def join_tiles(parts: Iterable[tuple[Tile, Floats]], out: Floats) -> Floats:
@@ -199,3 +190,78 @@ def oriented(columns: Columns, tile: Tile, guide: Guide, scale: Scale) -> NDArra
     _kernels.blend(other, rise_c, weights, 0, 1, part)
     inner = tile.within(outside)
     return np.ascontiguousarray(part[inner.rows, inner.cols])
+
+
+FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Edge:
+    """Profile of a sharp edge as the scanner shows it, which a column crosses at a right angle; lengths in voxels."""
+
+    width: float  # standard deviation of the blur
+    # Size of the phase-contrast fringe beside it: a share of the edge's step; 0 where there is none.
+    fringe: float = 0.0
+    # Distance of its undershoot and overshoot from the edge: the standard deviation of the Gaussian whose second
+    # derivative it is.
+    fringe_width: float = FRINGE_PX
+
+    @property
+    def ratio(self) -> float:
+        """Width of the blur over that of the fringe."""
+        return self.width / self.fringe_width
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Side:
+    """Prior of the layers on one side of a column, (4,): what is expected, and how far a column may differ."""
+
+    level: Floats  # of face, thickness, grey of the coating (or of what lies outside), grey of the base
+    spread: Floats  # of the same; only those of the greys are used
+    coated: bool
+
+    def brighter(self, factor: float) -> Side:
+        """Return the side with a coating whose grey is known: so many times what it was."""
+        level, wide = self.level.copy(), self.spread.copy()
+        level[2] *= factor
+        wide[2] = 1e-3 * level[2]
+        return Side(level=level, spread=wide, coated=True)
+
+
+Sides = dict[bool, Side]  # by whether they lie at the high end of the columns
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Priors:
+    """All that the fit of a column needs beside the column."""
+
+    scale: Scale
+    noise: float  # standard deviation of what the fit sees in the air
+    single_noise: float  # that of a column that is not averaged with its neighbours
+    scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more
+    base: float  # level of the base above the air
+    edge: Edge  # blur and fringe
+    reach: float  # how far outside the expected face the search starts, in voxels
+    embedded_level: float  # grey that separates a sheet from other material; 0 where air lies beside the sheet
+    sides: Sides
+
+    @property
+    def coated(self) -> tuple[bool, bool]:
+        """Tell of the sides at the high and at the low end if they have a coating."""
+        return self.sides[True].coated, self.sides[False].coated
+
+    def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
+        """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""
+        air, polarity, edge = self.scale.air, self.scale.polarity, self.edge
+        high, low = (
+            float(polarity * side.level[2] + air) if side.coated else float("nan")
+            for side in (self.sides[True], self.sides[False])
+        )
+        top, bottom = (high, low) if frame.top == "high" else (low, high)
+        return {
+            "grey_air": air, "grey_base": polarity * self.base + air, "grey_coating_top": top,
+            "grey_coating_bottom": bottom, "grey_noise": self.noise, "grey_noise_single": self.single_noise,
+            "averaged_columns": self.scale.blend, "polarity": polarity,
+            "blur_um": edge.width * pitch_um, "fringe": edge.fringe,
+            "fringe_um": edge.fringe_width * pitch_um if edge.fringe else 0.0,
+        }  # fmt: skip

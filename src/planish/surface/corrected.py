@@ -17,15 +17,13 @@ from planish.core.tiles import Engine
 from planish.core.typing import Floats
 from planish.surface.assemble import centre_surface
 from planish.surface.columns import Columns
-from planish.surface.corrections import FACES, Corrections, Face, Stretch
-from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawn, draw_faces
-from planish.surface.params import SurfaceParams
+from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawing, draw_faces
+from planish.surface.params import FACES, Corrections, Face, Stretch, SurfaceParams
 
 _REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
 _SEEN_UM = 0.001  # the centre surface moves where a correction moves it by more
 _SUPPORT = 3.0  # cut-offs: how far the smoothing of the centre surface reaches
 _HOW = "found image interpolated"
-_MOST_DRAWN = 0.1  # of the sheet
 _UNCHANGED = 255  # of ``found_status``
 _TILES = "corrected_tiles"
 _HEIGHTS = ("top", "bottom", "interface_top", "interface_bottom")
@@ -171,7 +169,7 @@ def correction_check(surfaces: xr.Dataset) -> Check | None:
     sheet = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
     drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (IMAGE, INTERPOLATED))
     return Check.at_most(
-        "corrections", drawn / sheet, look=_MOST_DRAWN,
+        "corrections", drawn / sheet, look=0.1,  # of the sheet
         sentence=f"Faces of {drawn} columns ({100 * drawn / sheet:.2g} % of the sheet) were drawn to {points} points "
         f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
         advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
@@ -179,7 +177,7 @@ def correction_check(surfaces: xr.Dataset) -> Check | None:
     )  # fmt: skip
 
 
-def _with_drawn(surfaces: xr.Dataset, drawn: Drawn, params: SurfaceParams) -> xr.Dataset:
+def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
     before = {name: surfaces[name].values for name in (*_HEIGHTS, "status")}
     changed = np.any([drawn.how[face] > 0 for face in FACES], axis=0)
@@ -217,26 +215,21 @@ def _moved_centre(
     """The centre surface, moved by what the smoothing of the new faces differs from that of the old ones."""
     middles = [
         np.where(of == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
-        for of, faces in (
-            (surfaces["status"].values, {face: surfaces[face].values for face in FACES}),
-            (status, heights),
-        )
+        for of, faces in ((surfaces["status"].values, {k: surfaces[k].values for k in FACES}), (status, heights))
     ]
     centre = surfaces["centre"].values
     differs = ~((middles[0] == middles[1]) | (np.isnan(middles[0]) & np.isnan(middles[1])))
     if not differs.any():
         return centre
     steps = pitch(surfaces)
-    window = tuple(
-        slice(max(int(changed_lines[0]) - reach, 0), int(changed_lines[-1]) + reach + 1)
-        for changed_lines, reach in zip(
-            (np.flatnonzero(differs.any(axis=1)), np.flatnonzero(differs.any(axis=0))),
-            (int(np.ceil(_SUPPORT * params.cutoff_um / step)) for step in steps), strict=True,
-        )
-    )  # fmt: skip
-    outline = np.isfinite(centre[window])
-    old, new = (centre_surface(middle[window], outline, steps, params)[0] for middle in middles)
+    window: list[slice] = []
+    for axis, step in enumerate(steps):
+        lines, reach = np.flatnonzero(differs.any(axis=1 - axis)), int(np.ceil(_SUPPORT * params.cutoff_um / step))
+        window.append(slice(max(int(lines[0]) - reach, 0), int(lines[-1]) + reach + 1))
+    part = window[0], window[1]
+    outline = np.isfinite(centre[part])
+    old, new = (centre_surface(middle[part], outline, steps, params)[0] for middle in middles)
     move = np.where(np.abs(new - old) >= _SEEN_UM, new - old, 0.0)
     moved = centre.copy()
-    moved[window] += np.where(np.isfinite(move), move, 0.0)
+    moved[part] += np.where(np.isfinite(move), move, 0.0)
     return moved

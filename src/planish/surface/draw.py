@@ -10,7 +10,6 @@ expected place. Its standard error follows.
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import NamedTuple
 
@@ -26,10 +25,8 @@ from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _draw_kernels
-from planish.surface.columns import Columns, Guide, Scale, oriented, voxel_pitch
-from planish.surface.corrections import FACES, Corrections, Face, Stretch
-from planish.surface.kriging import Kriging, variogram_slope
-from planish.surface.priors import FRINGE_PX
+from planish.surface.columns import FRINGE_PX, Columns, Guide, Scale, oriented, voxel_pitch
+from planish.surface.params import FACES, Corrections, Face, Stretch
 
 UNCHANGED, IMAGE, INTERPOLATED = 0, 1, 2
 """A column's face was left as it was found, found again in the image, or interpolated."""
@@ -48,34 +45,25 @@ _EDGE = 1.0  # voxels by which an edge may be off where something misled the sea
 _NEVER = (Status.NO_SHEET, Status.LEAVES_VOLUME)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Drawn:
-    """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face."""
-
-    heights: dict[str, Floats]
-    how: dict[Face, NDArray[np.uint8]]
-    error_um: dict[Face, Floats]
-    tiles: list[Tile] = field(default_factory=list[Tile])  # those that were searched again
-
-
-def draw_faces(surfaces: xr.Dataset, columns: Columns, corrections: Corrections, engine: Engine) -> Drawn:
+def draw_faces(surfaces: xr.Dataset, columns: Columns, corrections: Corrections, engine: Engine) -> Drawing:
     """Draw the faces of surfaces, as they were found, to the points of all stretches, one after the other."""
-    return _Drawing(surfaces, columns, engine).drawn(corrections)
+    drawing = Drawing(surfaces, columns, engine)
+    for stretch in corrections.stretches:
+        for face in FACES:
+            if stretch.of(face):
+                drawing.draw(stretch, face)
+    return drawing
 
 
 class _Edges(NamedTuple):
-    """Job of the search of edges in columns; arrays are (n,) and depths count from the outer end."""
+    """Job of the search of edges in n columns; depths count from the outer end."""
 
     columns: Columns
     scale: Scale
     guide: Guide
     high: bool  # whether the outer end is the high one
-    rows: NDArray[np.intp]
-    cols: NDArray[np.intp]
-    expected: Floats
-    error: Floats
-    band: Floats
-    other: Floats
+    places: NDArray[np.intp]  # (2, n): rows and columns
+    depths: Floats  # (4, n): the depth expected, its error, how far from it an edge may be, and the other depth
     rides: bool
     sign: float
     blur: float
@@ -85,7 +73,9 @@ class _Edges(NamedTuple):
     ratio: float
 
 
-class _Drawing:
+class Drawing:
+    """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face; ``tiles`` searched again."""
+
     def __init__(self, surfaces: xr.Dataset, columns: Columns, engine: Engine) -> None:
         self.columns, self.engine, self.frame = columns, engine, Frame.of(surfaces)
         self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
@@ -97,17 +87,11 @@ class _Drawing:
         self.status: NDArray[np.uint8] = surfaces["status"].values
         self.centre = surfaces["centre"].values.astype(np.float64)
         self.how: dict[Face, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in FACES}
-        self.error: dict[Face, Floats] = {face: np.full(self.status.shape, np.nan) for face in FACES}
+        self.error_um: dict[Face, Floats] = {face: np.full(self.status.shape, np.nan) for face in FACES}
         self.tiles: list[Tile] = []
 
-    def drawn(self, corrections: Corrections) -> Drawn:
-        for stretch in corrections.stretches:
-            for face in FACES:
-                if stretch.of(face):
-                    self._draw(stretch, face)
-        return Drawn(heights=self.heights, how=self.how, error_um=self.error, tiles=self.tiles)
-
-    def _draw(self, stretch: Stretch, face: Face) -> None:
+    def draw(self, stretch: Stretch, face: Face) -> None:
+        """Draw a face to the points of a stretch."""
         points = self._points(stretch, face)
         ring_um = max(RING_UM, 0.5 * stretch.reach_um)
         window = self._window(points[:, :2], stretch.reach_um + ring_um)
@@ -143,24 +127,30 @@ class _Drawing:
         self._redraw_interfaces(window, near, {face: wrong, other: missing}, expect)
 
     def _redraw_interfaces(self, window: Tile, near: Bools, redrawn: dict[Face, Bools], expect: _Expectation) -> None:
-        """Move the interfaces with the faces that were redrawn, by the coating around."""
+        """Move the interfaces with the faces that were redrawn: to edges in the image, or by the coating around."""
         for face, where in redrawn.items():
             interface = self.heights[f"interface_{face}"]
             if not np.isfinite(interface).any() or not where.any():
                 continue
             coating = np.abs(interface - self.heights[face])[window.rows, window.cols]
             trusted = near & ~where & np.isfinite(coating)
-            if (thickness := expect(trusted, coating, where, points=False)) is not None:
-                self._redraw_interface(face, window, where, thickness)
+            if (thickness := expect(trusted, coating, where, points=False)) is None:
+                continue
+            outer = self.heights[face][window.rows, window.cols][where]
+            inward = -self.frame.sign if face == "top" else self.frame.sign
+            expected, error = outer + inward * np.maximum(thickness[0], 0.0), thickness[1]
+            step = self.attrs["grey_base"] - self.attrs[f"grey_coating_{face}"]
+            edges = self._edges(
+                face, window, where, expected, error, self._depth(outer, face), rides=False,
+                sign=1.0 if self.attrs["polarity"] * step > 0 else -1.0, least=_LEAST_INNER * abs(step),
+            )  # fmt: skip
+            has_edge = np.isfinite(edges) & (inward * (edges - outer) > 0)
+            self._set(interface, window, where, np.where(has_edge, edges, expected))
+            before = self.error_um[face][window.rows, window.cols][where]
+            self._set(self.error_um[face], window, where, np.where(has_edge, before, np.hypot(before, error)))
 
     def _points(self, stretch: Stretch, face: Face) -> Floats:
-        """Points of a face as (row, col, height) in um.
-
-        Raises
-        ------
-        InputError
-            If a point lies outside the columns.
-        """
+        """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
         order = ["zyx".index(axis) for axis in (self.frame.rows, self.frame.cols, self.frame.through)]
         points_zyx = [(point.z, point.y, point.x) for point in stretch.of(face)]
         points = np.asarray(points_zyx, dtype=np.float64)[:, order]
@@ -180,9 +170,9 @@ class _Drawing:
     def _window(self, places: Floats, reach_um: float) -> Tile:
         """Columns within a reach of any of the points."""
         low, high = places.min(axis=0) - reach_um, places.max(axis=0) + reach_um
-        r0, c0 = (int(np.searchsorted(um, v)) for um, v in zip((self.rows_um, self.cols_um), low, strict=True))
-        r1, c1 = (
-            int(np.searchsorted(um, v, "right")) for um, v in zip((self.rows_um, self.cols_um), high, strict=True)
+        (r0, r1), (c0, c1) = (
+            (int(np.searchsorted(um, a)), int(np.searchsorted(um, b, "right")))
+            for um, a, b in zip((self.rows_um, self.cols_um), low, high, strict=True)
         )
         return Tile(r0, max(r1, r0 + 1), c0, max(c1, c0 + 1))
 
@@ -207,24 +197,7 @@ class _Drawing:
         share = error**2 / (error**2 + (_EDGE * self.voxel_um) ** 2)
         self._set(self.heights[face], window, where, np.where(has_edge, height + share * (edges - height), height))
         self._set(self.how[face], window, where, np.where(has_edge, IMAGE, INTERPOLATED))
-        self._set(self.error[face], window, where, np.where(has_edge, np.sqrt(1 - share) * error, error))
-
-    def _redraw_interface(self, face: Face, window: Tile, where: Bools, thick: tuple[Floats, Floats]) -> None:
-        """Set the interface below a face that was drawn, in the image or by the coating around it."""
-        outer = self.heights[face][window.rows, window.cols][where]
-        inward = -self.frame.sign if face == "top" else self.frame.sign
-        expected, error = outer + inward * np.maximum(thick[0], 0.0), thick[1]
-        coat = self.attrs[f"grey_coating_{face}"]
-        step = abs(self.attrs["grey_base"] - coat)
-        brighter = self.attrs["polarity"] * (self.attrs["grey_base"] - coat) > 0
-        edges = self._edges(
-            face, window, where, expected, error, self._depth(outer, face), rides=False,
-            sign=1.0 if brighter else -1.0, least=_LEAST_INNER * step,
-        )  # fmt: skip
-        has_edge = np.isfinite(edges) & (inward * (edges - outer) > 0)
-        self._set(self.heights[f"interface_{face}"], window, where, np.where(has_edge, edges, expected))
-        before = self.error[face][window.rows, window.cols][where]
-        self._set(self.error[face], window, where, np.where(has_edge, before, np.hypot(before, error)))
+        self._set(self.error_um[face], window, where, np.where(has_edge, np.sqrt(1 - share) * error, error))
 
     def _set(self, field: NDArray[np.generic], window: Tile, where: Bools, new: NDArray[np.generic]) -> None:
         field[window.rows, window.cols][where] = new
@@ -243,8 +216,7 @@ class _Drawing:
     ) -> Floats:  # fmt: skip
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
         attrs = self.attrs
-        rows, cols = np.nonzero(where)
-        rows, cols = rows + window.r0, cols + window.c0
+        places = np.stack(np.nonzero(where)) + np.array([[window.r0], [window.c0]])
         scale = Scale(
             air=attrs["grey_air"], polarity=attrs["polarity"], blend=float(attrs.get("averaged_columns", 0.0))
         )
@@ -252,24 +224,23 @@ class _Drawing:
         fringe_px = attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         error_px = np.maximum(error / self.voxel_um, 0.25)
         all_edges = _Edges(
-            columns=self.columns, scale=scale, guide=guide, high=self._high(face), rows=rows, cols=cols,
-            expected=self._depth(height, face), error=error_px, band=np.clip(_SURE * error_px + 1, *_BAND), other=other,
+            columns=self.columns, scale=scale, guide=guide, high=self._high(face), places=places,
+            depths=np.stack([self._depth(height, face), error_px, np.clip(_SURE * error_px + 1, *_BAND), other]),
             rides=rides, sign=sign, blur=blur, noise=max(attrs["grey_noise"], _MISFIT * self.contrast),
             least=max(least, 4 * attrs["grey_noise"]), fringe=attrs.get("fringe", 0.0), ratio=blur / fringe_px,
         )  # fmt: skip
 
         def job(tile: Tile) -> _Edges:
-            part = _in_tile(rows, cols, tile)
-            arrays = {k: getattr(all_edges, k)[part] for k in ("rows", "cols", "expected", "error", "band", "other")}
-            return all_edges._replace(guide=guide.part(scale.grown(tile, self.columns.shape[:2])), **arrays)
+            part, wide = _in_tile(places, tile), guide.part(scale.grown(tile, self.columns.shape[:2]))
+            return all_edges._replace(guide=wide, places=places[:, part], depths=all_edges.depths[:, part])
 
-        tiles = [t for t in self.columns.tiles(self.engine) if _in_tile(rows, cols, t).any()]
+        tiles = [t for t in self.columns.tiles(self.engine) if _in_tile(places, t).any()]
         self.tiles += [t for t in tiles if t not in self.tiles]
-        depths = np.full(rows.size, np.nan)
+        depths = np.full(height.size, np.nan)
         # Named by what is asked for: a run that goes on with other corrections finds nothing of these.
-        asked = hashlib.sha256(b"".join(a.tobytes() for a in (rows, cols, height, error, other))).hexdigest()[:16]
+        asked = hashlib.sha256(b"".join(a.tobytes() for a in (*places, height, error, other))).hexdigest()[:16]
         for tile, part in self.engine.map(f"drawn-{asked}", _search_edges, job, tiles):
-            depths[_in_tile(rows, cols, tile)] = part
+            depths[_in_tile(places, tile)] = part
         if self._high(face):
             depths = self.columns.shape[2] - 1 - depths
         return float(self.columns.depth_um[0]) + self.voxel_um * depths
@@ -298,45 +269,42 @@ class _Expectation(NamedTuple):
         self, trusted: Bools, field: Floats, wanted: Bools, *, points: bool = True
     ) -> tuple[Floats, Floats] | None:
         """Give a field and its standard error where it is wanted, from where it is trusted and from the points."""
-        rows, cols = _spread_over(trusted)
+        rows, cols = np.nonzero(trusted)
+        # Some of the columns, spread over all of them.
+        few = np.unique(np.linspace(0, rows.size - 1, min(rows.size, _KNOWN)).astype(int)) if rows.size else slice(0, 0)
+        rows, cols = rows[few], cols[few]
         points_um = self.points if points else self.points[:0]
         if len(points_um) + rows.size < 1 or not wanted.any():
             return None
         slope = variogram_slope(
             np.where(trusted, field, np.nan), self.pitch, self.lag_um, least=(0.25 * self.voxel_um) ** 2
         )
-        return Kriging(
-            places=np.concatenate([points_um[:, :2], self.grid[rows, cols]]),
+        return krige(
+            self.grid[wanted], places=np.concatenate([points_um[:, :2], self.grid[rows, cols]]),
             heights=np.concatenate([points_um[:, 2], field[rows, cols]]),
             variances=np.full(len(points_um) + rows.size, (_CLICK * self.voxel_um) ** 2), slope=slope,
-        )(self.grid[wanted])  # fmt: skip
+        )  # fmt: skip
 
 
-def _in_tile(rows: NDArray[np.intp], cols: NDArray[np.intp], tile: Tile) -> Bools:
+def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
+    rows, cols = places
     return (rows >= tile.r0) & (rows < tile.r1) & (cols >= tile.c0) & (cols < tile.c1)
 
 
 def _search_edges(edges: _Edges, tile: Tile) -> Floats:
     grey = oriented(edges.columns, tile, edges.guide, edges.scale)
     outside = edges.scale.grown(tile, edges.columns.shape[:2])
-    places = edges.rows - tile.r0, edges.cols - tile.c0
-    profiles = grey[places]
+    rows, cols = edges.places
+    profiles = grey[rows - tile.r0, cols - tile.c0]
     if edges.high:
         profiles = profiles[:, ::-1]
-    tilt = edges.guide.tilt[edges.rows - outside.r0, edges.cols - outside.c0]
+    tilt = edges.guide.tilt[rows - outside.r0, cols - outside.c0]
     depths = np.empty(len(profiles))
     _draw_kernels.draw_edges(
-        np.ascontiguousarray(profiles), edges.expected, edges.error, edges.band, edges.other, edges.rides, edges.sign,
-        edges.blur / tilt, edges.noise, edges.least, _GAIN, edges.fringe, edges.ratio, depths,
+        np.ascontiguousarray(profiles), *edges.depths, edges.rides, edges.sign, edges.blur / tilt, edges.noise,
+        edges.least, _GAIN, edges.fringe, edges.ratio, depths,
     )  # fmt: skip
     return depths
-
-
-def _spread_over(mask: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Some of the columns of a mask, spread over all of it."""
-    rows, cols = np.nonzero(mask)
-    few = np.unique(np.linspace(0, rows.size - 1, min(rows.size, _KNOWN)).astype(int)) if rows.size else slice(0, 0)
-    return rows[few], cols[few]
 
 
 def distance_to_line(grid: Floats, places: Floats) -> Floats:
@@ -348,3 +316,57 @@ def distance_to_line(grid: Floats, places: Floats) -> Floats:
         share = np.clip(((grid - start) @ along) / length, 0, 1) if length > 0 else np.zeros(grid.shape[:-1])
         away = np.minimum(away, np.hypot(*np.moveaxis(grid - start - share[..., None] * along, -1, 0)))
     return away
+
+
+_OF_A_MEDIAN = 0.4549  # the median of the square of a normal deviate over its variance
+_AT_ONCE = 20_000  # places
+
+
+def krige(
+    targets: Floats, *, places: Floats, heights: Floats, variances: Floats, slope: float
+) -> tuple[Floats, Floats]:
+    """Height and its standard error at targets (m, 2), from heights (n,) known at places (n, 2) in um.
+
+    Ordinary kriging with a linear variogram: the semivariance of two heights that lie r apart is ``slope * r``, um2
+    (Matheron 1963, doi:10.2113/gsecongeo.58.8.1246). Each known height has the variance of its own error. Slow trends
+    are taken off as a plane.
+    """
+    middle, n = places.mean(axis=0), len(heights)
+    plane = np.zeros(3)
+    if n >= 6:
+        plane = np.linalg.lstsq(np.column_stack([np.ones(n), places - middle]), heights, rcond=1e-6)[0]
+    residuals = heights - plane[0] - (places - middle) @ plane[1:]
+
+    def between(others: Floats) -> Floats:
+        return slope * np.hypot(*(others[:, None, k] - places[None, :, k] for k in (0, 1)))
+
+    system = np.ones((n + 1, n + 1))
+    system[:n, :n] = -between(places) + np.diag(variances)
+    system[n, n] = 0.0
+    inverse = np.linalg.inv(system)
+    height, error = np.empty(len(targets)), np.empty(len(targets))
+    for start in range(0, len(targets), _AT_ONCE):
+        part = slice(start, start + _AT_ONCE)
+        semivariances = np.ones((len(targets[part]), n + 1))
+        semivariances[:, :n] = -between(targets[part])
+        weights = semivariances @ inverse
+        height[part] = weights[:, :n] @ residuals + plane[0] + (targets[part] - middle) @ plane[1:]
+        error[part] = np.sqrt(np.maximum(-np.sum(weights * semivariances, axis=1), 0.0))
+    return height, error
+
+
+def variogram_slope(heights: Floats, pitch: tuple[float, float], lag_um: float, *, least: float) -> float:
+    """Slope of the linear variogram of a field (rows, cols), NaN where unknown, from pairs ``lag_um`` apart.
+
+    ``least``: variance at that lag where no more is seen.
+    """
+    squares: list[Floats] = []
+    for axis, step in enumerate(pitch):
+        k = max(1, round(lag_um / step))
+        if heights.shape[axis] > k:
+            first, second = (np.take(heights, range(a, heights.shape[axis] - k + a), axis) for a in (0, k))
+            pairs = (second - first)[np.isfinite(second - first)] ** 2
+            squares.append(pairs * lag_um / (k * step))
+    pairs = np.concatenate(squares) if squares else np.empty(0)
+    usual = float(np.median(pairs)) / (2 * _OF_A_MEDIAN) if pairs.size else 0.0
+    return max(usual, least) / lag_um

@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.grid import filled
+from planish.core.robust import mad_sd
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns, Guide, join_tiles, oriented
-from planish.surface.levels import spread
-from planish.surface.priors import Priors
+from planish.surface.columns import Columns, Guide, Priors, join_tiles, oriented
 
 _SPIKE_UM = 3.0
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
@@ -77,7 +76,12 @@ def faces_from_depths(
     heights: list[Floats] = []
     for high, (outer, thickness) in zip((True, False), (depths[:2], depths[2:]), strict=True):
         if cleaned:
-            outer = _without_spikes(outer, step)
+            is_finite = np.isfinite(outer)
+            if is_finite.any():
+                # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
+                off = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
+                limit = max(8.0 * mad_sd(off[is_finite]) + 1.0, _SPIKE_UM / step, 3.0)
+                outer = np.where(is_finite & (off <= limit), outer, np.nan)
             narrow = _narrow(-outer, columns.pitch)
             particles += int(ndimage.label(narrow, np.ones((3, 3)))[1])
             stuck |= narrow
@@ -95,12 +99,10 @@ def faces_from_depths(
 def _below_particles(
     depths: Floats, *, fit_job: Callable[[Tile], FitJob], columns: Columns, guide: Guide, priors: Priors, engine: Engine
 ) -> int:
-    """Look again, below it, where the face was found on something that floats above the sheet.
-
-    The coarse sheet is one connected object; what is found far outside it hangs on nothing. Where the gap is so narrow
-    that the coarse search saw one object, a plate with a step all around is tried too. Such plates are counted here;
-    what floats farther away was counted by the coarse search.
-    """
+    """Look again, below it, where the face was found on something that floats above the sheet; count what was."""
+    # The coarse sheet is one connected object; what is found far outside it hangs on nothing. Where the gap is so
+    # narrow that the coarse search saw one object, a plate with a step all around is tried too. Such plates are counted
+    # here; what floats farther away was counted by the coarse search.
     if priors.embedded_level:
         return 0
     shape, depth = columns.shape[:2], columns.shape[2]
@@ -144,7 +146,7 @@ def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray
     size = int(_PLATE_UM / pitch[0]) + 2, int(_PLATE_UM / pitch[1]) + 2
     opened = _opened(whole, size)
     hat = whole - opened
-    labels, count = ndimage.label(is_finite & (hat > max(_FLOATS - 0.5, 8.0 * spread(hat[is_finite]))))
+    labels, count = ndimage.label(is_finite & (hat > max(_FLOATS - 0.5, 8.0 * mad_sd(hat[is_finite]))))
     if not count:
         return np.asarray(labels, np.int32), opened
     # A bump, or a fibre that lies on others with its ends, has no step all around.
@@ -159,9 +161,8 @@ def _opened(height: Floats, size: tuple[int, int]) -> Floats:
     """Opening of a face that goes on beyond its border with the slope it has there."""
     pad = [(min(n, m - 1),) * 2 for n, m in zip(size, height.shape, strict=True)]
     wide = np.pad(height, pad, mode="reflect", reflect_type="odd")
-    return ndimage.grey_opening(wide, size=size)[
-        tuple(slice(a, n - a) for (a, _), n in zip(pad, wide.shape, strict=True))
-    ]
+    inner = tuple(slice(a, n - a) for (a, _), n in zip(pad, wide.shape, strict=True))
+    return ndimage.grey_opening(wide, size=size)[inner]
 
 
 def _share(mask: Bools, labels: NDArray[np.integer], count: int = 0) -> Floats:
@@ -195,17 +196,6 @@ def _fit_tile(fit: FitJob, tile: Tile) -> Floats:
     return out
 
 
-def _without_spikes(height: Floats, step: float) -> Floats:
-    """Drop columns whose face stands far off its neighbours': dust, and fits that went astray."""
-    is_finite = np.isfinite(height)
-    if not is_finite.any():
-        return height
-    around = ndimage.median_filter(filled(height), size=5, mode="nearest")
-    off = np.abs(height - around)
-    limit = max(8.0 * spread(off[is_finite]) + 1.0, _SPIKE_UM / step, 3.0)
-    return np.where(is_finite & (off <= limit), height, np.nan)
-
-
 def _narrow(outward: Floats, pitch: tuple[float, float, float]) -> Bools:
     """Columns that stand out of the face by more than its roughness, in places narrower than a particle may be."""
     is_finite = np.isfinite(outward)
@@ -214,5 +204,5 @@ def _narrow(outward: Floats, pitch: tuple[float, float, float]) -> Bools:
     whole = filled(outward)
     size = max(int(_NARROW_UM / pitch[0]), 1) + 1, max(int(_NARROW_UM / pitch[1]), 1) + 1
     hat = whole - _opened(whole, size)
-    limit = max(8.0 * spread(hat[is_finite]) + 1.0, _PROUD_UM / pitch[2], 3.0)
+    limit = max(8.0 * mad_sd(hat[is_finite]) + 1.0, _PROUD_UM / pitch[2], 3.0)
     return is_finite & (hat > limit)

@@ -6,41 +6,27 @@ from dataclasses import replace
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.arrays import check_volume
-from planish.core.axis import other_axis
 from planish.core.errors import InputError, VolumeError
-from planish.core.frame import Axis, End, Frame
+from planish.core.frame import Axis, End, Frame, likely_through, other_axis
 from planish.core.options import params_of
 from planish.core.tiles import Engine
 from planish.surface.assemble import assemble
+from planish.surface.boundaries import find_faces_by_slice, surfaces_from_labels
 from planish.surface.columns import Columns, make_guide
 from planish.surface.corrected import correct_surfaces
-from planish.surface.corrections import read_corrections
 from planish.surface.faces import find_faces
-from planish.surface.labels import surfaces_from_labels
 from planish.surface.learn import learn_priors
-from planish.surface.params import SurfaceParams
-from planish.surface.plausible import check_axis, check_sheet
+from planish.surface.params import SurfaceParams, read_corrections
 from planish.surface.regions import doubtful
-from planish.surface.slices import find_faces_by_slice
-from planish.surface.survey import take_survey
-
-Array = NDArray[np.float64]
+from planish.surface.survey import Survey, take_survey
 
 
 def find_surfaces(
-    volume: xr.DataArray,
-    *,
-    through: Axis | None = None,
-    top: End | None = None,
-    frame: Frame | None = None,
-    params: SurfaceParams | None = None,
-    step: int = 1,
-    engine: Engine | None = None,
-    unusual_size: bool = False,
-) -> xr.Dataset:
+    volume: xr.DataArray, *, through: Axis | None = None, top: End | None = None, frame: Frame | None = None,
+    params: SurfaceParams | None = None, step: int = 1, engine: Engine | None = None, unusual_size: bool = False,
+) -> xr.Dataset:  # fmt: skip
     """Find top, bottom, interfaces and centre surface of the sheet in a volume.
 
     Parameters
@@ -96,11 +82,9 @@ def find_surfaces(
     spread that is learnt from the same volume, which keeps thin layers from taking the width of the blur.
     """
     check_volume(volume, "pl.find_surfaces({})")
-    frame = Frame.asked(volume, frame, through, top)
+    frame, params = Frame.asked(volume, frame, through, top), params_of(SurfaceParams, params, "pl.find_surfaces")
     try:
-        surfaces = _search(
-            volume, frame, params_of(SurfaceParams, params, "pl.find_surfaces"), step, engine or Engine()
-        )
+        surfaces = _search(volume, frame, params, step, engine or Engine())
         check_sheet(surfaces, unusual_size=unusual_size)
     except VolumeError as error:
         if hint := other_axis(volume, frame.through):
@@ -143,3 +127,56 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
         return surfaces
     corrections = read_corrections(params.corrections)
     return correct_surfaces(surfaces, volume, corrections, params=params, engine=engine)
+
+
+_THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
+_UNUSUAL_UM = (0.05, 50_000.0)  # where the user says that it is no paper
+_LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map
+_LEAVES = 0.2  # of the columns: where the sheet leaves the volume in fewer, its axis is not questioned
+_THINNER = 1 / 6  # of the run along an axis: what a sheet that is seen edge on measures along its normal, or less
+
+
+def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
+    """Raise VolumeError where a sheet is not as thick as sheets are, or too few of its columns are measured."""
+    thickness, (low, high) = float(surfaces.attrs["thickness_um"]), _UNUSUAL_UM if unusual_size else _THICKNESS_UM
+    if not low <= thickness <= high:
+        voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
+        raise VolumeError(
+            f"The sheet would be {thickness:.3g} um thick; sheets of {low:g} to {high:g} um are mapped. The voxel size "
+            f"of {voxel} um (z, y, x) is probably in another unit. Give the right one with --voxel-um and "
+            "--override-size, or add --unusual-size if it is no paper."
+        )
+    measured = float((surfaces["status"].values == 0).mean())
+    measured /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured)
+    if measured < _LEAST_SHARE:
+        raise VolumeError(
+            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only that are not all air; "
+            f"{100 * _LEAST_SHARE:.0f} % are needed for a map. Check --through and --sheet-grey, and that the sheet "
+            "does not leave the volume."
+        )
+
+
+def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: Engine) -> None:
+    """Raise VolumeError, before every column is searched, where the sheet is seen edge on along the axis of the search.
+
+    Only a sheet that leaves the volume in many columns is looked at along the axis of its likely normal, too. There it
+    has to stay inside, and to be a sixth as thick or less: its normal is more than 80 degrees off the axis given.
+    """
+    coarse = survey.coarse
+    if coarse.leaves.mean() < _LEAVES:
+        return
+    axis = likely_through(columns.volume.variable)
+    if axis is None or axis == columns.frame.through:
+        return
+    try:
+        other = take_survey(replace(columns, frame=Frame(through=axis), padding=None), params, engine)
+    except VolumeError:
+        return
+    runs = [float(np.nanmedian((s.high - s.low) * p)) for s, p in (
+        (coarse, columns.pitch[2]), (other.coarse, replace(columns, frame=Frame(through=axis)).pitch[2])
+    )]  # fmt: skip
+    if other.coarse.leaves.mean() < _LEAVES and runs[1] < _THINNER * runs[0]:
+        raise VolumeError(
+            f"The sheet is seen edge on: along {columns.frame.through} it leaves the volume in "
+            f"{100 * coarse.leaves.mean():.0f} % of the columns, and is {runs[0]:.0f} um thick in the others."
+        )

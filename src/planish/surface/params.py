@@ -1,12 +1,16 @@
-"""Options of the surface search."""
+"""Options of the surface search, and corrections of the faces: stretches of points that a person set, as JSON."""
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+import json
+from pathlib import Path
+from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import Field, ValidationError, model_validator
 
+from planish.core.errors import FileError
 from planish.core.options import Params, option
+from planish.core.tables import read_text
 
 Label = Annotated[int, Field(ge=0)]
 Fringe = Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)]
@@ -45,30 +49,110 @@ class SurfaceParams(Params):
         None, metavar="LOW,HIGH", help="Grey range of the sheet, where the volume shows other material beside it."
     )
     seed_um: tuple[float, float, float] | None = option(
-        None, metavar="Z,Y,X",
+        None,
+        metavar="Z,Y,X",
         help="A point inside the sheet, where there are several sheets or layers; with --sheet-grey, the part of that "
         "grey range that holds the point.",
-    )  # fmt: skip
+    )
     coating_grey: float | None = option(
         None, metavar="GREY", help="Grey of the coating; needed where it is nowhere thicker than half the blur."
     )
     fringe: Fringe = option(
-        "auto", metavar="auto|off|SIZE",
+        "auto",
+        metavar="auto|off|SIZE",
         help="Phase-contrast fringe beside every edge: learnt, none, or its size as a share of the edge's step.",
-    )  # fmt: skip
+    )
     envelope_um: float | None = option(
         None, gt=0, help="Radius of a ball that rolls over both faces (50 to 250): loose fibres do not lift envelopes."
     )
     method: Literal["profile", "paper"] = option(
-        "profile", cli="--surface-method",
+        "profile",
+        cli="--surface-method",
         help="profile: fit the grey profile of every column; paper: slice by slice as Hirn et al. (2009).",
-    )  # fmt: skip
+    )
     labels: LabelParams | None = option(
-        None, cli="--labels",
+        None,
+        cli="--labels",
         help="The volume holds labels of another program: 0 air, 1 base, 2 coating where not given otherwise.",
-    )  # fmt: skip
+    )
     corrections: str | None = option(
         None, metavar="FILE", help="Corrections of the faces: JSON with points that they are drawn to."
     )
     cutoff_um: float = option(400.0, gt=0, help="Wavelength of the centre surface that its smoothing passes by half.")
     rim_um: float = option(100.0, ge=0, help="Zone around holes and gaps that is left out of all results.")
+
+
+Face = Literal["top", "bottom"]
+FACES: tuple[Face, Face] = ("top", "bottom")
+
+REACH_UM = 60.0
+"""Where none is stated."""
+_REMEDY = "docs/how-to/correct-faces.md shows an example."
+
+
+class Point(Params):
+    """A place of a face, in um of the volume."""
+
+    z: float
+    y: float
+    x: float
+    face: Face
+
+
+class Stretch(Params):
+    """A stretch of the faces that is drawn to points.
+
+    Columns farther than ``reach_um`` from the line through the points of a face, in their order and seen along the axis
+    through the sheet, keep that face.
+    """
+
+    id: Annotated[str, Field(pattern=r"^[A-Za-z0-9_-]+$", max_length=40)]
+    points: Annotated[tuple[Point, ...], Field(min_length=1, max_length=10_000)]
+    reach_um: Annotated[float, Field(gt=0, le=5000)] = REACH_UM
+    note: Annotated[str, Field(max_length=1000)] = ""
+
+    def of(self, face: Face) -> tuple[Point, ...]:
+        """Its points of one face."""
+        return tuple(point for point in self.points if point.face == face)
+
+
+class Corrections(Params):
+    """All stretches of one sheet, in the order in which they are drawn."""
+
+    format: Literal["planish surface corrections"] = "planish surface corrections"
+    version: Literal[1] = 1
+    units: Literal["um"] = "um"
+    stretches: Annotated[tuple[Stretch, ...], Field(max_length=1000)] = ()
+
+    @model_validator(mode="after")
+    def _ids_are_unique(self) -> Corrections:
+        names = [stretch.id for stretch in self.stretches]
+        if twice := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"more than one stretch has the id {', '.join(twice)}")
+        return self
+
+    def to_json(self) -> str:
+        """The text of its file; the same for the same corrections."""
+        return json.dumps(self.model_dump(mode="json"), indent=1, ensure_ascii=False) + "\n"
+
+
+def read_corrections(path: str | Path) -> Corrections:
+    """Read the corrections of a file.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read, or holds something else; all faults are named.
+    """
+    name = Path(path).name
+    text = read_text(Path(path), what="file of corrections")
+    try:
+        content: Any = json.loads(text)
+    except (ValueError, RecursionError) as error:
+        raise FileError(f"{name} is no JSON: {error}. {_REMEDY}") from error
+    try:
+        return Corrections.model_validate(content)
+    except ValidationError as error:
+        faults = [f"{'.'.join(map(str, e['loc']))}: {e['msg'].removeprefix('Value error, ')}" for e in error.errors()]
+        more = f" and {len(faults) - 8} more" if len(faults) > 8 else ""
+        raise FileError(f"{name} holds no corrections of surfaces: {'; '.join(faults[:8])}{more}. {_REMEDY}") from error

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -10,22 +9,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
+from planish.core.robust import mad_sd
 from planish.core.tiles import Tile
 from planish.core.typing import Floats
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns, Guide, Scale, oriented
-from planish.surface.levels import spread
-from planish.surface.priors import Edge, Side
+from planish.surface.columns import Columns, Edge, Guide, Scale, Side, oriented
 from planish.surface.survey import Survey
 
 _ROWS = 24  # rows that are read for it
-_WIDTH = 1024  # columns of each of them
-_COLUMNS = 3000  # columns that are fitted
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
 _CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from which on it is no longer white
-_BLENDS = (0.5, 0.75, 1.0, 1.5, 2.0)  # voxels
-_BESIDE_UM = 15.0  # from the face into the air
-_QUIET_BLEND = 2.0  # columns
 _ROUNDED = 12.0**-0.5  # standard deviation of what rounding to whole numbers takes off
 _MISFIT = 0.01  # of the base's contrast: no column is a staircase to within less
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
@@ -46,24 +39,11 @@ class Sample(NamedTuple):
         return Sample._make(part[:, ::every] for part in self)
 
 
-class Sampler:
-    """Reads sample columns from both ends and fits them; the way their grey is made ready changes as it learns.
+Samples = dict[bool, Sample]  # by whether they are read from the high end
 
-    Attributes
-    ----------
-    scale : Scale
-    noise : float
-        Standard deviation of what the fit sees in the air.
-    single_noise : float
-        The same of a column that is not averaged with its neighbours.
-    scatter : float
-        Standard deviation by which the fit takes a sample to differ from its model: the noise, but no less than what
-        rounding and the paper's own texture leave. Without noise nothing would weigh beside a sample otherwise.
-    reach : float
-        How far outside the expected face a search starts, in voxels.
-    embedded_level : float
-        Grey at which a sheet amid other material is separated from it; 0 where air lies beside the sheet.
-    """
+
+class Sampler:
+    """Reads sample columns from both ends and fits them; what it learns on the way is as in :class:`Priors`."""
 
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
@@ -75,19 +55,15 @@ class Sampler:
         self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
         self.scatter = self.single_noise = self.noise
-        self.rows = self._chosen_rows()
-        self.cache: dict[tuple[Tile, float], NDArray[np.float32]] = {}
-
-    def _chosen_rows(self) -> list[Tile]:
-        """Pieces of rows, spread over the sheet."""
-        guide, (_, cols, _) = self.guide, self.columns.shape
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
         rows = np.flatnonzero(has_sheet.any(axis=1))
         rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, _ROWS)).astype(int))]
-        wide = min(cols, _WIDTH)
-        # Starts that are far apart from one row to the next: multiples of the golden section.
-        starts = ((np.arange(rows.size) * 0.6180339887498949) % 1.0 * (cols - wide + 1)).astype(int)
-        return [Tile(int(r), int(r) + 1, int(c), int(c) + wide) for r, c in zip(rows, starts, strict=True)]
+        wide = min(columns.shape[1], 1024)  # columns of each of them
+        # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
+        # golden section.
+        starts = ((np.arange(rows.size) * 0.6180339887498949) % 1.0 * (columns.shape[1] - wide + 1)).astype(int)
+        self.rows = [Tile(int(r), int(r) + 1, int(c), int(c) + wide) for r, c in zip(rows, starts, strict=True)]
+        self.cache: dict[tuple[Tile, float], NDArray[np.float32]] = {}
 
     def _read(self, tile: Tile, *, high: bool) -> NDArray[np.float32]:
         # The same columns are looked at several times.
@@ -101,14 +77,8 @@ class Sampler:
         return np.ascontiguousarray(part[:, ::-1]) if high else part
 
     def sample(self, *, high: bool) -> Sample:
-        """Columns read from one end.
-
-        Raises
-        ------
-        VolumeError
-            If no column shows both faces.
-        """
-        per_row = max(1, _COLUMNS // len(self.rows))
+        """Columns read from one end; VolumeError if none shows both faces."""
+        per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
         parts: list[Sample] = []
         for number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
@@ -125,36 +95,29 @@ class Sampler:
 
     def calm(self, base: float) -> None:
         """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
-        self._choose_blend(base)
-        whole = np.issubdtype(self.columns.volume.dtype, np.integer)
-        self.scatter = max(self.noise, _ROUNDED if whole else 0.0, _MISFIT * base)
-
-    def _choose_blend(self, base: float) -> None:
         whole = self._air_noise()
-        if not whole > _CORRELATED * self.noise:
-            cnr = base / self.noise
-            if cnr < _QUIET:
-                # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
-                blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
+        if whole > _CORRELATED * self.noise:
+            # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
+            self.noise = self.single_noise = whole
+            for blend in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
+                if base / self.noise >= _QUIET:
+                    break
                 self.scale = replace(self.scale, blend=blend)
-                self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend)
-            return
-        # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried out.
-        self.noise = self.single_noise = whole
-        for blend in _BLENDS:
-            if base / self.noise >= _QUIET:
-                return
+                self.noise = self._air_noise()
+        elif (cnr := base / self.noise) < _QUIET:
+            # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
+            blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
             self.scale = replace(self.scale, blend=blend)
-            self.noise = self._air_noise()
+            self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend)
+        is_rounded = np.issubdtype(self.columns.volume.dtype, np.integer)
+        self.scatter = max(self.noise, _ROUNDED if is_rounded else 0.0, _MISFIT * base)
 
     def _air_noise(self) -> float:
         """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
         if self.embedded_level:
             return float("nan")  # what lies beside is no air
-        return spread(np.concatenate([*self._air_samples()]).astype(np.float64))
-
-    def _air_samples(self) -> Iterator[NDArray[np.float32]]:
-        width = int(np.ceil(_BESIDE_UM / self.pitch[2]))
+        width = int(np.ceil(15.0 / self.pitch[2]))  # from the face into the air
+        samples: list[NDArray[np.float32]] = []
         for tile in self.rows:
             part = self._read(tile, high=False)
             for high in (True, False):
@@ -163,13 +126,14 @@ class Sampler:
                 first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - width
                 for start in (first, first - width):
                     is_inside = np.flatnonzero(start >= 0)
-                    yield grey[is_inside, start[is_inside]]
+                    samples.append(grey[is_inside, start[is_inside]])
+        return mad_sd(np.concatenate(samples).astype(np.float64))
 
-    def quiet(self, samples: dict[bool, Sample], width: float) -> dict[bool, Sample]:
+    def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
         guide, scale = self.guide, self.scale
         steep = float(np.nanpercentile(np.hypot(guide.slope_r, guide.slope_c), 90)) * self.columns.step
-        blend = min(_QUIET_BLEND, 0.3 * width / max(steep, 1e-3))
+        blend = min(2.0, 0.3 * width / max(steep, 1e-3))  # columns
         if blend <= max(scale.blend, 0.3):
             return samples
         self.scale = replace(scale, blend=blend)

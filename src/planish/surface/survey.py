@@ -1,4 +1,4 @@
-"""The first look at a volume, in one pass: block means, a sample of its columns, and what is missing."""
+"""The first look at a volume, in one pass: block means, a sample of its columns, levels, noise and gaps."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
+from planish.core.robust import mad_sd
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
@@ -17,12 +18,9 @@ from planish.surface._kernels import block_sums
 from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
 from planish.surface.coarse import CoarseSheet, search_sheet
 from planish.surface.columns import Columns
-from planish.surface.levels import mode, padding_value, spread, voxel_noise
 from planish.surface.params import SurfaceParams
 
 _SAMPLE = 40_000  # columns of the sample, and blocks wanted
-_WIDEST = 4  # columns along the edge of a block
-_LARGE = 1_500_000  # columns from which on fewer rows are sampled
 _SAMPLE_ROWS = 24
 _ABOVE_AIR = 6.0  # standard deviations of block means in air: what is nowhere above that is air from end to end
 _MOST = 2**25  # block means that are kept; above it the blocks get wider
@@ -43,13 +41,7 @@ class Survey:
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
-    """Find the sheet roughly.
-
-    Raises
-    ------
-    VolumeError
-        If the volume holds no sheet, several, or one that fills it from end to end.
-    """
+    """Find the sheet roughly; VolumeError for none, several, or one that fills the volume from end to end."""
     depth = columns.shape[2]
     block, stride = _block(columns)
     flat = _sampled(columns, stride, engine).reshape(-1, depth)
@@ -67,11 +59,11 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     scatter = None
     if choice.seed is not None:
         ends, voxels = _airy(ends, voxels, seed_grey(sharp, choice.seed))
-        scatter = spread(ends)
+        scatter = mad_sd(ends)
     air = mode(ends)
     noise = voxel_noise(voxels, air)
-    coarse, surroundings, polarity = choose_sheet(blocks, sharp, air, block, params, choice, scatter)
-    limit = _ABOVE_AIR * spread(ends)
+    coarse, surroundings, polarity = choose_sheet(blocks, sharp, air, params, choice, scatter)
+    limit = _ABOVE_AIR * mad_sd(ends)
     empty = np.array([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
     return Survey(
         coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding,
@@ -80,17 +72,11 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
 
 
 def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tuple[CoarseSheet, float]:
-    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0); and the share of empty columns.
-
-    Raises
-    ------
-    VolumeError
-        As :func:`take_survey`.
-    """
+    """Find the sheet as :func:`take_survey` where 1 labels sheet and 0 all else; and the share of empty columns."""
     block = _block(columns)[0]
     _, shares, _ = _blocks(columns, block, engine)
     choice = make_choice(columns, block, shares.shape, params)
-    sheet = search_sheet(shares, shares > 0.5, 0.5, block, choice)
+    sheet = search_sheet(shares, shares > 0.5, 0.5, choice)
     return sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
@@ -103,11 +89,11 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
             "needed along every axis. Check that this is the whole stack."
         )
     wanted = np.sqrt(rows * cols / _SAMPLE)
-    block = int(np.clip(round(wanted), 1, _WIDEST))
+    block = int(np.clip(round(wanted), 1, 4))  # columns along the edge of a block
     while (rows // block) * (cols // block) * depth > _MOST:
         block += 1
     stride = max(1, int(wanted))
-    if rows * cols < _LARGE:
+    if rows * cols < 1_500_000:  # columns from which on fewer rows are sampled
         return block, (stride, stride)
     # Each row costs as much as the chunks that it runs through: few rows, and more columns of each.
     return block, (max(rows // _SAMPLE_ROWS, 1), max(cols * _SAMPLE_ROWS // _SAMPLE, 1))
@@ -130,11 +116,7 @@ def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArr
 
 
 def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
-    """Means of ``block`` x ``block`` neighbouring columns, smoothed and as they are; share of missing voxels.
-
-    The last block of each axis takes what is left over. Shape (block rows, block cols, depth). A block that holds
-    padding or a missing voxel is NaN.
-    """
+    """Block means (block rows, block cols, depth), smoothed and as they are, NaN for gaps; share of missing voxels."""
     rows, cols, depth = columns.shape
     counts = max(rows // block, 1), max(cols // block, 1)
     out = np.empty((*counts, depth), dtype=np.float32)
@@ -201,3 +183,72 @@ def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
         return ends, voxels
     k = int(np.argmax([abs(level - object_grey) for level in levels]))
     return halves[0][k], halves[1][k]
+
+
+def mode(values: Floats) -> float:
+    """Half-sample mode: the value around which the data crowd, whatever lies beside."""
+    crowd = np.sort(values[np.isfinite(values)].ravel())
+    if crowd.size == 0:
+        raise VolumeError("The volume holds no finite value at the ends of the axis through the sheet.")
+    while crowd.size > 3:
+        half = (crowd.size + 1) // 2
+        width = crowd[half - 1 :] - crowd[: crowd.size - half + 1]
+        narrowest = np.flatnonzero(width == width.min())
+        # Integers tie: take the middle one of the ties.
+        start = int(narrowest[narrowest.size // 2])
+        crowd = crowd[start : start + half]
+        if crowd[0] == crowd[-1]:
+            break
+    return float(np.mean(crowd))
+
+
+def padding_value(columns: NDArray[np.generic]) -> float | None:
+    """Value that fills the volume outside the field of view, or None where the field fills the volume.
+
+    Reconstructions are round; what lies outside their circle is set to one value, often 0, which is not the grey of the
+    air. It differs from air that the export has clipped to one value by three signs, over ``columns`` (n, depth): the
+    step from the padding to what lies inside is sharp, what lies inside differs from it, and something stands out from
+    that in turn. Clipped air passes into the sheet through the blur, and nothing stands out from the sheet.
+    """
+    corner = columns[0, 0]
+    same = columns == corner
+    if not np.isfinite(corner) or columns[-1, -1] != corner or same.mean() < 1e-3:
+        return None
+    inside = ~same
+    has_inside = inside.sum(axis=1) > 12
+    if np.count_nonzero(has_inside) < 10:
+        return None
+    profiles = columns[has_inside].astype(np.float64)
+    first = np.argmax(inside[has_inside], axis=1)
+    last = columns.shape[1] - 1 - np.argmax(inside[has_inside][:, ::-1], axis=1)
+    cut = (first > 0) | (last < columns.shape[1] - 1)
+    whole = ~same.all(axis=1)
+    if np.count_nonzero(cut) < 0.05 * cut.size:
+        # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
+        is_across = np.count_nonzero(~whole) > 0.01 * whole.size and not inside[whole][:, 0].mean() < 0.5
+        return float(corner) if is_across else None
+    rows = np.flatnonzero(cut & (first > 0))
+    if rows.size < 10:
+        rows, first = np.flatnonzero(cut), columns.shape[1] - 1 - last
+        profiles = profiles[:, ::-1]
+    edge = profiles[rows, first[rows]]
+    deeper = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), columns.shape[1] - 1)]
+    level = float(np.median(deeper))
+    scatter = max(mad_sd(deeper - level), 1e-9)
+    run = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
+    run = np.where(same[has_inside][rows][:, 1:-1], level, run)
+    stands_out = float(np.median(np.max(np.abs(run - level), axis=1)))
+    sharp = abs(float(np.median(edge)) - level) < 0.2 * abs(level - float(corner))
+    differs = abs(level - float(corner)) > 3 * scatter
+    return float(corner) if sharp and differs and stands_out > 4 * scatter else None
+
+
+def voxel_noise(ends: Floats, air: float) -> float:
+    """Standard deviation of one voxel, from samples (n, 3) of neighbouring voxels in the air."""
+    steps = np.diff(ends, axis=1).ravel()
+    distance = np.abs(ends - air)
+    near = np.abs(ends[:, :-1].ravel() - air) <= max(float(np.nanpercentile(distance, 60)), 1e-12)
+    if not near.any():
+        return 0.0
+    robust = mad_sd(steps[near]) / np.sqrt(2.0)
+    return float(robust if robust > 0 else np.sqrt(np.mean(steps[near] ** 2) / 2))

@@ -6,7 +6,7 @@ import time
 
 import numpy as np
 
-from planish.core.outcome import Outcome
+from planish.core.status import Outcome
 from planish.core.typing import Floats
 from planish.flatten import relax_grid
 from planish.flatten.relaxation import RelaxationParams, relax_dynamically

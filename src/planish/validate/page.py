@@ -6,7 +6,7 @@ from pathlib import Path
 
 from planish import __version__
 from planish.core.files import write_whole
-from planish.report.page import template
+from planish.report.text import template
 from planish.synthetic.presets import NUISANCES, PRESETS
 from planish.validate import table as tables
 from planish.validate.certify import Certificate

@@ -14,7 +14,7 @@ import tifffile
 from app.exploring.made import Explored, put
 from planish.app.exploring import maps as maps_module
 from planish.app.exploring import slices as slices_module
-from planish.core.overviews import overviews
+from planish.core.area import overviews
 from planish.io.run_folder import read_group, write_tree
 from planish.pipeline import open_run
 from report.runs import a_run

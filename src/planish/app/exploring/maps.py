@@ -11,19 +11,18 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.exploring.packing import Packed, packed
+from planish.core.area import halved
 from planish.core.checks import POSITION, concerned
 from planish.core.errors import InputError
 from planish.core.facts import Trust
 from planish.core.grid import Grid
-from planish.core.overviews import halved
 from planish.core.typing import Floats
 from planish.exports.source import IMAGE, ExportSource
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
 from planish.pipeline.checks import trust_of
 from planish.pipeline.run import MAPS
-from planish.report.colours import Scale
-from planish.report.maps import colours_of
+from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
 

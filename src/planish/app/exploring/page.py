@@ -19,8 +19,8 @@ from planish.core.checks import CORRELATION, POSITION, concerned
 from planish.pipeline.checks import trust_of
 from planish.report import summary
 from planish.report.colours import MISSING, colours_in_steps, image_uri
-from planish.report.page import template
 from planish.report.slices import LINES
+from planish.report.text import template
 from planish.results import Results
 
 _PACKAGE = "planish.app.exploring"

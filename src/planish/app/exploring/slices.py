@@ -245,7 +245,7 @@ def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     }  # fmt: skip
     return Stack(
         sheet=sheet, rows=frame.rows, cols=frame.cols, through=frame.through, sign=frame.sign,
-        at_um=tuple(cut.at for cut in cuts), top_um=tuple(float(heights[at]) + dz / 2 for at in first),
+        at_um=tuple(cut.place_um for cut in cuts), top_um=tuple(float(heights[at]) + dz / 2 for at in first),
         start_um=float(x[0]) - dx / 2, size_um=(x.size * dx, rows * dz), pictures=pictures, kind=kind, lines=lines,
         used=packed(np.where(np.stack([cut.used[::every] for cut in cuts]), 1.0, np.nan)),
         points_um=(float(x[0]), every * dx),

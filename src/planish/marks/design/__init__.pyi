@@ -1,3 +1,6 @@
+from .draw import write_design as write_design
+from .gcode import DryRun as DryRun
+from .gcode import dry_run as dry_run
 from .gcode import pattern_dxf as pattern_dxf
 from .gcode import short_route as short_route
 from .gcode import stage_program as stage_program
@@ -5,15 +8,12 @@ from .params import DesignParams as DesignParams
 from .params import ImagingParams as ImagingParams
 from .params import StageParams as StageParams
 from .pattern import Pattern as Pattern
+from .pattern import Predicted as Predicted
+from .pattern import hole_error_um as hole_error_um
 from .pattern import holes_csv as holes_csv
 from .pattern import own_pattern as own_pattern
+from .pattern import predict as predict
 from .pattern import read_pattern as read_pattern
 from .plan import design_pattern as design_pattern
-from .predict import Predicted as Predicted
-from .predict import hole_error_um as hole_error_um
-from .predict import predict as predict
 from .rules import Rule as Rule
 from .rules import check_pattern as check_pattern
-from .simulate import DryRun as DryRun
-from .simulate import dry_run as dry_run
-from .write import write_design as write_design

@@ -1,14 +1,24 @@
-"""From what a user wants to a pattern that keeps every rule, or the reason why there is none."""
+"""From what a user wants to a pattern that keeps every rule, or the reason why there is none.
+
+Holes lie on lines along the four sides of the frame, three corners filled and one left empty. All positions are whole
+steps of 50 um, and the frame's sides are whole numbers of steps. The lines run counter-clockwise from the empty corner,
+which lies at the lower left; each other corner holds the first hole of a line.
+
+``coded``: the distances between the holes of a side are all different, so that a side is a Golomb ruler; distances that
+two sides have in common are as few as can be found. ``line``: the pitch grows evenly along each line, on each side at a
+rate of its own.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.core.errors import MarkError
-from planish.marks.design import layouts
-from planish.marks.design.layouts import STEP_UM
+from planish.core.typing import Pair
 from planish.marks.design.params import DesignParams
 from planish.marks.design.pattern import BORDER_DIAMETERS, BURN, SIDES, Pattern
 from planish.marks.design.rules import (
@@ -20,6 +30,104 @@ from planish.marks.design.rules import (
     matching_rules,
     simple_rules,
 )
+
+Steps = NDArray[np.int64]
+
+STEP_UM = 50.0
+_BATCH = 4000
+_BATCHES = 6
+_COMPARED_SIDES = 400  # candidates of a side that are compared with the sides before it
+RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Ruler:
+    """One side of the frame in steps.
+
+    ``start`` and ``end`` say whether there are holes in the corners, which lie ``length`` apart; two holes keep
+    ``spacing``, and ``marker`` from an empty corner. ``view``, its ``border`` and a hole's ``radius`` are lengths, too.
+    """
+
+    length: int
+    start: bool
+    end: bool
+    spacing: int
+    marker: int
+    view: float
+    border: float
+    radius: float
+
+    @property
+    def low(self) -> int:
+        """Least position of a hole that is no corner."""
+        return self.spacing if self.start else self.marker
+
+    @property
+    def high(self) -> int:
+        """Largest position of a hole that is no corner."""
+        return self.length - (self.spacing if self.end else self.marker)
+
+    def with_corners(self, inner: Steps) -> Steps:
+        """Add the holes in the corners to positions (..., n)."""
+        start = np.zeros((*inner.shape[:-1], int(self.start)), dtype=np.int64)
+        end = np.full((*inner.shape[:-1], int(self.end)), self.length, dtype=np.int64)
+        return np.concatenate([start, inner, end], axis=-1)
+
+
+def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generator) -> Steps | None:
+    """Draw positions (count,) of the holes between the corners; None if nothing fits.
+
+    ``used`` are the distances on the sides before.
+    """
+    for _ in range(_BATCHES):
+        drawn = _draw_positions(ruler, count, rng)
+        marks = ruler.with_corners(drawn)
+        fits = np.all(np.diff(marks, axis=1) >= ruler.spacing, axis=1)
+        fits &= (drawn[:, 0] >= ruler.low) & (drawn[:, -1] <= ruler.high)
+        drawn, marks = drawn[fits], marks[fits]
+        distances = _distances(marks)
+        golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
+        drawn, distances = drawn[golomb][:_COMPARED_SIDES], distances[golomb][:_COMPARED_SIDES]
+        if len(drawn):
+            repeated = np.isin(distances, np.fromiter(used, dtype=np.int64)).sum(axis=1)
+            return drawn[int(np.argmin(repeated))]
+    return None
+
+
+def growing_side(ruler: Ruler, count: int, rate: float) -> Steps | None:
+    """Give positions (count,) with a pitch that grows evenly, by ``rate`` in all; None if the pitch gets too small."""
+    pitch = 1 + rate * np.arange(count + 1) / count
+    marks = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[:-1]
+    whole = ruler.with_corners(marks)
+    fits = np.all(np.diff(whole) >= ruler.spacing) and marks[0] >= ruler.low and marks[-1] <= ruler.high
+    return marks if fits else None
+
+
+def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Steps:
+    """Draw sorted positions (batch, count) of which at least four survive every crop that keeps the side.
+
+    A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole
+    near the start has a partner not quite a window's length away, so that one enters before the other leaves.
+    """
+    middle = min(count, max(8 - count, count % 2))
+    pairs = (count - middle) // 2
+    window = 0.7 * ruler.view
+    edge = 0.3 * ruler.view
+    first = rng.uniform(ruler.low, max(edge - ruler.border, ruler.low + 1), (_BATCH, pairs))
+    reach = window - 2 * ruler.radius - 1
+    second = first + reach - rng.uniform(0, 0.4, (_BATCH, pairs)) ** 2 * ruler.view
+    low, high = edge - ruler.border + ruler.radius, window - ruler.border - ruler.radius
+    third = rng.uniform(low, max(high, low + 1), (_BATCH, middle))
+    return np.sort(np.round(np.concatenate([first, second, third], axis=1)).astype(np.int64), axis=1)
+
+
+def _distances(marks: Steps) -> Steps:
+    """Return all distances (batch, n (n - 1) / 2) between positions (batch, n) but that from corner to corner."""
+    n = marks.shape[1]
+    pairs = [pair for pair in combinations(range(n), 2) if pair != (0, n - 1)]
+    first, last = np.array(pairs, dtype=np.intp).reshape(-1, 2).T
+    return marks[:, last] - marks[:, first]
+
 
 LEAST_PITCH_UM = 500.0
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
@@ -57,7 +165,11 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     A small field has no room around it for so many holes: unless the margin is given, it widens until there is.
     """
     reasons: dict[int, str] = {}
-    for blank in _blank_patterns(params):
+    blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
+    if params.margin_um is None:
+        margins = (min(blanks[0].margin_um) + float(more) for more in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM))
+        blanks += [_blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins]
+    for blank in blanks:
         reasons.clear()
         for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
             design, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
@@ -69,15 +181,6 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     more = " The layout 'coded' takes less room." if params.layout == "line" else ""
     raise MarkError(f"No {params.layout} pattern around {size} mm keeps the rules. {reasons[min(reasons)]}{more}")
-
-
-def _blank_patterns(params: DesignParams) -> Iterator[Pattern]:
-    """Yield patterns without holes, the margin as it is given, or wider and wider."""
-    blank = _blank_pattern(params)
-    yield blank
-    if params.margin_um is None:
-        for more_um in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM):
-            yield _blank_pattern(params.model_copy(update={"margin_um": min(blank.margin_um) + float(more_um)}))
 
 
 def _blank_pattern(params: DesignParams) -> Pattern:
@@ -110,7 +213,7 @@ def _search(
     area = area_rule(blank, count)
     if not area.passed:
         return None, f"With {count} holes, {area.sentence()}: {area.remedy}."
-    candidates: list[tuple[tuple[float, float], Pattern, tuple[Rule, ...]]] = []
+    candidates: list[tuple[Pair, Pattern, tuple[Rule, ...]]] = []
     nearest: list[Rule] | None = None
     searched = 0
     for _ in range(_ATTEMPTS[blank.layout]):
@@ -154,23 +257,31 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
-    shares = layouts.share_holes(count - 3, lengths, min(_LEAST_A_SIDE, max(1, (count - 3) // 4)))
-    rates = rng.permutation(np.array(layouts.RATES)) + rng.uniform(-0.4, 0.4, 4)
+    shares = [min(_LEAST_A_SIDE, max(1, (count - 3) // 4))] * 4
+    for _ in range(max(0, count - 3 - sum(shares))):
+        # The side on which the holes are farthest apart gets the next one.
+        shares[max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))] += 1
+    rates = rng.permutation(np.array(RATES)) + rng.uniform(-0.4, 0.4, 4)
     used: set[int] = set()
-    sides: list[layouts.Ints] = []
+    sides: list[Steps] = []
     for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
-        ruler = layouts.Ruler(
+        ruler = Ruler(
             length=length, start=side != 0, end=side != 3, spacing=spacing, marker=marker,
             view=blank.view_um[side % 2] / STEP_UM, border=blank.border_um / STEP_UM,
             radius=0.5 * blank.diameter_um / STEP_UM,
         )  # fmt: skip
         if blank.layout == "coded":
-            inner = layouts.coded_side(ruler, share, used, rng)
+            inner = coded_side(ruler, share, used, rng)
         else:
-            inner = layouts.growing_side(ruler, share, float(rates[side]))
+            inner = growing_side(ruler, share, float(rates[side]))
         if inner is None:
             return None
-        used |= layouts.coded_distances(ruler, inner)
+        used |= set(_distances(ruler.with_corners(inner)[None])[0].tolist())
         sides.append(inner)
-    points, owner = layouts.around_frame(sides, width, height)
-    return blank.with_holes(points + np.array(blank.frame_low_um), [SIDES[side] for side in owner])
+    corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
+    direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
+    # The first corner stays empty.
+    along = [np.array([0, *inner] if side else inner, dtype=np.int64) for side, inner in enumerate(sides)]
+    points = np.concatenate([corners[k] + steps[:, None] * direction[k] for k, steps in enumerate(along)])
+    lines = [line for line, steps in zip(SIDES, along, strict=True) for _ in steps]
+    return blank.with_holes(STEP_UM * points + np.array(blank.frame_low_um), lines)

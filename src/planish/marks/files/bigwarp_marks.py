@@ -15,8 +15,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.tables import finite, table_text
 from planish.core.typing import Floats
-from planish.marks.files.content import Content, refuse
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList, refuse
 from planish.marks.files.model import labels_of, used_of
 
 _NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
@@ -34,8 +33,27 @@ def read(content: Content) -> list[PointList]:
     """Read the moving and target points."""
     name = content.name
     rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
-    if content.json is not None:
-        rows = list(enumerate(_json_rows(content.json, name), 1))
+    if content.json is not None:  # alone or in a project
+        inner: object = content.json.get("landmarks", content.json)
+        marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
+        axes, columns = marks.get("numDimensions"), list[list[Any]]()
+        for key in ("movingPoints", "fixedPoints", "names", "active"):
+            column: Any = marks.get(key)
+            columns.append(column if isinstance(column, list) else [])
+            is_valid = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
+            if key.endswith("Points") and not (is_valid and axes in (2, 3)):
+                raise MarkError(
+                    f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are "
+                    f"needed. {_AGAIN}"
+                )
+        counts = [len(column) for column in columns]
+        if len(set(counts)) > 1 or not counts[0]:
+            raise MarkError(
+                f"{name} holds {counts[0]} moving points, {counts[1]} fixed points, {counts[2]} names and {counts[3]} "
+                f"of active; as many of each are needed. {_AGAIN}"
+            )
+        listed = enumerate(zip(*columns, strict=True), 1)
+        rows = [(k, [label, active, *moving, *fixed]) for k, (moving, fixed, label, active) in listed]
     first, width = rows[0][0], len(rows[0][1])
     if width not in (6, 8):
         raise MarkError(f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}")
@@ -77,27 +95,3 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
         cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, is_set, strict=True) for v in side[k]]
         rows.append([label, "true" if used[k] and all(is_set) else "false", *cells])
     return {"": table_text([], rows, quote_all=True).encode()}
-
-
-def _json_rows(content: Mapping[str, Any], name: str) -> list[list[Any]]:
-    """Give the rows of the JSON, alone or in a project (``landmarks``), as those of the CSV."""
-    inner: object = content.get("landmarks", content)
-    marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
-    axes = marks.get("numDimensions")
-    columns: list[list[Any]] = []
-    for key in ("movingPoints", "fixedPoints", "names", "active"):
-        column: Any = marks.get(key)
-        columns.append(column if isinstance(column, list) else [])
-        is_valid = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
-        if key.endswith("Points") and not (is_valid and axes in (2, 3)):
-            raise MarkError(
-                f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are needed. "
-                f"{_AGAIN}"
-            )
-    counts = [len(column) for column in columns]
-    if len(set(counts)) > 1 or not counts[0]:
-        raise MarkError(
-            f"{name} holds {counts[0]} moving points, {counts[1]} fixed points, {counts[2]} names and {counts[3]} of "
-            f"active; as many of each are needed. {_AGAIN}"
-        )
-    return [[label, active, *moving, *fixed] for moving, fixed, label, active in zip(*columns, strict=True)]

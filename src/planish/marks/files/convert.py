@@ -12,11 +12,9 @@ from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.files import write_whole
 from planish.core.typing import Floats
 from planish.marks.files import model
-from planish.marks.files.content import Content, read_content
 from planish.marks.files.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
-from planish.marks.files.lists import LayerPixels, PointList, join_lists
-from planish.marks.files.model import about_layer, layer_names
-from planish.marks.files.plausible import check_marks, check_plausible
+from planish.marks.files.lists import Content, LayerPixels, PointList, join_lists, read_content
+from planish.marks.files.model import about_layer, check_marks, check_plausible, layer_names
 
 _NOTHING = LayerPixels()
 
@@ -70,7 +68,16 @@ def read_any(
             raise SizeError(
                 f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct the file."
             )
-        marks, stated = _with_facts(first, moving, fixed, swap), ("um", True)
+        if swap:
+            raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
+        # What is known of the layers beside what the file states.
+        layers = {layer: dict(about) for layer, about in first.attrs["layers"].items()}
+        for side, facts in (("moving", moving), ("volume", moving), ("fixed", fixed)):
+            if side in layers:
+                layers[side] |= facts.about()
+        if list(layers) == ["marks"]:
+            layers["marks"] |= moving.about() | fixed.about()
+        marks, stated = first.assign_attrs(layers=layers), ("um", True)
     else:
         lists: list[PointList] = []
         for place, (_, content) in zip(places, contents, strict=True):
@@ -197,19 +204,6 @@ def _recognised(content: Content) -> str:
     raise FileError(
         f"{content.name} begins with {first!r} and is in no known format of marks. These are read: {known_formats()}."
     )
-
-
-def _with_facts(marks: xr.Dataset, moving: LayerPixels, fixed: LayerPixels, swap: bool) -> xr.Dataset:
-    """Return marks with what is known of their layers beside what the file states."""
-    if swap:
-        raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
-    layers = {name: dict(about) for name, about in marks.attrs["layers"].items()}
-    for side, facts in (("moving", moving), ("volume", moving), ("fixed", fixed)):
-        if side in layers:
-            layers[side] |= facts.about()
-    if list(layers) == ["marks"]:
-        layers["marks"] |= moving.about() | fixed.about()
-    return marks.assign_attrs(layers=layers)
 
 
 def _single_list(marks: xr.Dataset, name: str) -> PointList:

@@ -15,10 +15,9 @@ import xarray as xr
 
 from planish.core.errors import MarkError
 from planish.core.files import write_whole
-from planish.core.tables import Table, parse_table, table_text
+from planish.core.tables import CsvTable, parse_table, table_text
 from planish.core.typing import Floats
-from planish.marks.files.content import Content
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList
 from planish.marks.files.model import Places, holes_of, labels_of, layer_names, make_marks, used_pairs
 
 _SIDES = {
@@ -127,6 +126,6 @@ def read_points(content: Content, columns: tuple[str, str], *, stated: bool, sou
     )  # fmt: skip
 
 
-def _labels(table: Table) -> list[str]:
+def _labels(table: CsvTable) -> list[str]:
     """Return the labels of the rows; their numbers where they have none."""
     return [table.text(row, "label", str(k)) for k, row in enumerate(table.rows, 1)]

@@ -15,8 +15,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.tables import finite
 from planish.core.typing import Floats
-from planish.marks.files.content import Content, refuse
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList, refuse
 
 _HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
 _NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"

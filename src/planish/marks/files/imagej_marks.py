@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from planish.marks.files.content import Content
 from planish.marks.files.csv_marks import read_points
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList
 
 
 def looks_like(content: Content) -> bool:

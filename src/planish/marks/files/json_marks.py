@@ -17,9 +17,8 @@ from planish.core.errors import MarkError
 from planish.core.tables import MOST_FAULTS, model_faults
 from planish.core.typing import Floats
 from planish.marks.files import model
-from planish.marks.files.content import MOST_MARKS, Content, Part, check_count, json_text, refuse
-from planish.marks.files.model import RESIDUAL, RESULTS, Places
-from planish.marks.files.plausible import check_marks
+from planish.marks.files.lists import MOST_MARKS, Content, Part, check_count, json_text, refuse
+from planish.marks.files.model import RESIDUAL, RESULTS, Places, check_marks
 
 FORMAT = "planish-marks"
 VERSION = 1
@@ -136,7 +135,11 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
         results = {f"{key}_um": float(marks[key].values[k]) for key in stated}
         rows.append({"label": label, "used": used, "at": positions} | results)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
-    head["layers"] = [_in_order({"name": layer, **model.about_layer(marks, layer)}) for layer in layers]
+    # What is known of a layer in the same order whatever it came from.
+    head["layers"] = [
+        {key: about[key] for key in dict.fromkeys([*_Layer.model_fields, *about]) if key in about}
+        for about in ({"name": layer, **model.about_layer(marks, layer)} for layer in layers)
+    ]
     if "registration" in marks.attrs:
         head["registration"] = marks.attrs["registration"]
     try:
@@ -147,11 +150,6 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     top = "".join(f' "{key}": {json_text(value)},\n' for key, value in head.items())
     text = f'{{\n{top} "marks": [\n' + ",\n".join(f"  {json_text(row)}" for row in rows) + "\n ]\n}\n"
     return {"": text.encode()}
-
-
-def _in_order(about: dict[str, Any]) -> dict[str, Any]:
-    """Sort what is known of a layer into the same order whatever it came from."""
-    return {key: about[key] for key in dict.fromkeys([*_Layer.model_fields, *about]) if key in about}
 
 
 def _column(parts: Sequence[Part | None], key: str) -> Floats:

@@ -15,8 +15,7 @@ import xarray as xr
 from planish.core import matlab
 from planish.core.errors import FileError, MarkError
 from planish.core.typing import Floats
-from planish.marks.files.content import Content
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
@@ -36,7 +35,12 @@ def read(content: Content) -> list[PointList]:
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            matrices = _matrices(data)
+            file = io.BytesIO(data)
+            matrices: dict[str, Floats | None] = {}  # None for what is no small real matrix, or not asked for
+            for v in matlab.variables(file):
+                is_small = v.real and len(v.shape) == 2 and v.count <= LARGEST_MATRIX
+                is_wanted = is_small and any(v.name in pair for pair in NAMES)
+                matrices[v.name] = matlab.values(file, v).astype(np.float64) if is_wanted else None
     except Exception as error:
         raise FileError(f"{name} cannot be read as a MATLAB file: {error or type(error).__name__}. {_SAVE}") from error
     pair = next((p for p in NAMES if all(n in matrices for n in p)), None)
@@ -70,17 +74,6 @@ def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     # The usual heading holds the date; without it the same marks make the same bytes.
     heading = b"MATLAB 5.0 MAT-file, pairs of marks in pixels, first centre (1, 1)"
     return {"": heading.ljust(116) + file.getvalue()[116:]}
-
-
-def _matrices(data: bytes) -> dict[str, Floats | None]:
-    """Read the variables of a file; None for what is no small real matrix, or not asked for."""
-    file = io.BytesIO(data)
-    matrices: dict[str, Floats | None] = {}
-    for variable in matlab.variables(file):
-        is_small = variable.real and len(variable.shape) == 2 and variable.count <= LARGEST_MATRIX
-        is_wanted = any(variable.name in pair for pair in NAMES)
-        matrices[variable.name] = matlab.values(file, variable).astype(np.float64) if is_small and is_wanted else None
-    return matrices
 
 
 def _checked(matrix: Floats | None, variable: str, name: str) -> Floats:

@@ -17,8 +17,7 @@ import xarray as xr
 from planish.core.errors import MarkError
 from planish.core.tables import finite
 from planish.core.typing import Floats
-from planish.marks.files.content import Content, refuse
-from planish.marks.files.lists import PointList
+from planish.marks.files.lists import Content, PointList, refuse
 from planish.marks.files.model import labels_of, used_of
 
 SCHEMA = (
@@ -38,10 +37,8 @@ def looks_like(content: Content) -> bool:
 def read(content: Content) -> list[PointList]:
     """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
-    markups: object = (content.json or {}).get("markups")
-    entries: list[Mapping[str, Any]] = (
-        [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
-    )
+    markups: Any = (content.json or {}).get("markups")
+    entries: list[Any] = [m for m in (markups if isinstance(markups, list) else []) if isinstance(m, Mapping)]
     points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
     if len(points) > MOST_LISTS:
         raise MarkError(f"{name} holds {len(points)} lists of points; two are needed. Save those two alone.")
@@ -69,8 +66,7 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
             )  # fmt: skip
         markups.append(
             {
-                "type": "Fiducial", "name": role, "coordinateSystem": "LPS",
-                "coordinateUnits": "mm", "locked": False,
+                "type": "Fiducial", "name": role, "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": False,
                 "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(labels),
                 "controlPoints": controls,
             }

@@ -70,12 +70,12 @@ class Regions:
             return self
         down, across = grid.pixel_um
         size, origin = np.array([across, down]), np.array(grid.origin_um)
-
-        def in_um(region: Region) -> Region:
-            polygons = (tuple((ring - 0.5) * size + origin for ring in rings) for rings in region.polygons)
-            return replace(region, polygons=tuple(polygons))
-
-        return Regions(declared=tuple(map(in_um, self.declared)))
+        polygons = [
+            tuple(tuple((ring - 0.5) * size + origin for ring in rings) for rings in region.polygons)
+            for region in self.declared
+        ]
+        in_um = [replace(region, polygons=rings) for region, rings in zip(self.declared, polygons, strict=True)]
+        return Regions(declared=tuple(in_um))
 
     def inside(self, grid: Grid) -> Bools:
         """Return the pixels of a grid whose centre lies in a region."""

@@ -1,4 +1,4 @@
-"""Faces as Hirn et al. (2009) found them: slice by slice, thresholds from its histogram, outermost boundaries.
+"""Faces at boundaries: slice by slice as Hirn et al. (2009) found them, or between the labels of another program.
 
 A slice is a row of the maps: for serial sections whose first axis counts the sections, ``--through y`` or ``x`` makes
 it one section. Thresholds lie where they separate the classes of grey best (Otsu): air and paper, and, where the volume
@@ -7,19 +7,25 @@ has a coating, paper and coating. A coating thinner than the blur comes out as t
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.errors import VolumeError
+from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile, tiles_of
 from planish.core.typing import Bools, Floats
-from planish.surface.columns import Columns, Guide, join_tiles, oriented
+from planish.surface.assemble import assemble
+from planish.surface.columns import Columns, Guide, Priors, join_tiles, make_guide, oriented
 from planish.surface.faces import Faces, FitJob, faces_from_depths
-from planish.surface.priors import Priors
+from planish.surface.params import LabelParams, SurfaceParams
+from planish.surface.regions import doubtful
+from planish.surface.survey import survey_labels
 
 _BINS = 128
-_AIR_UM = 20.0  # of air beside the sheet that counts in the histogram
 _BYTES = 16  # that a voxel of a slab takes
 
 
@@ -42,7 +48,7 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     columns, priors = job.columns, job.priors
     grey = oriented(columns, tile, job.guide, priors.scale)
     guide = job.guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
-    margin = _AIR_UM / columns.pitch[2]
+    margin = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
     out = np.full((4, *tile.shape), np.nan)
     reach = priors.reach / guide.tilt
     depth = np.arange(grey.shape[2])
@@ -60,7 +66,7 @@ def _fit_slices(job: FitJob, tile: Tile) -> Floats:
             outer, other = (a[i] for a in guide.faces(grey.shape[2], high=end))
             out[2 * k : 2 * k + 2, i] = _outer_boundaries(
                 column.astype(np.float64), outer, other, outer - reach[i], paper, coating if side.coated else np.inf
-            )  # fmt: skip
+            )
     return out
 
 
@@ -73,12 +79,9 @@ def first_where(mask: Bools, start: NDArray[Any]) -> NDArray[np.intp]:
 def _outer_boundaries(
     grey: Floats, expected: Floats, other: Floats, start: Floats, paper: float, coating: float
 ) -> tuple[Floats, Floats]:
-    """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,); NaN where there is none.
-
-    ``grey`` (cols, depth) is read from outside to inside; ``expected`` and ``other`` are where this face and the
-    opposite one should lie, ``start`` is where the search begins. ``paper`` and ``coating`` are thresholds; that of a
-    side without a coating is infinite.
-    """
+    """Outermost boundary of the sheet, and thickness of the outermost run of coating, (cols,); NaN for none."""
+    # The grey (cols, depth) is read from outside to inside; this face and the opposite one should lie where expected
+    # and other say. Paper and coating are thresholds; that of a side without a coating is infinite.
     cols, depth = grey.shape
     is_expected = np.isfinite(expected) & np.isfinite(other)
     middle = np.where(is_expected, 0.5 * (expected + other), -1.0).astype(int)
@@ -135,3 +138,84 @@ def otsu(grey: Floats, classes: int) -> tuple[float, float]:
     between = part(np.zeros_like(a), a) + part(a, b) + part(b, np.full_like(a, _BINS))
     i, j = np.unravel_index(int(np.argmax(np.where(b > a, between, -1.0))), between.shape)
     return float(edges[cut[i]]), float(edges[cut[j]])
+
+
+_CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
+_UNKNOWN = 255
+_COATED_SHARE = 0.02  # of the columns; below it a side has no coating
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelColumns(Columns):
+    """Columns of labels: codes of air, base, void and coating, or 1 where there is any sheet."""
+
+    codes: tuple[tuple[int, int], ...] = ()  # (label, code)
+    sheet: bool = True  # give 1 for all that is not air
+
+    def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
+        """Codes of the voxels of a tile, or of a part of their depth."""
+        # Slots leave a dataclass without its class cell, so super() needs it.
+        raw = super(LabelColumns, self).voxels(tile, depth)
+        out = np.full(raw.shape, _UNKNOWN, dtype=np.uint8)
+        for label, code in self.codes:
+            out[raw == label] = code
+        if (out == _UNKNOWN).any():
+            label = raw[out == _UNKNOWN].flat[0]
+            raise VolumeError(
+                f"The volume holds the label {label}, and its meaning is not given. Say which labels are air, "
+                "base, coating and void with --label-air, --label-base, --label-coating and --label-void."
+            )
+        return (out > 0).astype(np.uint8) if self.sheet else out
+
+
+def surfaces_from_labels(
+    labels: xr.DataArray, frame: Frame, meaning: LabelParams, params: SurfaceParams, engine: Engine
+) -> xr.Dataset:
+    """Find the surfaces in labels: a boundary lies half way between the voxels, there are no grey levels."""
+    if not np.issubdtype(labels.dtype, np.integer) and labels.dtype != np.bool_:
+        raise VolumeError(
+            f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
+        )
+    by_label: dict[int, int] = {}
+    for name, code in _CODES.items():
+        for label in getattr(meaning, name):
+            if by_label.setdefault(int(label), code) != code:
+                raise VolumeError(
+                    f"The label {label} was given two meanings, one of them {name}. Give each label once."
+                )
+    columns = LabelColumns(volume=labels, frame=frame, codes=tuple(sorted(by_label.items())))
+    coarse, empty_share = survey_labels(columns, params, engine)
+    guide = make_guide(coarse, columns)
+    coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
+    reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
+    parts = engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), columns.tiles(engine))
+    depths = join_tiles(parts, np.empty((4, *columns.shape[:2])))
+    share = [float(np.mean(thickness[np.isfinite(thickness)] > 0)) if np.isfinite(thickness).any() else 0.0
+             for thickness in (depths[1], depths[3])]  # fmt: skip
+    coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
+    surfaces = assemble(
+        columns, params, faces_from_depths(depths, columns, coated, particles=coarse.specks),
+        doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
+    )  # fmt: skip
+    surfaces.attrs["empty_share"] = empty_share
+    surfaces.attrs["from_labels"] = " ".join(f"{label}:{code}" for label, code in columns.codes)
+    return surfaces
+
+
+def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
+    """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
+    columns, guide, reach = job
+    codes = columns.voxels(tile)
+    out = np.full((4, *tile.shape), np.nan)
+    last = codes.shape[2] - 1
+    for k, high in enumerate((True, False)):
+        outer, other = guide.faces(last + 1, high=high)
+        is_seen = np.isfinite(outer) & np.isfinite(other)
+        middle, start = (np.where(is_seen, a, -1.0) for a in (0.5 * (outer + other), outer - reach / guide.tilt))
+        part = codes[:, :, ::-1] if high else codes
+        # The outermost boundary of base or coating, and the outermost run of coating.
+        face = first_where((part == _CODES["base"]) | (part == _CODES["coating"]), np.floor(start))
+        end = first_where(part != _CODES["coating"], face)
+        is_boundary = is_seen & (face > 0) & (face <= np.minimum(middle.astype(int), last - 1))
+        out[2 * k][is_boundary], out[2 * k + 1][is_boundary] = face[is_boundary] - 0.5, (end - face)[is_boundary]
+    return out

@@ -1,8 +1,13 @@
-"""Fibre orientation in the plane of the sheet, from the structure tensor of the straightened volume (P-13).
+"""Structure of the base in the plane of the sheet: fibre orientation (P-13) and the size of the pores (P-10).
 
-A step between rays is a step in the centre surface, whatever its tilt, so that the normal direction drops out: only
-gradients in the tangent plane are gathered, and turned into its own frame by the root of the metric, which is the frame
-that flattening keeps. A fibre lies along the direction in which the grey changes least.
+Orientation comes from the structure tensor of the straightened volume. A step between rays is a step in the centre
+surface, whatever its tilt, so that the normal direction drops out: only gradients in the tangent plane are gathered,
+and turned into its own frame by the root of the metric, which is the frame that flattening keeps. A fibre lies along
+the direction in which the grey changes least.
+
+Pores are voids (:func:`~planish.measure.phases.void_level`) inside the base; they end at its interfaces: chords in the
+plane of the sheet, and the largest spheres that fit. What is smaller than two voxels is not seen. Neither size has a
+standard error: it depends on which voids were resolved, and a distribution of pores needs 20 mm2 to be stable.
 """
 
 from __future__ import annotations
@@ -17,22 +22,22 @@ from planish.core.options import Params, option
 from planish.core.transform import axial_angle
 from planish.core.typing import Floats
 from planish.measure.phases import void_level
-from planish.measure.registry import Property, ray_property
+from planish.measure.registry import FWHM, Property, ray_property
 
 if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
+
 Grey3 = NDArray[np.float32]
 
 _CUT = 3.0  # standard deviations of a Gaussian
-_FWHM = float(np.sqrt(8 * np.log(2.0)))
 
 _PARTS = ("fibre_cos2", "fibre_sin2")  # an angle has no mean; its two parts do
 
 
 class Options(Params):
-    """Options of the fibre orientation."""
+    """Options of the fibre orientation and of the pores' sizes."""
 
     orientation_sigma_um: float | None = option(
         None, gt=0, cli=None, help="Scale of the gradients of the fibre orientation; one voxel where not given."
@@ -40,6 +45,7 @@ class Options(Params):
     orientation_rho_um: float = option(
         40.0, gt=0, cli=None, help="Scale over which fibre directions are gathered: one or two fibre widths."
     )
+    pore_limit_um: float = option(40.0, gt=0, cli=None, help="Size above which pores are not distinguished.")
 
 
 def _halo(params: MeasureParams) -> float:
@@ -49,7 +55,7 @@ def _halo(params: MeasureParams) -> float:
 
 
 def _width(params: MeasureParams) -> float:
-    return _FWHM * params.orientation_rho_um
+    return FWHM * params.orientation_rho_um
 
 
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
@@ -82,11 +88,9 @@ def _taps(sigma_um: float, pitch_um: float) -> tuple[Floats, Floats]:
 
 
 def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
-    """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base.
-
-    With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
-    voids and the base's edges, then averaged over ``orientation_rho_um``.
-    """
+    """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base."""
+    # With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
+    # voids and the base's edges, then averaged over orientation_rho_um.
     from scipy import ndimage
 
     def work() -> tuple[Floats, Floats, Floats]:
@@ -113,11 +117,9 @@ def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, 
 
 
 def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
-    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2).
-
-    G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
-    G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
-    """
+    """Turn a tensor of derivatives along columns (x) and rows (y) into the tangent plane: G^(-1/2) J G^(-1/2)."""
+    # G = I + grad z grad z^T is the metric of the centre surface. With a unit vector e up the slope,
+    # G^(-1/2) = I - (1 - cos a) e e^T, a the tilt.
     q, p = slope[..., 0], slope[..., 1]
     steep = p * p + q * q
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -198,3 +200,81 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
                          long_name=f"{title}, layer {k + 1} of {count}", function=partial(function, **depth))
             )  # fmt: skip
     return tuple(layers)
+
+
+def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+    """Samples that are void (rows, cols, s), and how many there are on each ray."""
+
+    def work() -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
+        # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
+        samples = rays.samples_within(*rays.core, more=1)
+        beyond = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
+        void = ((beyond < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
+        return void, void.sum(axis=-1, dtype=np.int64)
+
+    return rays.cached("voids", work)
+
+
+def _reach(params: MeasureParams) -> float:
+    return params.pore_limit_um
+
+
+def chords(void: NDArray[np.uint8], axis: int, most: int) -> NDArray[np.int64]:
+    """Sum over the void samples of each ray of the run of void through them along an axis, in steps (rows, cols).
+
+    A run ends ``most`` steps to each side.
+    """
+    total = np.zeros(void.shape, dtype=np.int16)
+    for turned in (slice(None), slice(None, None, -1)):
+        lines, sums = (np.moveaxis(a, axis, 0)[turned] for a in (void, total))
+        run = np.zeros(lines.shape[1:], dtype=np.int16)
+        for line, to in zip(lines, sums, strict=True):
+            run = np.minimum(run + 1, most) * line
+            to += run
+    return (total - (void > 0)).sum(axis=-1)
+
+
+@ray_property("pore_chord", units="um", long_name="Pore chord in the plane", halo_um=_reach, support_um=_reach)
+def pore_chord(rays: Rays) -> Floats:
+    """Mean in-plane length of the voids on the ray: of the runs through each void sample, along rows and columns.
+
+    Lengths are those in the centre surface. A run counts ``pore_limit_um`` to each side and no further. Longer runs
+    hold more samples and count so much more often. NaN where the ray meets no void.
+    """
+    void, count = _voids(rays)
+    total = np.zeros(count.shape)
+    for k, pitch in enumerate(rays.pitch_um):
+        along = chords(void, k, max(int(rays.params.pore_limit_um / pitch), 1))
+        total += 0.5 * along * pitch * rays.stretch[..., k]
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(count > 0, total / count, np.nan)
+
+
+def distances(void: NDArray[np.uint8], step: tuple[float, float, float], most: float) -> NDArray[np.float32]:
+    """Distance of each void sample to the nearest solid one, no more than ``most``; um, 0 in the solid."""
+    from scipy import ndimage
+
+    if void.all():
+        return np.full(void.shape, most, dtype=np.float32)
+    return np.minimum(ndimage.distance_transform_edt(void, sampling=step), most).astype(np.float32)
+
+
+@ray_property("pore_diameter", units="um", long_name="Pore diameter", support_um=_reach,
+              halo_um=lambda params: 1.5 * params.pore_limit_um)  # fmt: skip
+def pore_diameter(rays: Rays) -> Floats:
+    """Diameter of the largest sphere inside the voids, at most ``pore_limit_um``, mean over the void on the ray.
+
+    Each void sample takes the largest sphere that holds it. The distance to the nearest solid sample is half a sample
+    too long; a mean half step is taken off. Distances along slopes are stretched by the sheet's mean slope. NaN where
+    the ray meets no void.
+    """
+    from planish.measure import _pore_kernels
+
+    void, count = _voids(rays)
+    step = rays.pitch_um[0] * rays.mean_stretch[0], rays.pitch_um[1] * rays.mean_stretch[1], rays.step_um
+    half = 0.5 * float(np.mean(step))
+    distance = distances(void, step, 0.5 * rays.params.pore_limit_um + half)
+    radius = _pore_kernels.inscribed(distance, step)
+    size = np.where(void > 0, 2 * np.maximum(radius - half, 0.5 * half), 0.0).sum(axis=-1, dtype=np.float64)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(count > 0, size / count, np.nan)

@@ -1,0 +1,47 @@
+"""Statistics that outliers and missing values do not spoil: scatter, percentiles, and sums under a Gaussian."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.typing import Bools, Floats
+
+MAD_TO_SD = 1.4826
+"""Standard deviation of normal deviates over the median of their absolute deviation from the median."""
+
+
+def mad_sd(values: NDArray[np.floating[Any]], centre: float | None = None) -> float:
+    """Standard deviation from the median absolute deviation of the finite values; NaN where there is none.
+
+    ``centre`` is what they deviate from; their median where not given. Deviations keep the type of the values.
+    """
+    finite = values[np.isfinite(values)]
+    if finite.size == 0:
+        return float("nan")
+    return MAD_TO_SD * float(np.median(np.abs(finite - (np.median(finite) if centre is None else centre))))
+
+
+def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[float, ...]:
+    """Percentiles of the finite values; NaN where there is none."""
+    finite = values[np.isfinite(values)]
+    return tuple(map(float, np.percentile(finite, percents))) if finite.size else (float("nan"),) * len(percents)
+
+
+def masked_gaussian(
+    values: Floats, is_valid: Bools, sigma: Sequence[float], *, truncate: float = 4.0
+) -> tuple[Floats, Floats]:
+    """Sums of the valid values and of their number under a Gaussian of ``sigma`` pixels; nothing beyond the border.
+
+    The first over the second is the Gaussian mean; each caller says how small the second may be.
+    """
+    from scipy import ndimage
+
+    total, weight = (
+        ndimage.gaussian_filter(field, sigma, mode="constant", truncate=truncate)
+        for field in (np.where(is_valid, values, 0.0), is_valid.astype(np.float64))
+    )
+    return total, weight

@@ -1,0 +1,396 @@
+"""What the faces show on the rays: depth of ink, thicknesses, topography, roughness; and the warp of the sheet."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import model_validator
+
+from planish.core.errors import CannotMeasure
+from planish.core.options import Params, option
+from planish.core.robust import masked_gaussian
+from planish.core.transform import Pair
+from planish.core.typing import Floats
+from planish.measure.registry import (
+    PROPERTIES,
+    SIDES,
+    Greys,
+    Measured,
+    Sheet,
+    Side,
+    face_length,
+    ray_property,
+    sheet_property,
+)
+
+if TYPE_CHECKING:
+    from planish.measure.params import MeasureParams
+    from planish.measure.rays import Rays
+
+
+class InkOptions(Params):
+    """Options of the penetration of ink."""
+
+    ink_grey: tuple[float, float] | None = option(
+        None, metavar="LOW,HIGH", help="Grey range of ink, for the depth to which it penetrates."
+    )
+    ink_reach_um: float | None = option(
+        None,
+        gt=0,
+        cli=None,
+        help="Depth below the top face to which ink is looked for; half the sheet where not given.",
+    )
+
+    @model_validator(mode="after")
+    def _ascending(self) -> Self:
+        if self.ink_grey is not None and not self.ink_grey[0] < self.ink_grey[1]:
+            raise ValueError(f"ink_grey runs from {self.ink_grey[0]:g} to {self.ink_grey[1]:g}; give the smaller first")
+        return self
+
+
+_SHARES = np.array([0.50, 0.90, 0.95])
+REASONS = ("no_ink", "ink_reaches_limit")
+NO_INK, AT_LIMIT = 1, 2
+_LEAST_VOXELS = 1.0
+
+
+def _check_ink(params: MeasureParams, _greys: Greys) -> None:
+    if params.ink_grey is None:
+        raise CannotMeasure(
+            "The depth of ink needs the grey values that are ink. Give their range as ink_grey = [low, high] in "
+            "[properties] of a study file; look at a printed and an unprinted spot in the slices."
+        )
+
+
+def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
+    from planish.measure import _ray_kernels
+
+    def work() -> tuple[Floats, NDArray[np.uint8]]:
+        assert rays.params.ink_grey is not None
+        reach = rays.params.ink_reach_um
+        limit = 0.5 * (rays.top + rays.bottom) if reach is None else np.maximum(rays.top - reach, rays.bottom)
+        low, high = rays.params.ink_grey
+        grey, first, step = rays.grey, float(rays.s_um[0]), rays.step_um
+        depth, total = _ray_kernels.depths_of_shares(grey, first, step, rays.top, limit, low, high, _SHARES)
+        # Ink that is still there where the search ends may go deeper: its shares are not known.
+        near, _ = rays.length(limit, limit + step, least=low, most=high)
+        reason = np.zeros(total.shape, dtype=np.uint8)
+        reason[near > 0.5 * step] = AT_LIMIT
+        reason[total < _LEAST_VOXELS * rays.voxel_um] = NO_INK
+        return np.where(reason == 0, depth, np.nan), reason
+
+    return rays.cached("ink", work)
+
+
+for _which, (_share, _title) in enumerate(
+    {50: "Depth of half the ink", 90: "Depth of 90 % of the ink", 95: "Depth of 95 % of the ink"}.items()
+):
+
+    @ray_property(f"ink_depth_{_share}", units="um", long_name=_title, reasons=REASONS, check=_check_ink,
+                  when=lambda params, _greys: params.ink_grey is not None)  # fmt: skip
+    def depth(rays: Rays, which: int = _which) -> Measured:
+        """P-12: depth below the top face that holds 50, 90 or 95 % of the length of ink on the ray.
+
+        Ink is what lies in the grey range ``ink_grey``, from the face down to ``ink_reach_um``. Missing values are
+        censored, not zero: where there is no ink (less than a voxel), and where ink reaches the limit of the search.
+        Colour that bleeds below a cut surface and dye taken up by the resin look like ink. SE: the face's and one
+        crossing's with the contrast of half the ink's range.
+        """
+        assert rays.params.ink_grey is not None
+        depths, reason = _depths(rays)
+        low, high = rays.params.ink_grey
+        se = np.where(np.isfinite(depths[which]), np.sqrt(2.0) * rays.crossing_se(0.5 * (high - low)), np.nan)
+        return Measured(values=depths[which], se=se, reason=reason)
+
+
+class ThicknessOptions(Params):
+    """Options of thicknesses along the ray and between envelopes."""
+
+    gap_um: float = option(6.0, ge=0, cli=None, help="A gap in the coating that is shorter does not end the layer.")
+    envelope_radius_um: float = option(
+        250.0, gt=0, cli=None, help="Radius of the ball that rolls over both faces, for thickness_envelope."
+    )
+
+
+def errors(sheet: Sheet, name: str) -> Floats:
+    """Standard errors of a thickness along the sheet's rays."""
+    from planish.measure.uncertainty import thickness_errors
+
+    f = sheet.frame
+    slope = f.slopes()
+    # A vertical distance is longer than a normal one, and so is its error.
+    oblique = f.oblique(slope)
+    layers: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
+    cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
+    return thickness_errors(layers, f.greys, f.shared, cosine=cosine)[name] * oblique
+
+
+def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
+    greys.need_coating(side, f"Coating thickness, {side} side,")
+
+
+@sheet_property("coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}"))
+def coating(sheet: Sheet, side: Side) -> Measured:
+    """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (thickness_errors)."""
+    if not sheet.frame.greys.coated(side):
+        return Measured(values=np.full(sheet.frame.status.shape, np.nan))
+    return _of_faces(sheet, f"coating_{side}")
+
+
+def _of_faces(sheet: Sheet, name: str) -> Measured:
+    return Measured(values=face_length(sheet.frame.faces, name), se=errors(sheet, name))
+
+
+def _needs_both_coatings(_params: MeasureParams, greys: Greys) -> None:
+    for side in SIDES:
+        greys.need_coating(side, "The difference of both coatings")
+
+
+def difference(sheet: Sheet, name: str) -> Measured:
+    """Top less bottom of a property; SE: the root of the summed squares of both."""
+    top, bottom = (sheet.maps[f"{name}_{side}"] for side in SIDES)
+    return Measured(values=top.values - bottom.values, se=np.hypot(top.se, bottom.se))
+
+
+@sheet_property("coating_difference", units="um", long_name="Coating, top less bottom", check=_needs_both_coatings,
+                after=("coating_top", "coating_bottom"))  # fmt: skip
+def coating_difference(sheet: Sheet) -> Measured:
+    """P-14: t_T - t_B on the same ray; SE: the root of the summed squares of both."""
+    return difference(sheet, "coating")
+
+
+@sheet_property("base_thickness", units="um", long_name=PROPERTIES["base_thickness"])
+def base_thickness(sheet: Sheet) -> Measured:
+    """P-04: s_TI - s_BI; SE: the root of the summed squares of both interfaces'."""
+    return _of_faces(sheet, "base_thickness")
+
+
+@sheet_property("thickness", units="um", long_name=PROPERTIES["thickness"])
+def thickness(sheet: Sheet) -> Measured:
+    """P-05: s_T - s_B; SE: the root of the summed squares of both faces'."""
+    return _of_faces(sheet, "thickness")
+
+
+@sheet_property(
+    "thickness_envelope", units="um", long_name="Sheet thickness between rolling balls",
+    support_um=lambda params: 2 * params.envelope_radius_um,
+)  # fmt: skip
+def thickness_envelope(sheet: Sheet) -> Measured:
+    """P-05 with envelopes: a ball of ``envelope_radius_um`` rolls over either face and bridges what it cannot enter.
+
+    The ball is taken as the paraboloid x^2 / (2 R), which it is to H / (2 R) of its height at a depth H; the places of
+    the faces on the rays are the height field. No standard error: an envelope rests on few points.
+    """
+    from planish.core._envelope_kernels import rolled
+
+    f = sheet.frame
+    faces = (np.where(sheet.valid, face, np.nan) for face in (f.faces["top"], -f.faces["bottom"]))
+    top, bottom = (rolled(face, f.pitch_um, f.params.envelope_radius_um) for face in faces)
+    return Measured(values=top + bottom)
+
+
+def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
+    """Return t_sum, t_env and the standard error of both of the coating of one side."""
+    from planish.measure import _ray_kernels
+    from planish.measure.uncertainty import layer_errors
+
+    def work() -> tuple[Floats, Floats, Floats]:
+        greys = rays.greys
+        coat = greys.coating(side)
+        face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
+        summed, outer, ends = _ray_kernels.layers(
+            rays.grey, float(rays.s_um[0]), rays.step_um, face, -1.0 if side == "top" else 1.0,
+            0.5 * (coat + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
+            rays.params.gap_um, other,
+        )  # fmt: skip
+        of_face = rays.oblique * layer_errors(outer / rays.oblique, greys, rays.noise_um, side)[0]
+        se = np.hypot(of_face, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coat - greys.base))
+        return summed, outer, se
+
+    return rays.cached(f"layer_{side}", work)
+
+
+@ray_property("coating_{side}_sum", units="um", long_name="Coating on the ray, {side} side", check=_has_coating)
+def coating_sum(rays: Rays, side: Side) -> Measured:
+    """P-01 by labels (A-16): summed length of coating in the outermost connected layer.
+
+    Coating is what lies beyond half way between base and coating. The layer begins at the fitted face, whose blurred
+    flank counts, and ends at the first gap longer than ``gap_um``. The half-way rule makes a layer thinner than two
+    blurs too thin or loses it; ``coating_top`` does not. SE: sqrt(SE_face^2 + n (sqrt(2 pi) w sigma / C)^2), n ends of
+    the layer inside, w blur, sigma noise, C contrast between coating and base.
+    """
+    summed, _, se = _layer(rays, side)
+    return Measured(values=summed, se=se)
+
+
+@ray_property("coating_{side}_envelope", units="um", long_name="Coating with its gaps, {side} side", check=_has_coating)
+def coating_envelope(rays: Rays, side: Side) -> Measured:
+    """t_env of A-16: from the face to the inner end of the same layer, gaps included; SE as :func:`coating_sum`."""
+    _, outer, se = _layer(rays, side)
+    return Measured(values=outer, se=se)
+
+
+_ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
+_PER_MM = 1000.0
+_LEAST_WEIGHT = 0.3  # of the filter's weight that must lie on known values
+
+
+class RoughnessOptions(Params):
+    """Options of the roughness."""
+
+    s_filter_um: float = option(5.0, gt=0, cli=None, help="S-filter of the roughness: shorter waves are left out.")
+    l_filter_um: float = option(800.0, gt=0, cli=None, help="L-filter of the roughness: longer waves are left out.")
+
+
+@sheet_property("topography_{side}", units="um", long_name=PROPERTIES["topography_top"].replace("top", "{side}"))
+def topography(sheet: Sheet, side: Side) -> Measured:
+    """P-06: from the centre surface outwards to the face; SE: that of the fitted face."""
+    return _of_faces(sheet, f"topography_{side}")
+
+
+@sheet_property("roughness_{side}", units="um", long_name="Roughness, {side} side",
+                support_um=lambda params: params.s_filter_um)  # fmt: skip
+def roughness(sheet: Sheet, side: Side) -> Measured:
+    """P-06: the topography between S-filter and L-filter; see :func:`scale_limited`.
+
+    SE: the face's, times what the S-filter leaves of white noise, pitch / (2 sqrt(pi) sigma) where it is below 1.
+    """
+    f, p = sheet.frame, sheet.params
+    sign = 1.0 if side == "top" else -1.0
+    height = np.where(sheet.valid, sign * f.faces[side], np.nan)
+    limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
+    sigma = _sigma(p.s_filter_um)
+    noise_share = np.prod([min(1.0, np.sqrt(q / (2 * np.sqrt(np.pi) * sigma))) for q in f.pitch_um])
+    return Measured(values=limited, se=errors(sheet, f"topography_{side}") * float(noise_share))
+
+
+def _sigma(cutoff_um: float) -> float:
+    return cutoff_um * _ALPHA / np.sqrt(2 * np.pi)
+
+
+def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
+    """Gaussian mean of the known values (rows, cols); NaN where too few lie in reach.
+
+    The filter is normalised by the weight of what is known, and does not look beyond the border.
+    """
+    from scipy import ndimage
+
+    sigma = [sigma_um / p for p in pitch_um]
+    is_finite = np.isfinite(values)
+    total, weight = masked_gaussian(values, is_finite, sigma, truncate=3.5)
+    full = ndimage.gaussian_filter(np.ones(values.shape), sigma, mode="constant", truncate=3.5)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(weight > _LEAST_WEIGHT * full, total / weight, np.nan)
+
+
+def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float) -> Floats:
+    """Roughness between two Gaussian filters; half of the longer cut-off is discarded along the outline.
+
+    Parameters
+    ----------
+    height : (rows, cols)
+        um, outwards; NaN where unknown. The form is gone: heights are those above the centre surface.
+    pitch_um : (float, float)
+    s_filter_um, l_filter_um : float
+        Wavelengths of which half is taken off: shorter ones by the S-filter, longer ones by the L-filter. An S-filter
+        below two pitches is left out, because the grid has filtered already.
+
+    Returns
+    -------
+    (rows, cols)
+        um.
+
+    Raises
+    ------
+    CannotMeasure
+        If the field is no wider than the longer cut-off, or the filters leave nothing between them.
+    """
+    from scipy import ndimage
+
+    if not s_filter_um < l_filter_um:
+        raise CannotMeasure(
+            f"The S-filter ({s_filter_um:g} um) must be shorter than the L-filter ({l_filter_um:g} um). Change "
+            "s_filter_um or l_filter_um."
+        )
+    is_finite = np.isfinite(height)
+    # Holes are no edge: the masked filter bridges them.
+    outside = np.pad(~ndimage.binary_fill_holes(is_finite), 1, constant_values=True)
+    away = ndimage.distance_transform_edt(~outside, sampling=pitch_um)
+    inside = np.asarray(away)[1:-1, 1:-1] >= 0.5 * l_filter_um
+    if not (inside & is_finite).any():
+        size = " x ".join(f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True))
+        raise CannotMeasure(
+            f"The sheet is {size} mm large; with an L-filter of {l_filter_um / 1000:g} mm, half of which is discarded "
+            "along its edge, nothing is left. Give a shorter l_filter_um, and say so beside every number."
+        )
+    fine = smoothed(height, pitch_um, _sigma(s_filter_um)) if s_filter_um >= 2 * max(pitch_um) else height
+    coarse = smoothed(height, pitch_um, _sigma(l_filter_um))
+    return np.where(inside & is_finite, fine - coarse, np.nan)
+
+
+@sheet_property("topography_difference", units="um", long_name="Topography, top less bottom",
+                after=("topography_top", "topography_bottom"))  # fmt: skip
+def topography_difference(sheet: Sheet) -> Measured:
+    """P-14: outward height of the top face less that of the bottom face on the same ray; SE as of coatings.
+
+    Both are measured from the centre surface, the smoothed mean of the faces, so that its mean is near 0 by
+    construction; what is left is roughness that only one side has, and form below the centre surface's cut-off.
+    """
+    return difference(sheet, "topography")
+
+
+# Warp, tilt and curvatures (P-07) have no standard error: what matters is a slow drift of the stack, which bends the
+# surface as a real warp does and cannot be separated from it by one scan. Warp and tilt cost no look at the volume.
+
+
+@sheet_property("warp", units="um", long_name="Warp", support_um=400.0, when=lambda _params, _greys: True)
+def warp(sheet: Sheet) -> Floats:
+    """Height of the centre surface above the plane that fits it best, up towards the top."""
+    height = sheet.frame.heights["centre"]
+    y, x = (np.arange(n) * p for n, p in zip(height.shape, sheet.frame.pitch_um, strict=True))
+    yy, xx = np.meshgrid(y - y.mean(), x - x.mean(), indexing="ij")
+    is_finite = np.isfinite(height) & sheet.valid
+    terms = np.stack([np.ones(int(is_finite.sum())), yy[is_finite], xx[is_finite]], axis=1)
+    level, by_y, by_x = np.linalg.lstsq(terms, height[is_finite], rcond=None)[0]
+    return height - (level + by_y * yy + by_x * xx)
+
+
+@sheet_property("tilt", units="deg", long_name="Tilt of the sheet", support_um=400.0, when=lambda _params, _greys: True)
+def tilt(sheet: Sheet) -> Floats:
+    """Angle between the normal and the axis through the sheet."""
+    slope = sheet.frame.slopes()
+    return np.rad2deg(np.arctan(np.hypot(slope[..., 0], slope[..., 1])))
+
+
+@sheet_property("mean_curvature", units="1/mm", long_name="Mean curvature", support_um=400.0)
+def mean_curvature(sheet: Sheet) -> Floats:
+    """H = ((1 + p^2) t - 2 p q s + (1 + q^2) r) / (2 (1 + p^2 + q^2)^(3/2)); positive where the sheet is a bowl.
+
+    p, q are the slopes, r, s, t the second derivatives of the centre surface's height.
+    """
+    p, q, r, s, t = _derivatives(sheet)
+    above = (1 + p * p) * t - 2 * p * q * s + (1 + q * q) * r
+    return _PER_MM * above / (2 * (1 + p * p + q * q) ** 1.5)
+
+
+@sheet_property("gaussian_curvature", units="1/mm2", long_name="Gaussian curvature", support_um=400.0)
+def gaussian_curvature(sheet: Sheet) -> Floats:
+    """K = (r t - s^2) / (1 + p^2 + q^2)^2; 0 where the sheet can be laid flat without strain."""
+    p, q, r, s, t = _derivatives(sheet)
+    return _PER_MM**2 * (r * t - s * s) / (1 + p * p + q * q) ** 2
+
+
+def _derivatives(sheet: Sheet) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+    """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
+    centre = sheet.frame.heights["centre"]
+    dy, dx = sheet.frame.pitch_um
+    p, q, r, s, t = (np.full(centre.shape, np.nan) for _ in range(5))
+    inner = (slice(1, -1), slice(1, -1))
+    up, down, left, right = centre[:-2, 1:-1], centre[2:, 1:-1], centre[1:-1, :-2], centre[1:-1, 2:]
+    here = centre[inner]
+    p[inner], q[inner] = (right - left) / (2 * dx), (down - up) / (2 * dy)
+    r[inner], t[inner] = (right - 2 * here + left) / dx**2, (down - 2 * here + up) / dy**2
+    s[inner] = (centre[2:, 2:] - centre[2:, :-2] - centre[:-2, 2:] + centre[:-2, :-2]) / (4 * dx * dy)
+    return p, q, r, s, t
