@@ -118,7 +118,7 @@ def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
     words = shlex.split(step.text)
     if words[0] == "planish":
         printed, code = _planish(words[1:])
-    elif (program := _program(words[0])) is None:
+    elif (program := shutil.which(words[0], path=str(Path(sys.executable).parent)) or shutil.which(words[0])) is None:
         return Outcome(step, "", passed_over=f"{words[0]} is not installed")
     elif words[-1] == "&":
         process = subprocess.Popen(
@@ -133,11 +133,6 @@ def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
         printed, code = done.stdout + done.stderr, done.returncode
     faults = [] if fits(printed, step.expected) else ["it prints something else"]
     return Outcome(step, printed, code, faults)
-
-
-def _program(name: str) -> str | None:
-    """Where a program is: beside this Python, or on the path."""
-    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
 
 
 def _environment() -> dict[str, str]:

@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from app.asgi import HOST, TOKEN, Client
+from folders import bytes_of
 from planish.app.apply import STAGED, OriginalRun, order_of, place_of
 from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
@@ -62,10 +63,6 @@ def made(session):
     run_study(order.study, out, old=session.folder)
     shutil.rmtree(staged)
     return out
-
-
-def bytes_of(folder):
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
 
 
 def held(run, group):

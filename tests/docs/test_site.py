@@ -41,7 +41,8 @@ def test_links_are_whole_and_nothing_comes_from_a_network(site):
 
 @pytest.mark.study
 def test_every_document_is_a_page_that_others_lead_to(site):
-    sources = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in documents()}
+    documents = [p.relative_to(ROOT / "docs") for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts]
+    sources = {path.with_suffix(".html") for path in documents}
     pages = {path.relative_to(site) for path in site.rglob("*.html")}
     assert sources <= pages
     linked = set()
@@ -108,8 +109,3 @@ def test_faults_of_a_site_are_named(tmp_path):
     ):  # fmt: skip
         assert part in found
     assert "page" not in found.replace("that page", "")
-
-
-def documents():
-    """Every Markdown file of the site."""
-    return [p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts]

@@ -44,11 +44,6 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("run") / "a", with_evidence())
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
     page = Page((figures.parent / "report.html").read_text(encoding="utf-8"))
     drawn = sorted(figures.glob("*.svg"))
@@ -64,7 +59,8 @@ def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
 
 
 def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
-    found = {re.sub(r"^\d+-", "", path.stem): table(path) for path in sorted(figures.glob("*.csv"))}
+    rows = {path.stem: csv.DictReader(path.read_text(encoding="utf-8").splitlines()) for path in figures.glob("*.csv")}
+    found = {re.sub(r"^\d+-", "", stem): list(rows[stem]) for stem in sorted(rows)}
     run = with_evidence()
     linked = run["groups"]["linked"]
     a, b = block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])

@@ -31,16 +31,6 @@ def page_with(state: str, *, linked: bool = True) -> str:
 
 
 @pytest.fixture(scope="module")
-def link_page() -> str:
-    return page_of(a_run())
-
-
-@pytest.fixture(scope="module")
-def map_page() -> str:
-    return page_of(a_run(linked=False))
-
-
-@pytest.fixture(scope="module")
 def layers_page() -> str:
     return page_of(layers())
 
@@ -161,18 +151,15 @@ def test_what_would_make_it_surer_follows_from_the_results(
 
 
 @pytest.mark.parametrize("name", ["link_page", "map_page", "layers_page"])
-def test_every_box_that_scrolls_is_reached_with_the_keyboard(name: str, request: pytest.FixtureRequest) -> None:
+def test_boxes_that_scroll_are_reached_with_the_keyboard_and_drawings_have_names(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     page = Page(request.getfixturevalue(name))
     assert page.boxes
     for box in page.boxes:
         assert (box["tabindex"], box["role"]) == ("0", "region")
         assert box["aria-label"].strip()
     assert page.loose == []
-
-
-@pytest.mark.parametrize("name", ["link_page", "map_page", "layers_page"])
-def test_every_drawing_has_a_name(name: str, request: pytest.FixtureRequest) -> None:
-    page = Page(request.getfixturevalue(name))
     assert page.svgs
     for svg in page.svgs:
         assert svg["role"] == "img"

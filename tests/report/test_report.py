@@ -30,18 +30,8 @@ OF_A_LINK = [
 OF_A_MAP = ["maps", "slices", "flattening", "inputs", "checks", "record", "solver"]
 
 
-@pytest.fixture(scope="module")
-def link_page() -> str:
-    return page_of(a_run())
-
-
-@pytest.fixture(scope="module")
-def map_page() -> str:
-    return page_of(a_run(linked=False, coated=False))
-
-
-def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, map_page: str) -> None:
-    assert Page(map_page).sections == OF_A_MAP
+def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, bare_page: str) -> None:
+    assert Page(bare_page).sections == OF_A_MAP
     page = Page(link_page)
     assert page.sections == OF_A_LINK
     assert [a for a in page.addresses if a.startswith("#")] == ["#checks", *(f"#{name}" for name in page.sections)]
@@ -93,7 +83,7 @@ def test_every_figure_is_embedded_and_states_n_and_mask(link_page: str) -> None:
     assert not re.search(r"[\"( ,]nan", re.sub(r'href="data:[^"]*"', "", link_page))
 
 
-@pytest.mark.parametrize("name", ["link_page", "map_page"])
+@pytest.mark.parametrize("name", ["link_page", "bare_page"])
 def test_nothing_is_fetched_and_nothing_runs(name: str, request: pytest.FixtureRequest) -> None:
     html = request.getfixturevalue(name)
     page = Page(html)
@@ -126,9 +116,9 @@ def test_hostile_names_stay_text() -> None:
 
 
 def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(
-    map_page: str,
+    bare_page: str,
 ) -> None:
-    page = Page(map_page)
+    page = Page(bare_page)
     assert "no image was linked" in page.text("h1")
     assert "No coating was found" in page.text()
     # A property that was measured nowhere has neither a line in the table nor a figure.

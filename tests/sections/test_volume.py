@@ -84,10 +84,9 @@ def test_shift_turn_and_gain_are_taken_off_in_one_step() -> None:
 def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
     truth = make_series(errors=(0.0, 0.0), turn_rad=0.0, noise=0.0, marks=False, sections=64, cols=480)
     series = make_series(drift=0.03, marks=False, sections=64, cols=480, missing=(40, 41, 42))
-    found = align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    gains = normalise_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    attrs = {"file_name": "v", "voxel_um_source": "the cut counter"}
     where = SectionSeries(series.stack, series.positions_um, PIXEL_UM)
+    found, gains = align_sections(where), normalise_sections(where)
+    attrs = {"file_name": "v", "voxel_um_source": "the cut counter"}
     with limit_threads(1):
         volume = regular_volume(where, alignment=found, gains=gains, attrs=attrs)
     with limit_threads(3):
@@ -95,16 +94,12 @@ def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
     np.testing.assert_array_equal(volume.values, again.values)
     assert (volume.dtype, volume.shape, volume.attrs["file_name"]) == (np.uint8, truth.stack.shape, "v")
     assert volume.attrs["voxel_um_source"] == "the cut counter"
-    raw = regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    heights = [np.diff(middle(v.values)) for v in (truth_volume(truth), raw, volume)]
+    exact = regular_volume(SectionSeries(truth.stack, truth.positions_um, PIXEL_UM))
+    heights = [np.diff(middle(v.values)) for v in (exact, regular_volume(where), volume)]
     before, after = (np.std((h - heights[0])[np.r_[:38, 43:63]]) for h in heights[1:])
     print(f"steps from section to section, error {before:.2f} -> {after:.2f} um")
     assert before > 1.5  # 1.5 um in each of two sections is 2.1 um, less what noise adds
     assert after < 0.35  # 0.2 um in each, as for the alignment
-
-
-def truth_volume(series):
-    return regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
 
 
 def middle(values):

@@ -47,11 +47,7 @@ def spoilt(grey=AIR, seed=0, through="z", top="high"):
     values = values * (1 - share) + np.minimum(values, grey) * share + rng.normal(0, 4.0, SHAPE)
     coords = {k: np.arange(n) * VOXEL for k, n in zip("zyx", SHAPE, strict=True)}
     volume = xr.DataArray(values, dims=("z", "y", "x"), coords=coords)
-    return posed(volume, truth, through, top)
-
-
-def posed(volume, truth, through, top):
-    """The same sheet with its normal along another axis, or its top at the low end."""
+    # the same sheet with its normal along another axis, or its top at the low end
     frame = Frame(through=through, top=top)
     names = dict(zip("zyx", (through, frame.rows, frame.cols), strict=True))
     if top == "low":
