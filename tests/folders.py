@@ -1,4 +1,4 @@
-"""Files that tests of several folders write and compare."""
+"""What tests of several folders share: files that they write and compare, and calls that are refused."""
 
 import os
 from collections.abc import Callable
@@ -46,3 +46,9 @@ def disc_image(holes=(), shape: tuple[int, int] = (220, 280), pixel_um: float = 
     for hole_x, hole_y in holes:
         grey = np.where(np.hypot(x - hole_x, y - hole_y) < 85, 0.05, grey)
     return np.rint(grey * 60000).astype(np.uint16)
+
+
+def refused(error, words: str, call: Callable[..., object], /, *args, **options) -> None:
+    """The call ends with this error, whose message holds these words (a regular expression)."""
+    with pytest.raises(error, match=words):
+        call(*args, **options)

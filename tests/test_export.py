@@ -13,6 +13,7 @@ import xarray as xr
 import zarr
 
 import planish as pl
+from folders import refused
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
 from planish.exports import FORMATS, ExportParams, formats_table, writer_of
@@ -247,8 +248,7 @@ def test_an_export_needs_the_very_volume_that_was_mapped(run_copy, specimen_file
     ):
         path = json.dumps(str(tmp_path / name))
         (run_copy / "run.toml").write_text(text.replace(old, f"path = {path}"), encoding="utf-8")
-        with pytest.raises(FileError, match=words):
-            pl.export(run_copy, tmp_path / "flat.tif", to="tiff", group="straightened")
+        refused(FileError, words, pl.export, run_copy, tmp_path / "flat.tif", to="tiff", group="straightened")
 
 
 @pytest.mark.study
@@ -315,8 +315,7 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(linked_run, tmp_path, options, out, error, words):
-    with pytest.raises(error, match=words):
-        pl.export(linked_run, tmp_path / out, **options)
+    refused(error, words, pl.export, linked_run, tmp_path / out, **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -350,8 +349,7 @@ def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, 
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(sys.modules[write.__module__], write.__name__, broken)
-    with pytest.raises(ResourceError, match="The disk is full while writing"):
-        pl.export(linked_run, tmp_path / out, to=to)
+    refused(ResourceError, "The disk is full while writing", pl.export, linked_run, tmp_path / out, to=to)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -383,8 +381,7 @@ def test_a_run_without_a_link_has_maps_and_no_registration(linked_run, tmp_path)
     alone = replace(run, results=sheet, groups={k: v for k, v in run.groups.items() if k != "linked"}, registrations={})
     made = pl.export(alone, tmp_path / "o", to="tiff", maps=["thickness"])
     np.testing.assert_array_equal(tifffile.imread(made[0]), run.maps["thickness"].values)
-    with pytest.raises(InputError, match="nothing is registered"):
-        pl.export(alone, tmp_path / "no", to="itk")
+    refused(InputError, "nothing is registered", pl.export, alone, tmp_path / "no", to="itk")
     with pytest.raises(InputError, match="no map 'image' in the group maps"):
         pl.export(alone, tmp_path / "no", to="tiff", maps=["image"])
 

@@ -12,6 +12,7 @@ import tifffile
 import xarray as xr
 import zarr
 
+from folders import refused
 from planish.compute import silent
 from planish.core.errors import FileError, StudyError
 from planish.exports import ExportSource
@@ -81,8 +82,7 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) 
         if not words:
             assert source.volume_of(source.results.layers[0], silent).path == path
             continue
-        with pytest.raises(FileError, match=words):
-            source.volume_of(source.results.layers[0], silent)
+        refused(FileError, words, source.volume_of, source.results.layers[0], silent)
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None:
@@ -109,8 +109,7 @@ def test_layers_are_named_after_file_and_part(tmp_path) -> None:
     assert names(part, f"{other}:{PART}") == ["scan-entry-a", "a-b-entry-a", "i"]
     assert names(part, f"{part[:-1]}b") == ["scan-entry-a", "scan-entry-b", "i"]
     assert names(f"ct={part}", f"{other}:{PART}")[0] == "ct"
-    with pytest.raises(StudyError, match="'häh' is no name of a layer"):
-        study_of((f"häh={part}", str(tmp_path / "i.tif")), {})
+    refused(StudyError, "'häh' is no name of a layer", study_of, (f"häh={part}", str(tmp_path / "i.tif")), {})
 
 
 def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no_layer(tmp_path, monkeypatch) -> None:
@@ -134,5 +133,4 @@ def test_parts_of_a_store_have_hashes_of_their_own_and_nothing_is_written_into_i
     assert len(hashes) == 3
     store = tmp_path / "scan.zarr"
     zarr.create_group(store)
-    with pytest.raises(FileError, match="which is read; nothing is written there"):
-        refuse_inside(store / "run", [f"{store}:/0"])
+    refused(FileError, "which is read; nothing is written there", refuse_inside, store / "run", [f"{store}:/0"])

@@ -12,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from folders import refused
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.grid import Grid
@@ -236,8 +237,7 @@ def test_a_manager_of_imagej_and_parts_of_a_composite_are_read():
 
 @pytest.mark.parametrize(("name", "words"), [("rounded", "rounded corners"), ("spline", "fitted with a spline")])
 def test_selections_of_imagej_that_are_not_read_are_named(name, words):
-    with pytest.raises(FileError, match=rf"'{name}.roi': it is .*{words}"):
-        read_regions(SELECTIONS / f"{name}.roi")
+    refused(FileError, rf"'{name}.roi': it is .*{words}", read_regions, SELECTIONS / f"{name}.roi")
 
 
 # --- files that are of no use ----------------------------------------------------------------------------------------
@@ -311,8 +311,7 @@ def test_a_wrong_file_is_refused_with_its_faults(tmp_path, content, words):
 
 def test_all_faults_are_named_at_once(tmp_path):
     content = {"type": "FeatureCollection", "features": [feature(bent([0, 0])), feature(), feature(author=1)]}
-    with pytest.raises(FileError, match=r"region 1: .*1 different.*region 3: author is no text"):
-        read(tmp_path, content)
+    refused(FileError, r"region 1: .*1 different.*region 3: author is no text", read, tmp_path, content)
 
 
 @given(st.data())
@@ -347,8 +346,7 @@ def test_a_study_names_them_by_a_relative_path(tmp_path):
     write_study(study, tmp_path, home=tmp_path, version="")
     assert 'regions = "in/r.json"' in (tmp_path / "run.toml").read_text()
     assert read_study(tmp_path / "run.toml") == study
-    with pytest.raises(ValueError, match="a single layer has none"):
-        Study(layers=layers[:1], correlate=study.correlate)
+    refused(ValueError, "a single layer has none", Study, layers=layers[:1], correlate=study.correlate)
 
 
 @pytest.mark.parametrize(("content", "words"), [(b"{}", "no GeoJSON"), (bent([-9, 0], [-1, 0], [-1, 9]), "no pixel")])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import correlate, cross_correlogram, pearson
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
@@ -101,14 +102,10 @@ def test_a_mask_counts_in_both():
 
 def test_wrong_input_is_refused():
     a = gaussian_maps(np.random.default_rng(8), (30, 40), 3.0)[0]
-    with pytest.raises(SizeError, match="reach of a pixel"):
-        cross_correlogram(a, a, pixel_um=2.0, reach_um=1.0)
-    with pytest.raises(InputError, match="one grid"):
-        cross_correlogram(a, a[:, 1:], pixel_um=2.0)
-    with pytest.raises(CannotMeasure, match="map b is constant"):
-        cross_correlogram(a, np.ones(a.shape), pixel_um=2.0)
-    with pytest.raises(CannotMeasure, match="0 pixels"):
-        cross_correlogram(a, np.full(a.shape, np.nan), pixel_um=2.0)
+    refused(SizeError, "reach of a pixel", cross_correlogram, a, a, pixel_um=2.0, reach_um=1.0)
+    refused(InputError, "one grid", cross_correlogram, a, a[:, 1:], pixel_um=2.0)
+    refused(CannotMeasure, "map b is constant", cross_correlogram, a, np.ones(a.shape), pixel_um=2.0)
+    refused(CannotMeasure, "0 pixels", cross_correlogram, a, np.full(a.shape, np.nan), pixel_um=2.0)
 
 
 @pytest.mark.study

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from folders import refused
 from planish.analyze import Fields, difference_of_pooled_r, expected_n_eff, power_of_study, sheets_needed
 from planish.core.errors import InputError, SizeError
 
@@ -60,17 +61,14 @@ def test_the_fewest_sheets_are_found(paired):
 ])  # fmt: skip
 def test_wrong_designs_are_refused(change, why):
     given = {"r2": (0.21, 0.26), "fields": 3, "n_eff": 100.0, "between_sheets": 0.1, "paired": True} | change
-    with pytest.raises(InputError, match=why):
-        sheets_needed(**given)
+    refused(InputError, why, sheets_needed, **given)
 
 
 def test_wrong_fields_are_refused():
     with pytest.raises(InputError, match="2 sheets"):
         power_of_study((0.2, 0.3), sheets=2, fields=1, n_eff=100, between_sheets=0.1, paired=True)
-    with pytest.raises(SizeError, match="above 0"):
-        expected_n_eff((0.0, 1.0), length_um=1.0, point_um=1.0)
-    with pytest.raises(SizeError, match="holds 1 points"):
-        expected_n_eff((1.0, 1.0), length_um=1.0, point_um=1.0)
+    refused(SizeError, "above 0", expected_n_eff, (0.0, 1.0), length_um=1.0, point_um=1.0)
+    refused(SizeError, "holds 1 points", expected_n_eff, (1.0, 1.0), length_um=1.0, point_um=1.0)
 
 
 @pytest.mark.study

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
+from folders import refused
 from planish.analyze import (
     Fields,
     difference_of_pooled_r,
@@ -122,12 +123,9 @@ def test_a_difference_of_r_is_linear_in_z():
 
 
 def test_wrong_correlations_are_refused():
-    with pytest.raises(InputError, match="1 effects and 1 variances"):
-        random_effects([1.0], [1.0])
-    with pytest.raises(InputError, match="above 0"):
-        random_effects([1.0, 2.0], [1.0, 0.0])
-    with pytest.raises(InputError, match="infinite"):
-        random_effects([1.0, 2.0], [1.0, math.inf])
+    refused(InputError, "1 effects and 1 variances", random_effects, [1.0], [1.0])
+    refused(InputError, "above 0", random_effects, [1.0, 2.0], [1.0, 0.0])
+    refused(InputError, "infinite", random_effects, [1.0, 2.0], [1.0, math.inf])
     with pytest.raises(InputError, match="1 correlations and 2 n_eff"):
         pooled_r(Fields([0.1], ["A"]), [10, 20])
     with pytest.raises(InputError, match="beyond 1"):

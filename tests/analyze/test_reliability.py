@@ -5,6 +5,7 @@ import pytest
 from scipy import optimize
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import deming, independent_points, split_reliability
 from planish.core.errors import CannotMeasure, InputError
 
@@ -44,8 +45,7 @@ def test_larger_points_are_more_reliable_and_halves_that_share_nothing_or_are_co
     found = split_reliability(a, -a + 0.1 * b, pixel_um=1.0)
     assert (found.value, found.interval) == (0, (0, 0))
     a, _ = halves(np.random.default_rng(6), 1.0)
-    with pytest.raises(CannotMeasure, match="constant"):
-        split_reliability(a, np.ones(a.shape), pixel_um=2.0)
+    refused(CannotMeasure, "constant", split_reliability, a, np.ones(a.shape), pixel_um=2.0)
 
 
 def cloud(rng, n, *, slope=2.0, errors=(0.5, 1.5)):
@@ -94,16 +94,11 @@ def test_extreme_ratios_and_fewer_points_change_lines_and_intervals_and_missing_
 def test_without_a_ratio_there_is_no_slope():
     x, y = cloud(np.random.default_rng(12), 100)
     for ratio in (None, 0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(InputError, match="repeated measurements"):
-            deming(x, y, error_ratio=ratio, n_eff=100)
-    with pytest.raises(InputError, match="independent points"):
-        deming(x, y, error_ratio=1.0, n_eff=None)
-    with pytest.raises(InputError, match="shape"):
-        deming(x, y[:-1], error_ratio=1.0, n_eff=100)
-    with pytest.raises(CannotMeasure, match="2 points"):
-        deming(x[:2], y[:2], error_ratio=1.0, n_eff=100)
-    with pytest.raises(CannotMeasure, match="any slope"):
-        deming(x, np.ones(100), error_ratio=1.0, n_eff=100)
+        refused(InputError, "repeated measurements", deming, x, y, error_ratio=ratio, n_eff=100)
+    refused(InputError, "independent points", deming, x, y, error_ratio=1.0, n_eff=None)
+    refused(InputError, "shape", deming, x, y[:-1], error_ratio=1.0, n_eff=100)
+    refused(CannotMeasure, "2 points", deming, x[:2], y[:2], error_ratio=1.0, n_eff=100)
+    refused(CannotMeasure, "any slope", deming, x, np.ones(100), error_ratio=1.0, n_eff=100)
 
 
 @pytest.mark.study

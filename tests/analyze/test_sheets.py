@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from folders import refused
 from planish.analyze import Fields, over_sheets, variances_of
 from planish.core.errors import InputError
 
@@ -91,12 +92,9 @@ def test_what_cannot_be_split_says_why(values, sheets, why):
 
 
 def test_wrong_fields_are_refused():
-    with pytest.raises(InputError, match="2 values of fields, 1 sheets"):
-        Fields([1.0, 2.0], ["A"])
-    with pytest.raises(InputError, match="infinite"):
-        Fields([math.inf], ["A"])
-    with pytest.raises(InputError, match="Sheet A has the field 1 twice"):
-        Fields([1.0, 2.0], ["A", "A"], ["1", "1"])
+    refused(InputError, "2 values of fields, 1 sheets", Fields, [1.0, 2.0], ["A"])
+    refused(InputError, "infinite", Fields, [math.inf], ["A"])
+    refused(InputError, "Sheet A has the field 1 twice", Fields, [1.0, 2.0], ["A", "A"], ["1", "1"])
 
 
 @pytest.mark.study

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import variogram
 from planish.core.errors import CannotMeasure, InputError
 
@@ -103,12 +104,9 @@ def test_missing_pixels_do_not_count_and_scale_and_offset_carry_over():
 
 def test_wrong_input_is_refused():
     a = gaussian_maps(np.random.default_rng(10), (30, 40), 3.0)[0]
-    with pytest.raises(CannotMeasure, match="one value"):
-        variogram(np.ones((30, 40)), pixel_um=1.0)
-    with pytest.raises(CannotMeasure, match="0 pixels"):
-        variogram(a, mask=np.zeros(a.shape, bool), pixel_um=1.0)
-    with pytest.raises(CannotMeasure, match="larger map"):
-        variogram(a[:5, :5], pixel_um=1.0)
+    refused(CannotMeasure, "one value", variogram, np.ones((30, 40)), pixel_um=1.0)
+    refused(CannotMeasure, "0 pixels", variogram, a, mask=np.zeros(a.shape, bool), pixel_um=1.0)
+    refused(CannotMeasure, "larger map", variogram, a[:5, :5], pixel_um=1.0)
     with pytest.raises(InputError, match="two dimensions"):
         variogram(a.ravel(), pixel_um=1.0)
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import FileError, MarkError
 from planish.core.tables import LARGEST_FILE, finite, parse_table, read_text, split_rows, table_text
 
@@ -41,29 +42,23 @@ def test_all_faults_are_named_up_to_a_number(tmp_path):
     ):  # fmt: skip
         assert words in message
     assert message.count("y_um '") == 0
-    with pytest.raises(MarkError, match=r"; and 12 more\. Correct these rows\."):
-        read(tmp_path, "x_um,y_um\n" + "1,one\n" * 20)
+    refused(MarkError, r"; and 12 more\. Correct these rows\.", read, tmp_path, "x_um,y_um\n" + "1,one\n" * 20)
 
 
 @pytest.mark.parametrize("text", ["", "\n", "# nothing\n"])
 def test_an_empty_table_says_what_is_needed(tmp_path, text):
-    with pytest.raises(MarkError, match=r"t\.csv is empty.*x_um, y_um"):
-        read(tmp_path, text)
+    refused(MarkError, r"t\.csv is empty.*x_um, y_um", read, tmp_path, text)
 
 
 def test_what_is_no_text_is_refused(tmp_path):
     place = tmp_path / "t.csv"
     for data in (b"x_um,\xff\n", b"\xff\xfea", b"x\0um,y_um\n"):
         place.write_bytes(data)
-        with pytest.raises(FileError, match=r"no text in UTF-8|binary data"):
-            read_text(place)
+        refused(FileError, r"no text in UTF-8|binary data", read_text, place)
     place.write_bytes(b"1" * (LARGEST_FILE + 1))
-    with pytest.raises(FileError, match="larger than 10 MB and no table of marks"):
-        read_text(place, what="table of marks")
-    with pytest.raises(FileError, match="cannot be read"):
-        read_text(tmp_path / "none.csv")
-    with pytest.raises(FileError, match="is no file"):
-        read_text(tmp_path)
+    refused(FileError, "larger than 10 MB and no table of marks", read_text, place, what="table of marks")
+    refused(FileError, "cannot be read", read_text, tmp_path / "none.csv")
+    refused(FileError, "is no file", read_text, tmp_path)
 
 
 def test_numbers_rows_and_written_tables_are_read():

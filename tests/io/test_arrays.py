@@ -11,6 +11,7 @@ import xarray as xr
 import zarr
 
 import planish as pl
+from folders import refused
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.frame import Frame
 
@@ -125,8 +126,7 @@ def test_coordinates_in_um_are_the_size():
     ],
 )
 def test_sizes_that_are_refused(array, size, words):
-    with pytest.raises(SizeError, match=words):
-        pl.volume(array, voxel_um=size)
+    refused(SizeError, words, pl.volume, array, voxel_um=size)
 
 
 @pytest.mark.parametrize(
@@ -147,8 +147,7 @@ def test_sizes_that_are_refused(array, size, words):
     ],
 )  # fmt: skip
 def test_what_is_no_volume_is_refused(array, words):
-    with pytest.raises((InputError, VolumeError), match=words):
-        pl.volume(array, voxel_um=2)
+    refused((InputError, VolumeError), words, pl.volume, array, voxel_um=2)
 
 
 def test_what_is_no_image_is_refused():
@@ -158,8 +157,7 @@ def test_what_is_no_image_is_refused():
         pl.image(IMAGE, pixel_um=2, side="front")
     with pytest.raises(SizeError, match=r"The image states no pixel size. Give it with pixel_um=SIZE \(or Y,X\)"):
         pl.image(IMAGE)
-    with pytest.raises(InputError, match="Choose luminance with channel="):
-        pl.image(IMAGE, pixel_um=2, channel="red")
+    refused(InputError, "Choose luminance with channel=", pl.image, IMAGE, pixel_um=2, channel="red")
 
 
 def test_holes_follow_the_side_of_the_image():

@@ -16,6 +16,7 @@ import pytest
 import tifffile
 from PIL import Image
 
+from folders import refused
 from planish.core.errors import FileError, VolumeError
 from planish.io import describe, fingerprint
 from planish.io.inspection import as_text, best_section, middle_sections, write_picture
@@ -102,18 +103,15 @@ def test_broken_data_and_several_channels_are_errors(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[at + 4 : at + 30] = bytes(26)
     path.write_bytes(data)
-    with pytest.raises(FileError, match=r"v\.tif cannot be decoded"):
-        describe(path)
+    refused(FileError, r"v\.tif cannot be decoded", describe, path)
     tifffile.imwrite(tmp_path / "v.tif", ramp((5, 2, 20, 30)), imagej=True, metadata={"axes": "ZCYX"})
-    with pytest.raises(VolumeError, match="2 channels"):
-        describe(tmp_path / "v.tif")
+    refused(VolumeError, "2 channels", describe, tmp_path / "v.tif")
 
 
 def test_the_fingerprint_is_the_sha256_of_a_file_or_of_the_slices_of_a_folder(tmp_path: Path) -> None:
     (tmp_path / "a").write_bytes(b"paper" * 100_000)
     assert fingerprint(tmp_path / "a") == hashlib.sha256(b"paper" * 100_000).hexdigest()
-    with pytest.raises(FileError, match="does not exist"):
-        fingerprint(tmp_path / "b")
+    refused(FileError, "does not exist", fingerprint, tmp_path / "b")
     folder = tmp_path / "v"
     folder.mkdir()
     for i in range(3):

@@ -11,6 +11,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
+from folders import refused
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
 from planish.io import read_image
 
@@ -58,8 +59,7 @@ def test_channels_of_a_colour_image(tmp_path: Path) -> None:
     assert luminance.attrs["channel"] == "luminance"
     with pytest.raises(InputError, match=r"has 3 channels, number 3 is not among them\. Choose 0 to 2 with channel="):
         read_image(tmp_path / "i.tif", pixel_um=1, channel="3")
-    with pytest.raises(InputError, match="'alpha' is no channel"):
-        read_image(tmp_path / "i.tif", pixel_um=1, channel="alpha")
+    refused(InputError, "'alpha' is no channel", read_image, tmp_path / "i.tif", pixel_um=1, channel="alpha")
 
 
 def test_alpha_does_not_change_colour_or_grey(tmp_path: Path) -> None:
@@ -84,8 +84,7 @@ def test_channels_that_an_image_lacks_are_refused(tmp_path: Path) -> None:
         read_image(tmp_path / "i.tif", pixel_um=1, channel="red")
     values = picture(shape=(8, 8, 4))
     tifffile.imwrite(tmp_path / "i.tif", values, photometric="separated")
-    with pytest.raises(InputError, match="4 channels that are not red, green, blue"):
-        read_image(tmp_path / "i.tif", pixel_um=1)
+    refused(InputError, "4 channels that are not red, green, blue", read_image, tmp_path / "i.tif", pixel_um=1)
     np.testing.assert_array_equal(read_image(tmp_path / "i.tif", pixel_um=1, channel="2").values, values[..., 2])
 
 
@@ -125,8 +124,7 @@ def test_missing_values_stay_missing(tmp_path: Path) -> None:
     assert np.isnan(read[[2, 4, 0], [3, 5, 0]]).all()
     assert np.isnan(read).sum() == 3
     tifffile.imwrite(tmp_path / "i.tif", np.full((4, 4), np.nan))
-    with pytest.raises(FileError, match="no pixel with a number"):
-        read_image(tmp_path / "i.tif", pixel_um=1)
+    refused(FileError, "no pixel with a number", read_image, tmp_path / "i.tif", pixel_um=1)
 
 
 @pytest.mark.parametrize("extension", [".png", ".jpg", ".tif"])
@@ -154,18 +152,15 @@ def test_no_resolution_is_no_pixel_size(tmp_path: Path, extension: str, dpi: int
 
 def test_a_stack_and_a_folder_are_no_image(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "i.tif", picture(shape=(5, 7, 9)), photometric="minisblack")
-    with pytest.raises(FileError, match="is not one picture but 5 x 7 x 9"):
-        read_image(tmp_path / "i.tif", pixel_um=1)
-    with pytest.raises(FileError, match="is not a file"):
-        read_image(tmp_path, pixel_um=1)
+    refused(FileError, "is not one picture but 5 x 7 x 9", read_image, tmp_path / "i.tif", pixel_um=1)
+    refused(FileError, "is not a file", read_image, tmp_path, pixel_um=1)
 
 
 def test_the_pixel_limit_is_ours_not_pillows(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     Image.fromarray(picture(shape=(70, 90))).save(tmp_path / "i.png")
     monkeypatch.setattr(Image, "MAX_IMAGE_PIXELS", 10)  # Image.open would raise
     assert read_image(tmp_path / "i.png", pixel_um=1).shape == (70, 90)
-    with pytest.raises(ResourceError, match=r"^i\.png needs"):
-        read_image(tmp_path / "i.png", pixel_um=1, memory_bytes=1000)
+    refused(ResourceError, r"^i\.png needs", read_image, tmp_path / "i.png", pixel_um=1, memory_bytes=1000)
 
 
 REFUSED = {
@@ -185,8 +180,7 @@ def test_valid_tiff_files_of_all_kinds_are_read_but_for_those_named(shared_data:
     assert len(files) > 100
     for path in files:
         if path.name in REFUSED:
-            with pytest.raises(InputError, match=REFUSED[path.name]):
-                read_image(path, pixel_um=1, override_size=True)
+            refused(InputError, REFUSED[path.name], read_image, path, pixel_um=1, override_size=True)
         else:
             image = read_image(path, pixel_um=1, override_size=True)
             expected = tifffile.imread(path)

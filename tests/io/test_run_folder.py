@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError
 from planish.io.run_folder import WORK_MARKER, new_folder, read_tree, work_folder, write_json, write_tree
 
@@ -142,19 +143,16 @@ def test_groups_survive_a_round_trip(tmp_path):
 
 
 def test_a_damaged_store_is_named_and_gives_no_other_value(tmp_path):
-    with pytest.raises(FileError, match="no zarr store"):
-        read_tree(tmp_path)
+    refused(FileError, "no zarr store", read_tree, tmp_path)
     (tmp_path / "zarr.json").write_text("{")
-    with pytest.raises(FileError, match="cannot be read"):
-        read_tree(tmp_path)
+    refused(FileError, "cannot be read", read_tree, tmp_path)
     values = np.random.default_rng(0).normal(size=(40, 50))
     write_tree(tmp_path / "maps.zarr", {"maps": xr.Dataset({"a": (("v", "u"), values)})})
     chunk = tmp_path / "maps.zarr" / "maps" / "a" / "c" / "0" / "0"
     data = chunk.read_bytes()
     for at in range(20, len(data), 997):
         chunk.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-        with pytest.raises(FileError, match="damaged"):
-            read_tree(tmp_path / "maps.zarr")
+        refused(FileError, "damaged", read_tree, tmp_path / "maps.zarr")
 
 
 @pytest.mark.parametrize(
@@ -179,5 +177,4 @@ def test_damaged_metadata_of_a_store_are_one_short_sentence(tmp_path, whole, dam
 
 
 def test_json_refuses_nan(tmp_path):
-    with pytest.raises(ValueError, match="JSON compliant"):
-        write_json(tmp_path / "r.json", {"a": float("nan")})
+    refused(ValueError, "JSON compliant", write_json, tmp_path / "r.json", {"a": float("nan")})

@@ -9,6 +9,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
 from planish.io.sections import is_section_folder, read_section_stack
 
@@ -93,13 +94,11 @@ def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override
     folder = write(tmp_path / "v", stated=False)
     assert read_section_stack(folder, voxel_um=2.0).attrs["voxel_um"] == [3.5, 2.0, 2.0]
     assert read_section_stack(folder, voxel_um=(3.5, 1.0, 2.0)).pixel_um == (1.0, 2.0)
-    with pytest.raises(SizeError, match="states no voxel size along y and x"):
-        read_section_stack(folder)
+    refused(SizeError, "states no voxel size along y and x", read_section_stack, folder)
     with pytest.raises(SizeError, match=r"gives z 2 um, but the median step of sections\.csv is 3\.5 um"):
         read_section_stack(folder, voxel_um=(2.0, 2.0, 2.0), override_size=True)
     folder = write(tmp_path / "v")
-    with pytest.raises(SizeError, match="override_size=True"):
-        read_section_stack(folder, voxel_um=1.0)
+    refused(SizeError, "override_size=True", read_section_stack, folder, voxel_um=1.0)
     assert read_section_stack(folder, voxel_um=1.0, override_size=True).pixel_um == (1.0, 1.0)
 
 
@@ -126,35 +125,27 @@ def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override
 )  # fmt: skip
 def test_faults_of_the_counter_are_said(tmp_path: Path, text: str, words: str) -> None:
     folder = write(tmp_path / "v", text=text or "\n")
-    with pytest.raises(VolumeError, match=words):
-        read_section_stack(folder)
+    refused(VolumeError, words, read_section_stack, folder)
 
 
 def test_a_folder_without_memory_or_a_readable_counter_is_refused(tmp_path: Path) -> None:
     with pytest.raises(ResourceError, match="v needs"):
         read_section_stack(write(tmp_path / "v"), memory_bytes=200)
-    with pytest.raises(FileError, match="is not a folder"):
-        read_section_stack(tmp_path / "none")
+    refused(FileError, "is not a folder", read_section_stack, tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileError, match=r"sections\.csv does not exist"):
-        read_section_stack(tmp_path / "empty")
+    refused(FileError, r"sections\.csv does not exist", read_section_stack, tmp_path / "empty")
     folder = write(tmp_path / "v")
     (folder / "sections.csv").write_bytes(b"file,position_um\n\xff\xfe,1\n")
-    with pytest.raises(FileError, match="no text in UTF-8"):
-        read_section_stack(folder)
+    refused(FileError, "no text in UTF-8", read_section_stack, folder)
 
 
 def test_sections_that_differ_are_refused(tmp_path: Path) -> None:
     folder = write(tmp_path / "v")
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 8), np.uint8), photometric="minisblack")
-    with pytest.raises(VolumeError, match=r"s2\.tif is .*s0\.tif is "):
-        read_section_stack(folder)
+    refused(VolumeError, r"s2\.tif is .*s0\.tif is ", read_section_stack, folder)
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 9), np.uint16), photometric="minisblack")
-    with pytest.raises(VolumeError, match=r"s2\.tif has uint16 values, s0\.tif has uint8"):
-        read_section_stack(folder)
+    refused(VolumeError, r"s2\.tif has uint16 values, s0\.tif has uint8", read_section_stack, folder)
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 9, 3), np.uint8), photometric="rgb")
-    with pytest.raises(VolumeError, match=r"s2\.tif is rgb, s0\.tif is grey"):
-        read_section_stack(folder)
+    refused(VolumeError, r"s2\.tif is rgb, s0\.tif is grey", read_section_stack, folder)
     (folder / "s2.tif").write_bytes((folder / "s1.tif").read_bytes()[:100])
-    with pytest.raises(FileError, match=r"s2\.tif"):
-        read_section_stack(folder)
+    refused(FileError, r"s2\.tif", read_section_stack, folder)

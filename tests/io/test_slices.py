@@ -15,6 +15,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
+from folders import refused
 from planish.core.errors import FileError, InputError, ResourceError, SizeError, VolumeError
 from planish.io import read_volume
 from planish.io.slice_volume import list_slices
@@ -114,15 +115,13 @@ def test_a_wide_gap_does_not_fill_the_screen(tmp_path: Path) -> None:
 def test_the_odd_slice_is_named(tmp_path: Path, name: str, page: NDArray[Any], words: str) -> None:
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / name, page, photometric="rgb" if page.ndim == 3 else "minisblack")
-    with pytest.raises(VolumeError, match=words):
-        read_volume(folder, voxel_um=1)
+    refused(VolumeError, words, read_volume, folder, voxel_um=1)
 
 
 def test_a_slice_with_several_pages_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "v", stack())
     tifffile.imwrite(folder / "s5.tif", stack(), photometric="minisblack")
-    with pytest.raises(FileError, match=r"^s5\.tif is not one picture but 12 x 7 x 9"):
-        read_volume(folder, voxel_um=1)
+    refused(FileError, r"^s5\.tif is not one picture but 12 x 7 x 9", read_volume, folder, voxel_um=1)
 
 
 def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) -> None:
@@ -141,8 +140,7 @@ def test_colour_slices_become_luminance_or_the_channel_chosen(tmp_path: Path) ->
     with pytest.raises(InputError, match=r"is grey, so it has no red"):
         read_volume(write_folder(tmp_path / "g", stack()), voxel_um=1, channel="red")
     Image.fromarray(values[0, ..., 0]).save(folder / "s2.png")
-    with pytest.raises(VolumeError, match=r"^s2\.png is grey"):
-        read_volume(folder, voxel_um=1)
+    refused(VolumeError, r"^s2\.png is grey", read_volume, folder, voxel_um=1)
 
 
 @pytest.mark.parametrize(
@@ -159,8 +157,7 @@ def test_names_that_are_no_series_are_refused(
 ) -> None:
     for name in names:
         (tmp_path / name).touch()
-    with pytest.raises(error, match=words):
-        list_slices(tmp_path)
+    refused(error, words, list_slices, tmp_path)
 
 
 def test_sizes_of_slices_are_read_and_must_agree(tmp_path: Path) -> None:
@@ -179,8 +176,7 @@ def test_a_damaged_slice_is_named(tmp_path: Path) -> None:
     folder = write_folder(tmp_path / "v", stack(), ".png")
     data = (folder / "s7.png").read_bytes()
     (folder / "s7.png").write_bytes(data[:-20])
-    with pytest.raises(FileError, match=r"^s7\.png cannot be decoded .* It is damaged"):
-        read_volume(folder, voxel_um=1)
+    refused(FileError, r"^s7\.png cannot be decoded .* It is damaged", read_volume, folder, voxel_um=1)
 
 
 def test_a_folder_that_does_not_fit_is_refused(tmp_path: Path) -> None:
@@ -194,8 +190,7 @@ def test_a_folder_that_does_not_fit_is_read_in_parts(tmp_path: Path, extension: 
     volume = read_volume(folder, voxel_um=1, memory_bytes=500)
     np.testing.assert_array_equal(volume.isel(z=slice(9, 12), y=slice(2, 4)).values, stack()[9:12, 2:4])
     Image.fromarray(stack()[3][:, :5]).save(folder / f"s3{extension}")
-    with pytest.raises(VolumeError, match=rf"^s3\{extension} is 7 x 5 pixels"):
-        read_volume(folder, voxel_um=1, memory_bytes=500)
+    refused(VolumeError, rf"^s3\{extension} is 7 x 5 pixels", read_volume, folder, voxel_um=1, memory_bytes=500)
 
 
 def test_of_uncompressed_slices_only_the_rows_asked_for_are_read(tmp_path: Path) -> None:
@@ -248,5 +243,4 @@ def test_a_real_scan_has_its_size(shared_data: Callable[[str], Path]) -> None:
     volume = read_volume(folder, voxel_um=1)
     assert (volume.shape, volume.dtype) == ((45, 300, 128), np.uint8)
     np.testing.assert_array_equal(volume.values[17], tifffile.imread(folder / "z072.tif"))
-    with pytest.raises(SizeError, match="states no voxel size"):
-        read_volume(folder)
+    refused(SizeError, "states no voxel size", read_volume, folder)

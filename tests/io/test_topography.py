@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError
 from planish.io import read_topography
 from planish.io.guard import quiet
@@ -48,15 +49,11 @@ def test_contradicting_sizes_and_other_files_are_errors(tmp_path: Path, monkeypa
     assert read_topography(path, pixel_um=(3, 2)).attrs["pixel_um"] == pytest.approx([3.0, 2.0])
     with pytest.raises(SizeError, match=r"s\.x3p: pixel_um= gives .* the topography file states"):
         read_topography(path, pixel_um=5)
-    with pytest.raises(ResourceError, match=r"s\.x3p needs"):
-        read_topography(path, memory_bytes=100)
+    refused(ResourceError, r"s\.x3p needs", read_topography, path, memory_bytes=100)
     data = path.read_bytes()
     for length in (0, 10, len(data) // 2, len(data) - 40):
         path.write_bytes(data[:length])
-        with pytest.raises(FileError, match=r"^s\.x3p"):
-            read_topography(path)
-    with pytest.raises(FileError, match=r"^nothing\.sur does not exist"):
-        read_topography(tmp_path / "nothing.sur")
+        refused(FileError, r"^s\.x3p", read_topography, path)
+    refused(FileError, r"^nothing\.sur does not exist", read_topography, tmp_path / "nothing.sur")
     monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
-    with pytest.raises(FileError, match=r'pip install "planish\[formats\]"'):
-        read_topography(path)
+    refused(FileError, r'pip install "planish\[formats\]"', read_topography, path)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
 from planish.io import read_volume
 
@@ -93,8 +94,7 @@ def test_pages_of_two_layouts_are_no_volume(tmp_path: Path, other: dict[str, Any
     if page == 0:  # a tag that no voxel depends on
         np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
         return
-    with pytest.raises(VolumeError, match="different images"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(VolumeError, "different images", read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
 def test_float16_white_is_zero_and_singleton_axes_become_plain_volumes(tmp_path: Path) -> None:
@@ -215,8 +215,7 @@ def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
     path = tmp_path / "v.ome.tif"
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER")
     words = r"contradicts itself: OME metadata .* x 2 um and the TIFF resolution .* x 4 um"
-    with pytest.raises(SizeError, match=words):
-        read_volume(path)
+    refused(SizeError, words, read_volume, path)
     assert read_volume(path, voxel_um=2, override_size=True).attrs["voxel_um"] == [2, 2, 2]
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(5000, 5000), resolutionunit="CENTIMETER")
     assert read_volume(path).attrs["voxel_um_source"] == "OME metadata and the TIFF resolution"
@@ -228,16 +227,14 @@ def test_resolution_tags_speak_about_x_and_y_only(tmp_path: Path) -> None:
     with pytest.raises(SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give"):
         read_volume(path)
     assert read_volume(path, voxel_um=(5, 20, 10)).attrs["voxel_um"] == [5, 20, 10]
-    with pytest.raises(SizeError, match="override_size=True"):
-        read_volume(path, voxel_um=5)
+    refused(SizeError, "override_size=True", read_volume, path, voxel_um=5)
 
 
 @pytest.mark.parametrize("dpi", [1, 72, 96])
 def test_default_resolutions_are_no_size(tmp_path: Path, dpi: int) -> None:
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(dpi, dpi), resolutionunit="INCH")
-    with pytest.raises(SizeError, match="states no voxel size "):
-        read_volume(path)
+    refused(SizeError, "states no voxel size ", read_volume, path)
     assert read_volume(path, voxel_um=5).attrs["voxel_um_source"] == "given"
 
 
@@ -255,8 +252,7 @@ def test_default_resolutions_are_no_size(tmp_path: Path, dpi: int) -> None:
 )
 def test_what_is_not_one_grey_volume_is_refused(tmp_path: Path, values: Any, options: Any, words: str) -> None:
     tifffile.imwrite(tmp_path / "v.tif", values, **options)
-    with pytest.raises(VolumeError, match=rf"^v\.tif .*{words}"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(VolumeError, rf"^v\.tif .*{words}", read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
 def test_pages_of_two_sizes_are_no_volume(tmp_path: Path) -> None:
@@ -276,11 +272,9 @@ def test_incomplete_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
     path.write_bytes(data)
     with pytest.raises(FileError):
         read_volume(path, voxel_um=1)
-    with pytest.raises(FileError, match=r"^v\.tif does not exist"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(FileError, r"^v\.tif does not exist", read_volume, tmp_path / "v.tif", voxel_um=1)
     (tmp_path / "v.tif").touch()
-    with pytest.raises(FileError, match=r"^v\.tif is empty"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(FileError, r"^v\.tif is empty", read_volume, tmp_path / "v.tif", voxel_um=1)
     (tmp_path / "v.tif").write_text("version https://git-lfs.github.com/spec/v1")
     with pytest.raises(FileError, match=r"^v\.tif is no TIFF, PNG, JPEG or BMP file"):
         read_volume(tmp_path / "v.tif", voxel_um=1)

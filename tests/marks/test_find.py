@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from folders import refused
 from marks.holes import make_hole, place, scene
 from planish.core.errors import MarkError, SizeError
 from planish.marks import _measure_kernels, find_holes
@@ -234,19 +235,14 @@ def test_results_carry_units_and_repeat_to_the_same_bytes():
 
 @pytest.mark.parametrize("size", [0.0, -1.0, np.nan, np.inf, (1.0, 0.0), (1.0, 2.0, 3.0)])
 def test_impossible_pixel_sizes(size):
-    with pytest.raises(SizeError, match="pixel size"):
-        find_holes(np.ones((50, 50)), pixel_um=size)
+    refused(SizeError, "pixel size", find_holes, np.ones((50, 50)), pixel_um=size)
 
 
 def test_impossible_requests():
-    with pytest.raises(MarkError, match="one grey channel"):
-        find_holes(np.ones((50, 50, 3)), pixel_um=1.0)
-    with pytest.raises(MarkError, match="real grey"):
-        find_holes(np.ones((50, 50), complex), pixel_um=1.0)
-    with pytest.raises(MarkError, match="diameters"):
-        find_holes(np.ones((50, 50)), pixel_um=1.0, diameter_um=(300.0, 100.0))
-    with pytest.raises(MarkError, match="polarity"):
-        find_holes(np.ones((50, 50)), pixel_um=1.0, polarity="light")
+    refused(MarkError, "one grey channel", find_holes, np.ones((50, 50, 3)), pixel_um=1.0)
+    refused(MarkError, "real grey", find_holes, np.ones((50, 50), complex), pixel_um=1.0)
+    refused(MarkError, "diameters", find_holes, np.ones((50, 50)), pixel_um=1.0, diameter_um=(300.0, 100.0))
+    refused(MarkError, "polarity", find_holes, np.ones((50, 50)), pixel_um=1.0, polarity="light")
 
 
 @pytest.mark.study

@@ -9,6 +9,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from folders import refused
 from marks.test_sheet_holes import CENTRES, PIXEL, dataset, layer_maps
 from planish.core.errors import FileError, MarkError
 from planish.marks import (
@@ -101,28 +102,21 @@ def test_a_malformed_file_is_refused(found, change, words):
 def test_a_malformed_variable_is_named(found, part, words):
     content = holes_to_json(found)
     content["variables"]["x"] = content["variables"]["x"] | part
-    with pytest.raises(MarkError, match=words):
-        holes_from_json(content)
+    refused(MarkError, words, holes_from_json, content)
 
 
 def test_what_has_no_place_in_the_file(found, tmp_path):
     infinite = np.full(6, np.inf)
     for wrong in (found.assign_attrs(a=1j), found.assign_attrs(a=[np.inf]), found.assign(a=("mark", infinite))):
-        with pytest.raises(MarkError, match="cannot be written"):
-            holes_to_json(wrong)
+        refused(MarkError, "cannot be written", holes_to_json, wrong)
     with pytest.raises(MarkError, match="two has dims"):
         holes_to_json(found.assign(two=(("mark", "k"), np.zeros((6, 2)))))
-    with pytest.raises(FileError, match=r"\.json keeps everything"):
-        write_holes(found, tmp_path / "holes.txt")
+    refused(FileError, r"\.json keeps everything", write_holes, found, tmp_path / "holes.txt")
     (tmp_path / "holes.json").write_text("{")
-    with pytest.raises(FileError, match="already there"):
-        write_holes(found, tmp_path / "holes.json")
-    with pytest.raises(FileError, match="damaged JSON"):
-        read_holes(tmp_path / "holes.json")
-    with pytest.raises(FileError, match="cannot be written"):
-        write_holes(found, tmp_path / "no" / "holes.json")
-    with pytest.raises(FileError, match="cannot be read"):
-        read_holes(tmp_path / "none.csv")
+    refused(FileError, "already there", write_holes, found, tmp_path / "holes.json")
+    refused(FileError, "damaged JSON", read_holes, tmp_path / "holes.json")
+    refused(FileError, "cannot be written", write_holes, found, tmp_path / "no" / "holes.json")
+    refused(FileError, "cannot be read", read_holes, tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize(("text", "words"), [
@@ -131,8 +125,7 @@ def test_what_has_no_place_in_the_file(found, tmp_path):
 ])  # fmt: skip
 def test_faults_of_a_table(tmp_path, text, words):
     (tmp_path / "holes.csv").write_text(text)
-    with pytest.raises(MarkError, match=words):
-        read_holes(tmp_path / "holes.csv")
+    refused(MarkError, words, read_holes, tmp_path / "holes.csv")
 
 
 def test_the_example_of_the_page():

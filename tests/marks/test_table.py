@@ -4,6 +4,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from folders import refused
 from planish.core.errors import FileError, MarkError, PlanishError
 from planish.marks import write_marks
 from planish.marks.files import read_any, used_pairs
@@ -92,18 +93,14 @@ def test_results_are_written_beside_the_pairs(tmp_path):
     (FLAT + "".join(f"{k},x,2,3,4\n" for k in range(20)), "and 12 more"),
 ])  # fmt: skip
 def test_faults_are_named_with_their_rows(tmp_path, text, message):
-    with pytest.raises(PlanishError, match=message):
-        read(tmp_path, text)
+    refused(PlanishError, message, read, tmp_path, text)
 
 
 def test_missing_files_sides_and_places_are_refused(tmp_path):
-    with pytest.raises(FileError, match=r"none\.csv"):
-        read_marks(tmp_path / "none.csv")
+    refused(FileError, r"none\.csv", read_marks, tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\x00\x01")
-    with pytest.raises(FileError, match="UTF-8"):
-        read_marks(tmp_path / "binary.csv")
+    refused(FileError, "UTF-8", read_marks, tmp_path / "binary.csv")
     with pytest.raises(MarkError, match="either moving_x"):
         write_marks(xr.Dataset({"fixed_x": ("mark", [1.0])}), tmp_path / "a.csv")
     whole = xr.Dataset({name: ("mark", [1.0]) for name in ("moving_x", "moving_y", "fixed_x", "fixed_y")})
-    with pytest.raises(FileError, match="cannot be written: No such file"):
-        write_marks(whole, tmp_path / "no" / "a.csv")
+    refused(FileError, "cannot be written: No such file", write_marks, whole, tmp_path / "no" / "a.csv")

@@ -5,6 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from folders import refused
 from naive import resample_delaunay, resample_quads
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
@@ -223,14 +224,10 @@ def test_same_bytes_on_any_number_of_threads(degrees):
 def test_impossible_grids_and_meshes_are_refused():
     with pytest.raises(SurfaceError, match="pixel size"):
         located(bent(), shape=(0, 5), pixel_um=(1.0, 1.0))
-    with pytest.raises(SurfaceError, match="No node"):
-        covering_grid(np.full((3, 4, 2), np.nan), 1.0)
-    with pytest.raises(SurfaceError, match=r"\(rows, cols, 2\)"):
-        located(np.zeros((4, 5)), shape=(4, 5), pixel_um=(1.0, 1.0))
+    refused(SurfaceError, "No node", covering_grid, np.full((3, 4, 2), np.nan), 1.0)
+    refused(SurfaceError, r"\(rows, cols, 2\)", located, np.zeros((4, 5)), shape=(4, 5), pixel_um=(1.0, 1.0))
     places = located(bent(), shape=(4, 5), pixel_um=(1.0, 1.0))
-    with pytest.raises(SurfaceError, match="mesh"):
-        resample(np.zeros((5, 5)), places)
+    refused(SurfaceError, "mesh", resample, np.zeros((5, 5)), places)
     uv = np.full((3, 3, 2), np.nan)
     uv[0, :2] = [[0, 0], [1, 1]]
-    with pytest.raises(SurfaceError, match="at least 3"):
-        located(uv, shape=(4, 5), pixel_um=(1.0, 1.0), method="delaunay")
+    refused(SurfaceError, "at least 3", located, uv, shape=(4, 5), pixel_um=(1.0, 1.0), method="delaunay")

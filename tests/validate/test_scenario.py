@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import FileError, InputError
 from planish.synthetic.presets import NUISANCES
 from planish.validate.figures import FIGURES
@@ -69,8 +70,7 @@ def test_as_2_is_what_the_specification_asks_for():
 def test_wrong_scenarios_are_named(tmp_path, text, said):
     path = tmp_path / "mine.toml"
     path.write_text(f'name = "mine"\ntitle = "Mine"\n{text}\n')
-    with pytest.raises(InputError, match=said):
-        read_scenario(path)
+    refused(InputError, said, read_scenario, path)
 
 
 def test_the_study_of_a_scenario_and_files_that_are_none(tmp_path):
@@ -79,11 +79,8 @@ def test_the_study_of_a_scenario_and_files_that_are_none(tmp_path):
     study = read_scenario(path).study_of([(tmp_path / "v", "y")], tmp_path / "i")
     assert (study.holes.hole_um, study.layers[0].volume.through) == ((120.0, 250.0), "y")
     path.write_text('name = "mine"\ntitle = "Mine"\n[study.surface]\ncutoff_um = -1\n')
-    with pytest.raises(InputError, match=r"surface\.cutoff_um"):
-        read_scenario(path)
-    with pytest.raises(FileError, match="small"):
-        read_scenario("smal")
+    refused(InputError, r"surface\.cutoff_um", read_scenario, path)
+    refused(FileError, "small", read_scenario, "smal")
     path = tmp_path / "bad.toml"
     path.write_text("name = ")
-    with pytest.raises(FileError, match="not a TOML file"):
-        read_scenario(path)
+    refused(FileError, "not a TOML file", read_scenario, path)
