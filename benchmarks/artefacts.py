@@ -19,8 +19,7 @@ from planish.synthetic import make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import make_ledger
-from planish.validate.figures import Values
-from planish.validate.scenario import ALL, NONE, Scenario, read_scenario
+from planish.validate.scenario import ALL, NONE, Scenario, Values, read_scenario
 from planish.validate.truth import Comparison
 
 _MODES = ("profile", "paper")

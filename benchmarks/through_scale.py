@@ -18,9 +18,10 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.checks import CHECKS, RegisteredSheet
+from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
 from planish.flatten import flatten_sheet
-from planish.pipeline.through_scale import estimate, judge, scale_from_thickness
 from planish.register import fit_transform
 
 Floats = NDArray[np.float64]
@@ -126,9 +127,11 @@ def examine(case: Case, rng: np.random.Generator):
     fixed = np.stack([u, v], axis=1) @ _stretch(rng)
     fixed += rng.normal(0, case.error_um / np.sqrt(2), fixed.shape)
     fit = fit_transform(moving, fixed, model="auto", lowest="similarity")
-    found = estimate(seen, flat, fit)
+    registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
+    found = estimate(registered)
     assert found is not None
-    return judge(found, scale_from_thickness(seen), seen), found
+    light = next(light for light in CHECKS if light.stage is RegisteredSheet)
+    return judge_marks(light, registered, found, scale_from_thickness(seen)), found
 
 
 def _thickness(rng: np.random.Generator, height: Floats, stated: float, step: float) -> Floats:

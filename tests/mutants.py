@@ -40,7 +40,7 @@ MUTANTS = [
     Mutant("core/frame.py", '(self.through == "y") != (self.top == "low")', '(self.through == "y") == (self.top == "low")', "core/test_frame.py"),
     Mutant("core/frame.py", '1.0 if self.top == "high" else -1.0', "1.0", "core/test_frame.py measure/test_along_normals.py surface/test_any_sheet.py"),
     Mutant("core/transform.py", "np.array([[cos * flip, -sin], [sin * flip, cos]])", "np.array([[cos * flip, sin], [sin * flip, -cos]])", "core/test_transform.py register/test_fit.py"),
-    Mutant("core/transform.py", "shift = -linear @ np.asarray(self.shift_um)", "shift = linear @ np.asarray(self.shift_um)", "core/test_transform.py register/test_fit.py"),
+    Mutant("core/transform.py", "x, y = (-linear @ np.asarray(self.shift_um))", "x, y = (linear @ np.asarray(self.shift_um))", "core/test_transform.py register/test_fit.py"),
     Mutant("core/transform.py", "np.where(below > 0, below, np.nan)", "below", "core/test_transform.py register/test_models.py register/test_refusals.py"),
     Mutant("core/transform.py", "np.rad2deg(0.5 * np.arctan2(sine, cosine))", "np.rad2deg(np.arctan2(sine, cosine))", "core/test_transform.py resample/test_maps.py measure/test_orientation.py"),
     # io: sizes and files
@@ -79,7 +79,7 @@ MUTANTS = [
     Mutant("marks/hole_criteria.py", "(x <= right - radius)", "(x <= right + radius)", "marks/test_find.py"),
     Mutant("marks/hole_criteria.py", "total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]", "total = rows[:, k.INSIDE] - rows[:, k.OUTSIDE]", "marks/test_find.py"),
     Mutant("marks/sheet_holes.py", 'to_face = (-outward if side == "top" else outward) * offset', "to_face = outward * offset", "marks/test_sheet_holes.py"),
-    Mutant("marks/sheet_holes.py", "CLOSED if inside.size and np.median(inside) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
+    Mutant("marks/sheet_holes.py", "CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
     Mutant("marks/mask.py", "np.searchsorted(grid.y_um, y - radius)", "np.searchsorted(grid.y_um, y - 0.5 * radius)", "marks/test_mask.py"),
     Mutant("marks/_measure_kernels.py", "cx, cy, radius = cx + fit[1], cy + fit[2], fit[0]", "cx, cy, radius = cx - fit[1], cy + fit[2], fit[0]", "marks/test_find.py"),
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
@@ -88,7 +88,7 @@ MUTANTS = [
     Mutant("marks/regions/files.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
     Mutant("pipeline/onto.py", "away & ~self.regions.inside(part)", "away", "test_regions.py"),
     # register
-    Mutant("register/similarity.py", "scale=abs(alpha), rotation_rad=float(np.angle(alpha))", "scale=abs(alpha), rotation_rad=-float(np.angle(alpha))", "register/test_fit.py"),
+    Mutant("register/similarity.py", "angle, shift_um = float(np.angle(alpha))", "angle, shift_um = -float(np.angle(alpha))", "register/test_fit.py"),
     Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),
     Mutant("register/pairs.py", "(-points[..., 0] if mirrored else points[..., 0]) + 1j * points[..., 1]", "points[..., 0] + 1j * points[..., 1]", "register/test_fit.py"),
     Mutant("register/result.py", "np.sqrt(2.0 * self.field.mark_variance", "np.sqrt(self.field.mark_variance", "register/test_models.py"),
@@ -112,9 +112,9 @@ MUTANTS = [
     Mutant("sections/_kernels.py", "x = c + pose[1] - pose[3] * (r - middle_r)", "x = c + pose[1] + pose[3] * (r - middle_r)", "sections/test_volume.py sections/test_align.py"),
     Mutant("correct/cupping.py", "100.0 * (1.0 - 1.0 / max(", "100.0 * (1.0 - max(", "correct/test_correct.py"),
     # synthetic, validate
-    Mutant("synthetic/draws.py", "rng.integers(limits[0], limits[1] + 1)", "rng.integers(limits[0], limits[1])", "synthetic/test_specimen.py -k drawn"),
+    Mutant("synthetic/params.py", "rng.integers(limits[0], limits[1] + 1)", "rng.integers(limits[0], limits[1])", "synthetic/test_specimen.py -k drawn"),
     Mutant("synthetic/_kernels.py", "s = (dx * nx + dy * ny + dz * nz) / sqrt(nx * nx + ny * ny + nz * nz)", "s = dx * nx + dy * ny + dz * nz", "synthetic/test_specimen.py -k inverse"),
-    Mutant("validate/volume_errors.py", "100.0 * (1.0 / similar.transform.scale - 1.0)", "100.0 * (similar.transform.scale - 1.0)", "validate/test_ledger.py -k too_large"),
+    Mutant("validate/errors.py", "100.0 * (1.0 / similar.transform.scale - 1.0)", "100.0 * (similar.transform.scale - 1.0)", "validate/test_ledger.py -k too_large"),
     Mutant("validate/truth.py", "return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)", "return np.abs(self.linked_material[..., 0] - u)", "validate/test_ledger.py -k shift_of"),
 ]  # fmt: skip
 

@@ -9,8 +9,7 @@ import tomli_w
 
 from planish.core.errors import FileError
 from planish.validate.certify import Certificate, run_scenario
-from planish.validate.figures import FIGURES
-from planish.validate.scenario import read_scenario
+from planish.validate.scenario import FIGURES, read_scenario
 
 _SCENARIO = "small"
 _SHARE = 0.02  # of a value that may come and go with the versions of numpy, scipy and the compiler

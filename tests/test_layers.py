@@ -18,7 +18,7 @@ from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
 from planish.study import LayerParams, Study, read_study, write_study
 from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
-from planish.validate.image_errors import pair_errors
+from planish.validate.errors import pair_errors
 
 
 @pytest.fixture(scope="module")

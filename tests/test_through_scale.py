@@ -4,11 +4,16 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from planish.checks import CHECKS, MeasuredSheet, RegisteredSheet
+from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
 from planish.core.frame import Frame
 from planish.flatten import flatten_sheet, places_when_scaled
-from planish.pipeline.through_scale import estimate, judge, scale_from_thickness, thickness_scale_check
 from planish.register import Pairs, find_through_scale, fit_transform
 
+BY_THICKNESS, BY_MARKS = (
+    next(light for light in CHECKS if light.name == "scale through the sheet" and light.stage is stage)
+    for stage in (MeasuredSheet, RegisteredSheet)
+)
 SLOPE, WAVE_UM, TURN = 0.5, 1300.0, 0.4  # 27°
 THICK_UM = 90.0
 
@@ -55,8 +60,9 @@ def checked(seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, 
     fixed += np.random.default_rng(seed + 100).normal(0, error_um / np.sqrt(2), fixed.shape)
     fixed[0] += wrong_um
     fit = fit_transform(at, fixed, model=model, lowest="similarity")
-    found = estimate(seen, flat, fit)
-    return found, None if found is None else judge(found, scale_from_thickness(seen), seen)
+    registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
+    found = estimate(registered)
+    return found, None if found is None else judge_marks(BY_MARKS, registered, found, scale_from_thickness(seen))
 
 
 def turned_onto(places, truth):
@@ -132,8 +138,9 @@ def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
     wrong = seen.assign(centre=0.5 * seen["centre"])
     flat, at, places = marks(wrong, 16)
     fixed = places * [np.sqrt(1 + 0.49), 1] + np.random.default_rng(0).normal(0, 0.5, at.shape)
-    found = estimate(wrong, flat, fit_transform(at, fixed, model="affine"))
-    check = judge(found, scale_from_thickness(wrong), wrong)
+    registered = RegisteredSheet(measured=wrong, flat=flat, fit=fit_transform(at, fixed, model="affine"))
+    found = estimate(registered)
+    check = judge_marks(BY_MARKS, registered, found, scale_from_thickness(wrong))
     assert (found.scale, check.state) == (pytest.approx(2, abs=0.05), "look")
     assert "explains it as well" in check.sentence
 
@@ -143,11 +150,11 @@ def test_flat_sheets_cannot_tell_a_spacing():
     assert found.error > 0.15
     assert check.state == "unknown"
     assert check.sentence.startswith("The sheet is too flat, or its 7 marks too few")
-    check = thickness_scale_check(sheet(slope=0.05, grain=0.05))
+    check = BY_THICKNESS(MeasuredSheet(None, sheet(slope=0.05, grain=0.05)))
     assert check.state == "unknown"
     assert "marks can say more" in check.sentence
     empty = sheet().assign(status=(("y", "x"), np.full((150, 180), 2, np.uint8)))
-    assert thickness_scale_check(empty).value is None
+    assert BY_THICKNESS(MeasuredSheet(None, empty)).value is None
 
 
 @pytest.mark.parametrize("count", [3, 4])
@@ -179,7 +186,7 @@ def test_a_sheet_seen_from_the_low_end_of_its_axis():
 def test_thickness_against_slope_is_exact_without_noise(stated):
     found = scale_from_thickness(sheet(stated, slope=0.8))
     assert found.scale == pytest.approx(1 / stated, rel=0.01)
-    check = thickness_scale_check(sheet(stated, slope=0.8, grain=0.05))
+    check = BY_THICKNESS(MeasuredSheet(None, sheet(stated, slope=0.8, grain=0.05)))
     assert check.state == ("pass" if stated == 1 else "look")
 
 
@@ -189,5 +196,6 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     found, _ = checked(seen, slope=0.8)
     slope = scale_from_thickness(seen)
     doubtful = type(found)(**{k: getattr(found, k) for k in found.__slots__} | {"over_stretch": 0.0})
-    assert judge(doubtful, slope, seen).state == "fail"
-    assert "Thickness against slope asks for the same" in judge(doubtful, slope, seen).sentence
+    check = judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
+    assert check.state == "fail"
+    assert "Thickness against slope asks for the same" in check.sentence

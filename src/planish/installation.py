@@ -71,8 +71,11 @@ def check_installation() -> Iterator[Check]:
     for name, folder in (("temporary folder", Path(tempfile.gettempdir())), ("this folder", Path.cwd())):
         yield _disk(name, folder)
     yield _console()
-    if os.name == "nt":
-        yield _long_paths()
+    if os.name == "nt" and longest_path() is None:
+        yield _check("long paths", "Windows takes paths of more than 259 characters.")
+    elif os.name == "nt":
+        short = "Windows takes paths of up to 259 characters; runs in deep folders are refused."
+        yield _check("long paths", short, state="unknown")
     for extra, gives in EXTRAS.items():
         yield _extra(extra, gives)
 
@@ -83,48 +86,42 @@ def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **m
 
 def _python() -> Check:
     words, bits = platform.python_version(), struct.calcsize("P") * 8
-    low, high = (".".join(map(str, one)) for one in _PYTHONS)
     if bits == 64 and _PYTHONS[0] <= sys.version_info[:2] <= _PYTHONS[1]:
         return _check("Python", f"{words}, {bits} bit.")
-    return _check(
-        "Python", f"{words}, {bits} bit.", state="fail", advice=f"Needed is a 64-bit Python from {low} to {high}."
-    )
+    low, high = (".".join(map(str, version)) for version in _PYTHONS)
+    needed = f"Needed is a 64-bit Python from {low} to {high}."
+    return _check("Python", f"{words}, {bits} bit.", state="fail", advice=needed)
 
 
 def _command() -> Check:
     """Whether the command in the terminal is this installation."""
-    found = shutil.which("planish")
-    if found is None:
-        return _check(
-            "command", "planish is not on the search path.", state="unknown",
-            advice="Activate its environment, or write the path of the program in front of its name.",
-        )  # fmt: skip
+    program = shutil.which("planish")
+    if program is None:
+        sentence = "planish is not on the search path."
+        advice = "Activate its environment, or write the path of the program in front of its name."
+        return _check("command", sentence, state="unknown", advice=advice)
     # Tools that give a program an environment of its own put a link to it on the path.
-    if Path(sys.executable).absolute().parent in (Path(found).absolute().parent, Path(found).resolve().parent):
+    if Path(sys.executable).absolute().parent in (Path(program).absolute().parent, Path(program).resolve().parent):
         return _check("command", "planish in a terminal is this installation.")
-    return _check(
-        "command", "planish in a terminal may be another installation.", state="unknown",
-        advice="Compare 'planish --version' with the first line.",
-    )  # fmt: skip
+    sentence, advice = (
+        "planish in a terminal may be another installation.",
+        "Compare 'planish --version' with the first line.",
+    )
+    return _check("command", sentence, state="unknown", advice=advice)
 
 
 def _libraries() -> Check:
     """Versions of all libraries against the lower bounds, and whether they can be imported."""
-    needed, wrong, found = _requirements(None), list[str](), list[str]()
+    needed = _requirements(None)
     if needed is None:
         return _check("libraries", "planish runs from a folder and is not installed.", state="unknown")
-    for requirement in needed:
-        version, fault = _fault_of(requirement)
-        found.append(f"{requirement.name} {version}")
-        if fault:
-            wrong.append(fault)
-    if wrong:
-        return _check(
-            "libraries", f"{'; '.join(wrong)}.", state="fail",
-            advice="Install planish again, best into an environment of its own: pip install --upgrade, and the path of "
-            "its wheel or folder.",
-        )  # fmt: skip
-    return _check("libraries", f"{', '.join(found)}.")
+    versions = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
+    if wrong := [fault for _, _, fault in versions if fault]:
+        advice = (
+            "Install planish again, best into an environment of its own: pip install --upgrade, and the path of its "
+        )
+        return _check("libraries", f"{'; '.join(wrong)}.", state="fail", advice=f"{advice}wheel or folder.")
+    return _check("libraries", f"{', '.join(f'{library} {version}' for library, version, _ in versions)}.")
 
 
 def _fault_of(requirement: Requirement) -> tuple[str, str | None]:
@@ -145,11 +142,12 @@ def _fault_of(requirement: Requirement) -> tuple[str, str | None]:
 
 def _modules(library: str) -> list[str]:
     """Names by which the packages of a library are imported, which need not be its own."""
-    names = [str(file).split("/")[0] for file in metadata.files(library) or () if str(file).endswith("/__init__.py")]
-    single = [str(file) for file in metadata.files(library) or () if "/" not in str(file)]
-    found = dict.fromkeys([*names, *(name.removesuffix(".py") for name in single if name.endswith(".py"))])
-    alike = [name for name in found if _plain(name) in _plain(library) or _plain(library) in _plain(name)]
-    return alike or [name for name in found if name.isidentifier() and not name.startswith("_")][:1]
+    files = [str(file) for file in metadata.files(library) or ()]
+    packages = [file.split("/")[0] for file in files if file.endswith("/__init__.py")]
+    single = [file.removesuffix(".py") for file in files if "/" not in file and file.endswith(".py")]
+    modules = dict.fromkeys([*packages, *single])
+    alike = [name for name in modules if _plain(name) in _plain(library) or _plain(library) in _plain(name)]
+    return alike or [name for name in modules if name.isidentifier() and not name.startswith("_")][:1]
 
 
 def _plain(name: str) -> str:
@@ -162,15 +160,13 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
         texts = metadata.requires("planish") or []
     except metadata.PackageNotFoundError:
         return None
-    here: dict[str, str] = {k: str(v) for k, v in default_environment().items()}
-    found: list[Requirement] = []
+    environment = {k: str(v) for k, v in default_environment().items()} | {"extra": extra or ""}
+    needed: list[Requirement] = []
     for requirement in map(Requirement, texts):
-        asks = requirement.marker is not None and "extra" in str(requirement.marker)
-        if asks == (extra is not None) and (
-            requirement.marker is None or requirement.marker.evaluate(here | {"extra": extra or ""})
-        ):
-            found.append(requirement)
-    return found
+        is_extra = requirement.marker is not None and "extra" in str(requirement.marker)
+        if is_extra == (extra is not None) and (requirement.marker is None or requirement.marker.evaluate(environment)):
+            needed.append(requirement)
+    return needed
 
 
 def _compile_cache() -> Check:
@@ -188,12 +184,16 @@ def _compile_cache() -> Check:
     for folder in sorted(folders):
         if not _may_write(folder):
             return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
-    kept = sum(1 for kernel in kernels if _is_kept(kernel))
-    own = "beside the program" if all(f.name == "__pycache__" for f in folders) else "in the user's folder for caches"
-    given = os.environ.get("NUMBA_CACHE_DIR")
-    where = "in NUMBA_CACHE_DIR" if given and all(f.is_relative_to(given) for f in folders) else own
-    first = "" if kept else " The first run takes about a minute longer, to compile them."
-    return _check(name, f"{kept} of {len(kernels)} kernels are compiled and kept {where}.{first}")
+    compiled = 0
+    for kernel in kernels:  # of which the cache has an index
+        index = f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
+        compiled += any(Path(kernel.stats.cache_path).glob(index))
+    where = "beside the program" if all(f.name == "__pycache__" for f in folders) else "in the user's folder for caches"
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    if chosen and all(folder.is_relative_to(chosen) for folder in folders):
+        where = "in NUMBA_CACHE_DIR"
+    first = "" if compiled else " The first run takes about a minute longer, to compile them."
+    return _check(name, f"{compiled} of {len(kernels)} kernels are compiled and kept {where}.{first}")
 
 
 def _kernels() -> Iterator[Any]:
@@ -204,13 +204,6 @@ def _kernels() -> Iterator[Any]:
             for value in vars(module).values():
                 if hasattr(value, "py_func") and value.py_func.__module__ == info.name and value.stats.cache_path:
                     yield value
-
-
-def _is_kept(kernel: Any) -> bool:
-    """Whether the cache has an index of a kernel."""
-    function = kernel.py_func
-    name = f"{function.__module__.rpartition('.')[2]}.{function.__qualname__}-*.nbi"
-    return any(Path(kernel.stats.cache_path).glob(name))
 
 
 def _short(folder: Path) -> str:
@@ -241,11 +234,9 @@ def _memory() -> Check:
 def _disk(name: str, folder: Path) -> Check:
     free = shutil.disk_usage(folder).free
     if not _may_write(folder):
-        advice = (
-            "Set TMPDIR (on Windows TMP) to a folder that you may write."
-            if "temp" in name
-            else "Go to another folder, or give one with --out."
-        )
+        advice = "Go to another folder, or give one with --out."
+        if "temp" in name:
+            advice = "Set TMPDIR (on Windows TMP) to a folder that you may write."
         return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=advice)
     sentence = f"{free / 1e9:.1f} GB are free, and it can be written."
     low = "Free some space: maps, working stores and tiles need it."
@@ -254,23 +245,13 @@ def _disk(name: str, folder: Path) -> Check:
 
 def _console() -> Check:
     """Encodings and appearance of the terminal."""
-    encodings = {"output": sys.stdout.encoding, "messages": sys.stderr.encoding}
     terminal = f"a terminal of {shutil.get_terminal_size().columns} columns" if sys.stdout.isatty() else "no terminal"
-    utf = "on" if sys.flags.utf8_mode else "off"
-    said = ", ".join(f"{name} {encoding}" for name, encoding in encodings.items())
+    streams = f"output {sys.stdout.encoding}, messages {sys.stderr.encoding}"
     files, texts = sys.getfilesystemencoding(), locale.getpreferredencoding(do_setlocale=False)
-    return _check(
-        "console", f"{said}; names of files {files}, texts of other programs {texts}; UTF-8 mode {utf}; {terminal}."
+    utf = (
+        f"names of files {files}, texts of other programs {texts}; UTF-8 mode {'on' if sys.flags.utf8_mode else 'off'}"
     )
-
-
-def _long_paths() -> Check:
-    if longest_path() is None:
-        return _check("long paths", "Windows takes paths of more than 259 characters.")
-    return _check(
-        "long paths", "Windows takes paths of up to 259 characters; runs in deep folders are refused.",
-        state="unknown",
-    )  # fmt: skip
+    return _check("console", f"{streams}; {utf}; {terminal}.")
 
 
 def _extra(extra: str, gives: str) -> Check:
@@ -282,7 +263,7 @@ def _extra(extra: str, gives: str) -> Check:
     missing = [library for library, version, _ in faults if version == "missing"]
     wrong = {library: fault for library, version, fault in faults if fault and version != "missing"}
     if wrong:
-        again = " ".join(f'"{one.name}{one.specifier}"' for one in needed if one.name in wrong)
+        again = " ".join(f'"{library.name}{library.specifier}"' for library in needed if library.name in wrong)
         return _check(name, f"{'; '.join(wrong.values())}.", advice=f"Run: pip install --upgrade {again}")
     if missing:
         return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {gives}.')

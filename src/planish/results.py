@@ -487,7 +487,7 @@ class Results(Facts):
                 return state
         return "pass"
 
-    def spoken(self, *states: State) -> list[Check]:
+    def checks_in(self, *states: State) -> list[Check]:
         """The checks in these states."""
         return [check for check in self.checks if check.state in states]
 

@@ -9,9 +9,8 @@ import numpy as np
 import pytest
 
 from planish.app.changes import Import, Mark, change_of
-from planish.app.fits import fitted
+from planish.app.fits import find_outliers, fitted
 from planish.app.live import Live
-from planish.app.outliers import find_outliers
 from planish.app.pictures import Pictures
 from planish.app.snap import snapped
 from planish.register import RegistrationParams, fit_transform

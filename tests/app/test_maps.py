@@ -10,10 +10,8 @@ import pytest
 import xarray as xr
 
 from planish.app import selection
-from planish.app.pictures import Pictures, group_pictures
-from planish.app.probe import cursor, profile
-from planish.app.selection import Brush, Rectangle, Stopped, density, histogram, select
-from planish.app.tiles import Tiles
+from planish.app.pictures import Pictures, Tiles, group_pictures
+from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
 from planish.core.area import halved, overviews
 from planish.core.errors import InputError
 from planish.io.run_folder import write_tree
@@ -98,7 +96,7 @@ def test_a_profile_has_the_pixels_that_a_line_crosses(maps, tiles, pair):
 
 
 def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatch):
-    monkeypatch.setattr("planish.app.probe.MOST_SAMPLES", 300)
+    monkeypatch.setattr("planish.app.selection.MOST_SAMPLES", 300)
     y = ORIGIN[1] + PIXEL[0] * 20.5  # the middle of row 10 of the first overview
     found = profile(tiles, [pair[1]], (ORIGIN[0], y, ORIGIN[0] + PIXEL[1] * 400, y))
     assert found.pixel_um == 4.0

@@ -8,12 +8,11 @@ import tifffile
 import xarray as xr
 from PIL import Image
 
-from planish.app import computed_levels, pictures
-from planish.app.computed_levels import ComputedLevels, trim
-from planish.app.picture import Codes
-from planish.app.pictures import Pictures, group_pictures
+from planish.app import picture as computed_levels
+from planish.app import pictures
+from planish.app.picture import Codes, ComputedLevels, trim
+from planish.app.pictures import TILE, Pictures, Tiles, group_pictures
 from planish.app.strain import STRAINS
-from planish.app.tiles import TILE, Tiles
 from planish.core.area import overviews
 from planish.core.errors import InputError
 from planish.io import ImageParams, map_store, read_image

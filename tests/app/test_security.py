@@ -12,8 +12,7 @@ from pathlib import Path
 import pytest
 
 from app.asgi import HOST, TOKEN, Client
-from planish.app.guard import HEADERS, MOST_BYTES
-from planish.app.server import create_app
+from planish.app.server import HEADERS, MOST_BYTES, create_app
 from planish.app.session import Session
 
 READS = ("/api/session", "/api/state", "/api/predict?side=moving&x=1&y=2", "/api/marks/export?format=json")

@@ -9,10 +9,9 @@ import pytest
 import tifffile
 from scipy import ndimage
 
-from planish.app.changes import CorrectedPoint, Correction, State
-from planish.app.corrections import changed_corrections, corrections_of, stretches_of
-from planish.app.slices import HEIGHTS, Sheet, contour, sheets_of
-from planish.app.surfaces_routes import slice_message
+from planish.app.changes import CorrectedPoint, Correction, State, changed_corrections, corrections_of, stretches_of
+from planish.app.slices import HEIGHTS, SlicedSheet, contour, sheets_of
+from planish.app.view_routes import slice_message
 from planish.cli import main
 from planish.core.errors import InputError
 from planish.core.frame import Frame
@@ -37,10 +36,10 @@ def folder(request) -> Path:
     return request.getfixturevalue("linked_run" if request.param == "upright" else "laid_run")
 
 
-def opened(folder: Path) -> Sheet:
+def opened(folder: Path) -> SlicedSheet:
     study = read_study(folder / "run.toml")
     ((name, (params, store)),) = sheets_of(folder, study).items()
-    return Sheet.open(name, params, store)
+    return SlicedSheet.open(name, params, store)
 
 
 def voxels(folder: Path) -> np.ndarray:

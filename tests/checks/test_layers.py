@@ -1,19 +1,30 @@
 """Grey scale, second sheet, delamination, few voxels and dust: seen with their number, and not where all is right."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
+from planish.measure.greys import Greys
 from scipy import ndimage
 
-from planish.checks import check_scan
-from planish.checks.blur import blur_check, noise_width
-from planish.checks.dust import find_particles
-from planish.checks.greys import Greys, clipping, clipping_check, level_jump, steadiness_check
-from planish.checks.sheets import voxels_check
+from planish.checks import CHECKS, check_scan
+from planish.checks.greys import clipping, level_jump, noise_width
+from planish.checks.scan import voxels_through
+from planish.checks.sheets import find_particles
 from planish.checks.windows import window_of
 
+LIGHTS = {light.name: light for light in CHECKS}
 VOXEL = 3.0
-GREYS = Greys(air=40.0, base=90.0, coating=200.0, noise=5.0)
+
+
+def levels(air, base, coating, noise):
+    sign = 1.0 if base >= air else -1.0
+    of_all = {"air": air, "base": base, "coating_top": coating, "coating_bottom": np.nan, "noise": noise}
+    return Greys(**of_all, polarity=sign, blur_um=2.4, padding=np.nan)
+
+
+GREYS = levels(40.0, 90.0, 200.0, 5.0)
 
 
 def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
@@ -44,7 +55,7 @@ def layered(*, extra=None, depth=40, seed=0, noise=5.0, shape=(190, 200)):
         {k: (("y", "x"), (v + np.zeros(shape)) * VOXEL) for k, v in heights.items()},
         coords={k: coords[k] for k in "yx"},
         attrs={"through": "z", "top_side": "high", "grey_air": 40.0, "grey_base": 90.0, "grey_coating_top": 200.0,
-               "grey_coating_bottom": 200.0, "grey_noise": 5.0, "blur_um": 2.4},
+               "grey_coating_bottom": 200.0, "grey_noise": 5.0, "polarity": 1.0, "blur_um": 2.4},
     )  # fmt: skip
     coating = ndimage.gaussian_filter(rng.normal(size=shape), 5)
     for side in ("top", "bottom"):
@@ -57,6 +68,10 @@ def turned(volume, through):
     """The same with the axis through the sheet along another one."""
     dims = {"z": ("z", "y", "x"), "y": ("y", "z", "x"), "x": ("x", "z", "y")}[through]
     return volume.rename(dict(zip(("z", "y", "x"), dims, strict=True))).transpose("z", "y", "x")
+
+
+def judged(name, **scan):
+    return LIGHTS[name](SimpleNamespace(**scan))
 
 
 def by_name(checks):
@@ -150,7 +165,7 @@ def test_a_filter_is_seen_in_the_noise_of_the_air(sigma, state, through):
     heights = {k: measured[k] + 100 * VOXEL for k in ("top", "bottom")}
     tall, moved = turned(tall, through), measured.assign(heights).assign_attrs(through=through)
     assert noise_width(tall, moved) == pytest.approx(2.3548 * sigma * VOXEL, rel=0.12)
-    found = blur_check(tall, moved)  # the coating has 15 um
+    found = judged("blur of the scan", volume=tall, measured=moved, greys=GREYS)  # the coating has 15 um
     assert found.state == state
     assert found.sentence.startswith("The noise is smoothed over ")
 
@@ -161,7 +176,8 @@ def test_few_voxels_through_the_sheet(voxel, state):
     volume, measured = layered()
     measured["top"].values[:] = 150.0
     measured["bottom"].values[:] = measured["centre"].values[:] = 0.0
-    check = voxels_check(volume.assign_attrs(voxel_um=[voxel] * 3), measured)
+    voxels = voxels_through(volume.assign_attrs(voxel_um=[voxel] * 3), measured)
+    check = judged("voxels through the sheet", voxels=voxels)
     assert (check.value, check.state) == (pytest.approx(150 / voxel), state)
 
 
@@ -182,19 +198,19 @@ def test_clipping_at_any_level_in_any_type(dtype, scale, sign):
     turned = [v if sign > 0 else 250 - v for v in (40.0, 90.0, 200.0)]
     for at in (np.inf, 150.0, 195.0, 203.0):
         air, base, coating = (v * scale for v in turned)
-        greys = Greys(air=air, base=base, coating=min(coating, at * scale) if sign > 0 else coating, noise=8 * scale)
-        check = clipping_check(histogram(dtype, scale, at=at, sign=sign), greys)
+        greys = levels(air, base, min(coating, at * scale) if sign > 0 else coating, 8 * scale)
+        check = judged("clipped grey", sample=histogram(dtype, scale, at=at, sign=sign), greys=greys)
         assert check.state == ("pass" if np.isinf(at) else "look"), (at, check.sentence)
     assert set(check.figures) == {"coating_top", "coating_bottom", "base_thickness", "thickness"}
 
 
 def test_clipping_above_the_coating_passes_and_is_seen_in_stretched_volumes():
-    check = clipping_check(histogram(np.uint8, at=212.0), GREYS)
+    check = judged("clipped grey", sample=histogram(np.uint8, at=212.0), greys=GREYS)
     assert check.state == "pass"
     assert check.value > 3
     assert "lies well inside" in check.sentence
     eight = histogram(np.uint8, at=150.0).astype(np.uint16) * 257
-    spike, share, end = clipping(eight, Greys(air=40 * 257, base=90 * 257, coating=150 * 257, noise=5 * 257))
+    spike, share, end = clipping(eight, levels(40 * 257, 90 * 257, 150 * 257, 5 * 257))
     assert spike > 3
     assert (share, end) == (pytest.approx(0.1, abs=0.01), 150 * 257)
 
@@ -206,8 +222,9 @@ def test_slices_scaled_one_by_one_are_seen():
     gain = 1 + 0.1 * np.random.default_rng(1).normal(size=len(values))
     wrong = window_of(values * gain[:, None, None], "y")
     print(f"levels jump by {level_jump(right):.2f} and {level_jump(wrong):.2f} greys of 160")
-    assert steadiness_check([right], GREYS).state == "pass"
-    check = steadiness_check([right, wrong], GREYS)
+    scan = {"greys": GREYS, "assembled": (), "through": "z"}
+    assert judged("grey of the slices", windows={"y": right}, **scan).state == "pass"
+    check = judged("grey of the slices", windows={"y": right, "x": wrong}, **scan)
     assert check.state == "look"
     # A tenth of the grey at the 95th percentile, 110 to 200.
     assert 0.07 < check.value < 0.125

@@ -1,11 +1,13 @@
 """Slices that are exchanged, repeated, filled, missing, foreign: seen, counted, named; none in right volumes."""
 
+from types import SimpleNamespace
+
 import numpy as np
 import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.checks.slice_checks import slice_checks
+from planish.checks import CHECKS
 from planish.checks.windows import read_windows, window_of
 
 
@@ -27,8 +29,13 @@ def sheet(shape=(60, 70, 75), *, seed=0, slope=0.15, noise=6.0):
     return ndimage.gaussian_filter(grey.astype(float), 1.0) + rng.normal(0, noise, shape)
 
 
+def judged_window(window, through="z"):
+    light = next(light for light in CHECKS if light.name == "slices along z")
+    return light(SimpleNamespace(windows={"z": window}, through=through, assembled=()))
+
+
 def judged(values):
-    return slice_checks([window_of(np.clip(values, 0, 255).astype(np.uint8))], through="z")[0]
+    return judged_window(window_of(np.clip(values, 0, 255).astype(np.uint8)))
 
 
 def at(k, n):
@@ -95,7 +102,7 @@ def test_foreign_empty_and_faulty_slices_are_named_with_what_they_concern():
     assert "Slice 50 along z shows nothing" in check.sentence
     order = [*N[:40], *N[43:]]
     window = window_of(body()[order])
-    through, across = (slice_checks([window], through=axis)[0] for axis in ("z", "y"))
+    through, across = (judged_window(window, axis) for axis in ("z", "y"))
     assert set(through.figures) == {"properties", "position", "correlation"}
     assert set(across.figures) == {"position", "correlation"}
 
@@ -144,5 +151,5 @@ def test_measured_volumes_pass(shared_data):
     cells = tifffile.imread(shared_data("tissue_sheet_mesh") / "Neural_tube_organoid_DAPI_betaCat-small.tif")
     for values in [*volumes, cells[:, 1]]:
         for axis in range(3):
-            check = slice_checks([window_of(np.moveaxis(values, axis, 0))], through="z")[0]
+            check = judged_window(window_of(np.moveaxis(values, axis, 0)))
             assert check.state == "pass", check.sentence

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from planish.cli import completion
-from planish.cli.completion import SHELLS, install_script, script_of
+from planish.cli import setup as completion
+from planish.cli.setup import SHELLS, install_script, script_of
 from planish.core.errors import FileError
 
 ROOT = Path(__file__).resolve().parents[2]

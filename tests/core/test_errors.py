@@ -12,7 +12,7 @@ from planish.analyze.params import CorrelateParams
 from planish.core import errors
 from planish.core.errors import SWITCHES, PlanishError, SizeError, in_python_words
 from planish.core.options import kinds_of, options_of
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams

@@ -14,6 +14,7 @@ import public_names
 import pytest
 import xarray as xr
 
+from planish.checks import CHECKS
 from planish.cli import planish as group
 from planish.core import errors
 from planish.core.options import options_of
@@ -119,9 +120,13 @@ def test_every_file_check_and_variable_of_a_run_is_explained(linked_run):
     text = page("reference/run-folder.md")
     assert [path.name for path in linked_run.iterdir() if f"`{path.name}`" not in text] == []
     text = page("checks.md")
-    names = [check.name for check in open_run(linked_run).results.checks]
-    assert len(names) > 20
-    assert [name for name in names if f"`{re.sub(r'^holes in .*', 'holes in NAME', name)}`" not in text] == []
+    rows = {light.name: light for light in CHECKS}
+    assert [name for name in rows if f"`{name}`" not in text] == []
+    checks = open_run(linked_run).results.checks
+    assert len(checks) > 20
+    for check in checks:
+        light = rows[re.sub(r"^holes in .*", "holes in NAME", check.name)]
+        assert {*check.figures} <= {*light.figures, "properties"}, check.name
 
 
 @pytest.mark.study

@@ -6,8 +6,7 @@ import xarray as xr
 import zarr
 from tests.exports.contents import maps
 
-from planish.exports.chunks import Chunks
-from planish.exports.content import Maps
+from planish.exports.content import Chunks, Maps
 from planish.io.map_store import CODECS
 
 SHAPE = (1100, 700)

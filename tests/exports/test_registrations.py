@@ -10,7 +10,7 @@ import pytest
 from tests.exports.contents import HISTORY, transform_pair
 
 from planish.exports import FORMATS, ExportParams, writer_of
-from planish.exports.displacements import before_affine, displacement
+from planish.exports.transforms import before_affine, displacement
 
 sitk = pytest.importorskip("SimpleITK")
 RNG = np.random.default_rng(3)

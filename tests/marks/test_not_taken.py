@@ -5,7 +5,8 @@ import pytest
 from benchmarks.holes import make_scene
 
 from marks.holes import make_hole, scene
-from planish.marks import candidates, check_holes, find_holes, holes_from_json, holes_to_json
+from planish.checks import check_holes
+from planish.marks import candidates, find_holes, holes_from_json, holes_to_json
 from planish.marks.find import REASONS
 
 

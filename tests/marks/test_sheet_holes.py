@@ -4,10 +4,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from planish.checks import check_holes
 from planish.core.errors import MarkError, SizeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.marks import HoleParams, check_holes, find_holes, find_sheet_holes, hole_tilt
+from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_tilt
 from planish.surface.assemble import LAYERS, find_presence
 from planish.surface.columns import Columns
 from surface.sheets import volume

@@ -13,7 +13,7 @@ from planish.analyze.correlation import PairAtSizes
 from planish.report import write_report
 from planish.report.relation import block_means, draw_pair, largest
 from planish.report.summary import by_pair
-from planish.report.text import by_spread
+from planish.report.text import beside
 from planish.results import CorrelationRow, Results
 from report.pages import Page
 from report.runs import lag_of, page_of, registration_of
@@ -168,7 +168,7 @@ def test_the_page_states_registrations_and_differences_of_the_same_quantity(page
     rows = [largest(group) for group in by_pair(Results.model_validate(layers()["results"]))]
     assert [row.point_um for row in rows] == [60.0] * 3
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
-    found = by_spread(rows[0].difference_mean, rows[0].difference_sd)
+    found = beside(rows[0].difference_mean, rows[0].difference_sd)
     assert f"coating thickness (top side) of after minus that of before is {found} µm on average" in Page(page).text()
     drawn = ["the difference (upward map minus the map across)" in c for c in captions_of(page)[3:6]]
     assert drawn == [True, True, False]

@@ -47,13 +47,13 @@ def a_lag(**values: Any) -> LagNumbers:
     ],
 )
 def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
-    check = lag_verdict(a_lag(**values), first="coating thickness", second="the image", name="check")
+    check = lag_verdict(a_lag(**values), first="coating thickness", second="the image")
     assert check is not None
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
     assert " um" not in check.sentence
-    assert lag_verdict(None, first="a", second="b", name="check") is None
+    assert lag_verdict(None, first="a", second="b") is None
 
 
 def test_words_units_and_levels_are_the_same_everywhere() -> None:

@@ -18,7 +18,7 @@ from planish.report.draw import Canvas, multiples, reduced, round_step
 from planish.report.maps import draw_outlines
 from planish.report.relation import block_means
 from planish.report.slices import take_slice
-from planish.report.text import by_spread, count, fixed, in_words, length, number, percent, plain
+from planish.report.text import beside, count, fixed, in_words, length, number, percent, plain
 from planish.results import Results
 from report.pages import Page
 from report.runs import PROPERTIES, a_run, page_of
@@ -247,8 +247,8 @@ def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
         (number(56782.4), "56\u202f782"),
         (number(-12.04), "−12.0"),
         (fixed(-0.0004, 2), "0.00"),
-        (by_spread(2.49817, 0.0722), "2.498"),
-        (by_spread(-12.3, 45.0), "−12"),
+        (beside(2.49817, 0.0722), "2.498"),
+        (beside(-12.3, 45.0), "−12"),
         (number(3.21e-8, 2), "3.2·10⁻⁸"),
         (number(None), "–"),
         (number(float("nan")), "–"),

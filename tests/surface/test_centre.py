@@ -4,8 +4,9 @@ import xarray as xr
 from scipy import ndimage
 
 from naive import twice_smoothed
+from planish.checks import CHECKS, MeasuredSheet
 from planish.surface import SurfaceParams
-from planish.surface.assemble import centre_surface, cutoff_check
+from planish.surface.assemble import centre_surface
 from planish.surface.centre import gaussian_regression
 
 
@@ -103,8 +104,9 @@ def test_data_with_poor_neighbours_never_blanks_a_field(cutoff):
 
 def test_a_cut_off_that_was_not_kept_is_said():
     surfaces = xr.Dataset(attrs={"bridged_off_rims_share": 0.3, "cutoff_um": 250.0})
-    check = cutoff_check(surfaces)
+    cutoff = next(light for light in CHECKS if light.name == "cut-off")
+    check = cutoff(MeasuredSheet(None, surfaces))
     assert check.state == "look"
     assert "250 um in 70.0 %" in check.sentence
     assert check.figures == ("position",)
-    assert cutoff_check(surfaces.assign_attrs(bridged_off_rims_share=0.01)).state == "pass"
+    assert cutoff(MeasuredSheet(None, surfaces.assign_attrs(bridged_off_rims_share=0.01))).state == "pass"

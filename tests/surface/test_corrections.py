@@ -7,6 +7,7 @@ import pytest
 import xarray as xr
 from scipy import ndimage, special
 
+from planish.checks import CHECKS, MeasuredSheet
 from planish.core.errors import FileError, InputError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
@@ -16,7 +17,6 @@ from planish.surface import (
     Stretch,
     SurfaceParams,
     correct_surfaces,
-    correction_check,
     find_surfaces,
     read_corrections,
     uncorrected,
@@ -162,10 +162,11 @@ def test_where_the_image_shows_no_edge_the_standard_error_is_that_of_the_interpo
     assert (se[1][how > 0] >= 0.999 * error[how > 0]).all()
     assert (se[1] > 1.2 * se[0])[how == 2].mean() > 0.9
     np.testing.assert_allclose(se[1][how == 0], se[0][how == 0], rtol=0.02)  # the centre surface turned a little
-    check = correction_check(corrected)
+    light = next(light for light in CHECKS if light.name == "corrections")
+    check = light(MeasuredSheet(None, corrected))
     assert check is not None
     assert f"{np.count_nonzero(how)} columns" in check.sentence
-    assert correction_check(found()) is None
+    assert light(MeasuredSheet(None, found())) is None
 
 
 def test_corrections_of_a_search_are_read_from_a_file(tmp_path):

@@ -9,10 +9,9 @@ from scipy import fft, ndimage
 from planish.core.area import area_mean
 from planish.core.transform import Similarity
 from planish.synthetic.camera import image_material, photograph
-from planish.synthetic.fields import PITCH_UM, noise
 from planish.synthetic.params import CameraParams, PaperParams, PrintParams
 from planish.synthetic.pose import CameraPose, draw_pose
-from planish.synthetic.sheet import Sheet
+from planish.synthetic.sheet import PITCH_UM, Sheet, noise
 
 SIZE = (2400.0, 1800.0)  # um that the images show
 SEED = np.random.SeedSequence(11)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from planish.core.light import layer_over
-from planish.synthetic.optics import pile_reflectance, sheet_reflectance
+from planish.synthetic.camera import pile_reflectance, sheet_reflectance
 from planish.synthetic.params import PaperParams
 from planish.synthetic.presets import PRESETS
 

@@ -7,10 +7,8 @@ import pytest
 from scipy import fft, ndimage, special, stats
 
 from planish.synthetic import PRESETS, HoleParams, PaperParams, SpecimenParams, make_specimen
-from planish.synthetic.draws import generator
-from planish.synthetic.fields import PITCH_UM, fibres, lowpass, noise, streaks
-from planish.synthetic.holes import hole_pattern
-from planish.synthetic.sheet import make_sheet, neutral_height
+from planish.synthetic.params import generator
+from planish.synthetic.sheet import PITCH_UM, fibres, hole_pattern, lowpass, make_sheet, neutral_height, noise, streaks
 
 pytestmark = pytest.mark.study
 

@@ -208,7 +208,7 @@ def test_sections_are_where_their_poses_say():
 
 def test_missing_sections_come_in_runs_of_at_most_three():
     params = SpecimenParams(sections=SectionsParams(missing=0.05, section_um=3.0))
-    from planish.synthetic.microtome import draw_poses
+    from planish.synthetic.instruments import draw_poses
 
     gaps, share = [], []
     for seed in range(20):

@@ -10,8 +10,7 @@ from planish.pipeline import run_study
 from planish.report.draw import HALF, Canvas
 from planish.synthetic import make_specimen, write_instruments
 from planish.validate.certify import Certificate, Entry, run_scenario
-from planish.validate.figures import in_order
-from planish.validate.scenario import read_scenario
+from planish.validate.scenario import in_order, read_scenario
 
 
 @pytest.fixture(scope="session")

@@ -13,10 +13,8 @@ import record
 from planish.core.errors import CannotRegister, InputError
 from planish.validate import certify
 from planish.validate.certify import Certificate, Entry, run_scenario
-from planish.validate.drawings import dots
-from planish.validate.figures import STAGES
-from planish.validate.page import render_page
-from planish.validate.scenario import Limit, read_scenario
+from planish.validate.page import dots, render_page
+from planish.validate.scenario import STAGES, Limit, read_scenario
 from planish.validate.table import as_json, markdown, summary, terminal_rows, verdict
 
 RECORDED = Path(__file__).with_name("recorded.toml")
@@ -68,11 +66,11 @@ def no_specimen(monkeypatch):
 def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     """What the studies do with real runs, with the run and its ledger replaced."""
     check = SimpleNamespace(name="marks", sentence="7 marks agree to 33.1 um.")
-    results = SimpleNamespace(spoken=lambda state: [check] if state == "fail" else [])
+    results = SimpleNamespace(checks_in=lambda state: [check] if state == "fail" else [])
     run = SimpleNamespace(results=results, groups={"linked": None})
     monkeypatch.setattr(certify, "run_study", lambda *_, **__: run)
     monkeypatch.setattr(certify, "make_ledger", lambda _both: {"tre_p95": 7.0})
-    monkeypatch.setattr(certify, "draw_example", lambda _both, seed: [f"maps of {seed}"])
+    monkeypatch.setattr("planish.validate.page.draw_example", lambda _both, seed: [f"maps of {seed}"])
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
     assert ([entry.seed for entry in found.entries], found.entries[0].values) == ([4, 2], {"tre_p95": 7.0})

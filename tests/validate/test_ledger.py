@@ -10,9 +10,9 @@ import xarray as xr
 from planish.core.transform import Similarity
 from planish.register import fit_transform
 from planish.validate.certify import make_ledger as ledger_of
-from planish.validate.drawings import draw_example
-from planish.validate.figures import FIGURES, KEYS, STAGES, in_order
-from planish.validate.image_errors import contour_points, dice, outline_lag
+from planish.validate.errors import contour_points, dice, outline_lag
+from planish.validate.page import draw_example
+from planish.validate.scenario import FIGURES, KEYS, STAGES, in_order
 from planish.validate.truth import FACES, Comparison
 
 ROWS, COLS, PITCH = 150, 200, 5.0  # columns of the volume
@@ -297,7 +297,7 @@ def test_residual_poses_of_sections():
         return np.stack([points[:, 0], points[:, 2], points[:, 1]], axis=1) + left[k]
 
     files.to_physical = to_physical
-    from planish.validate.volume_errors import section_errors
+    from planish.validate.errors import section_errors
 
     found = section_errors(Comparison(None, files, run))
     # fitted straight lines take 2 of 150 degrees of freedom

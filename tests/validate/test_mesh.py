@@ -5,9 +5,8 @@ import pytest
 
 from planish.validate import mesh
 from planish.validate.certify import run_scenario
-from planish.validate.figures import FIGURES
 from planish.validate.mesh import cylinder, deformed, grid, node_error, rest_lengths, size_errors
-from planish.validate.scenario import read_scenario
+from planish.validate.scenario import FIGURES, read_scenario
 
 
 @pytest.mark.study

@@ -4,11 +4,10 @@ import numpy as np
 import pytest
 
 from planish.core.errors import InputError
-from planish.validate import sensitivity as module
-from planish.validate.certify import Entry
+from planish.validate import certify as module
+from planish.validate.certify import Entry, added_error, make_row, sensitivity
 from planish.validate.page import render_page
 from planish.validate.scenario import read_scenario
-from planish.validate.sensitivity import added_error, make_row, sensitivity
 from planish.validate.table import as_json, markdown, row_sentence, sensitivity_rows, sum_sentence
 
 BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "tre_rms": 0.6}

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import xarray as xr
 
-from planish.app.changes import End, Mark, State
-from planish.app.corrections import changed_corrections
+from planish.app.changes import End, Mark, State, changed_corrections
 from planish.app.picture import PLANES
 from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
@@ -72,14 +71,14 @@ class OriginalRun:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Order:
+class RunOrder:
     """What a new run is made of: its study, and texts of files by name, which the study finds in ``staged``."""
 
     study: Study
     files: Mapping[str, str]
 
 
-def order_of(original: OriginalRun, state: State, staged: Path) -> Order:
+def order_of(original: OriginalRun, state: State, staged: Path) -> RunOrder:
     """Give the study of a session, and the files that it names.
 
     Parameters
@@ -97,25 +96,26 @@ def order_of(original: OriginalRun, state: State, staged: Path) -> Order:
     if state.regions != original.state.regions:
         path = None
         if state.regions:
-            path, files[REGIONS] = str(staged / REGIONS), geojson_text(_regions(state))
+            regions = tuple(
+                Region(
+                    name=region.name, reason=region.reason, author=region.author,
+                    polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
+                )
+                for region in state.regions
+            )  # fmt: skip
+            path, files[REGIONS] = str(staged / REGIONS), geojson_text(Regions(declared=regions))
         study = changed(study, correlate=changed(study.correlate, regions=path))
-    study = _with_corrections(study, original, state, staged, files)
-    return Order(study=study, files=files)
-
-
-def _with_corrections(study: Study, original: OriginalRun, state: State, staged: Path, files: dict[str, str]) -> Study:
-    """The study with the corrections of each layer that has others than before."""
     for name, corrections in changed_corrections(study, original.state.corrections, state.corrections).items():
-        file = f"surface-{name}.json"
-        path = str(staged / file) if corrections.stretches else None
-        if path is not None:
-            files[file] = corrections.to_json()
-        layers = tuple(
+        path = None
+        if corrections.stretches:
+            path = str(staged / f"surface-{name}.json")
+            files[f"surface-{name}.json"] = corrections.to_json()
+        layers = (
             changed(layer, surface=changed(layer.surface, corrections=path)) if layer.name == name else layer
             for layer in study.layers
         )
-        study = changed(study, layers=layers)
-    return study
+        study = changed(study, layers=tuple(layers))
+    return RunOrder(study=study, files=files)
 
 
 def place_of(run: Path, *, linked: bool) -> Path:
@@ -174,7 +174,9 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
         ]
         free[side] = [hole for k, hole in enumerate(holes) if not inside[:, k].any()]
     for side, unmarked in free.items():
-        labels += _free_labels(side, len(unmarked), {*labels})
+        in_use = {*labels}
+        names = (name for k in itertools.count(1) if (name := f"{side} {k}") not in in_use)
+        labels = [*labels, *itertools.islice(names, len(unmarked))]
         used += [True] * len(unmarked)
         for other in PLANES:
             ends[other] += unmarked if other == side else [None] * len(unmarked)
@@ -189,29 +191,7 @@ def _ends_in_holes(ends: Sequence[End | None], holes: Sequence[End]) -> Bools:
         return is_inside
     points_um = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends])
     distances = np.linalg.norm(points_um[:, None] - np.array([hole.xy for hole in holes]), axis=2)
-    inner_distances = np.where(
-        distances < 0.5 * np.array([hole.diameter or np.nan for hole in holes]), distances, np.inf
-    )
-    rows, nearest = np.arange(len(ends)), inner_distances.argmin(axis=1)
-    is_inside[rows, nearest] = np.isfinite(inner_distances[rows, nearest])
+    distances[~(distances < 0.5 * np.array([hole.diameter or np.nan for hole in holes]))] = np.inf
+    rows, nearest = np.arange(len(ends)), distances.argmin(axis=1)
+    is_inside[rows, nearest] = np.isfinite(distances[rows, nearest])
     return is_inside
-
-
-def _free_labels(side: str, count: int, labels_in_use: set[str]) -> list[str]:
-    names = (f"{side} {k}" for k in itertools.count(1))
-    return list(itertools.islice((name for name in names if name not in labels_in_use), count))
-
-
-# --- regions ---------------------------------------------------------------------------------------------------------
-
-
-def _regions(state: State) -> Regions:
-    return Regions(
-        declared=tuple(
-            Region(
-                name=region.name, reason=region.reason, author=region.author,
-                polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
-            )
-            for region in state.regions
-        )
-    )  # fmt: skip

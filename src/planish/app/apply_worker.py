@@ -23,17 +23,22 @@ from typing import Any, TextIO
 from planish.core.errors import PlanishError, ResourceError
 from planish.core.files import as_planish, writing
 
-_NICE = 5  # the page and whatever else a person does come first
 TARGET = "target"
 """File among those of an order: where the new run will stand."""
 
 
 def main() -> None:
     """Make one run."""
-    send = _line_writer()
+    stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")  # to whoever started this process
+    os.dup2(2, 1)  # what others print goes to standard error
+
+    def send(line: Mapping[str, Any]) -> None:
+        with suppress(OSError):  # nobody listens any more
+            print(json.dumps(line), file=stream, flush=True)
+
     signal.signal(signal.SIGINT, signal.default_int_handler)  # it may be ignored where the server was started
     with suppress(OSError, AttributeError):
-        os.nice(_NICE)
+        os.nice(5)  # the page and whatever else a person does come first
     try:
         _warm_up()
         line = sys.stdin.readline()
@@ -111,18 +116,6 @@ def _as_planish_error(error: Exception) -> PlanishError:
     if isinstance(error, OSError):
         return as_planish(error, Path(error.filename or "the new run"))
     return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
-
-
-def _line_writer() -> Any:
-    """Give a function that writes a line to whoever started this process; what others print goes to standard error."""
-    stream: TextIO = os.fdopen(os.dup(1), "w", encoding="utf-8")
-    os.dup2(2, 1)
-
-    def send(line: Mapping[str, Any]) -> None:
-        with suppress(OSError):  # nobody listens any more
-            print(json.dumps(line), file=stream, flush=True)
-
-    return send
 
 
 def _interrupt_after(stream: TextIO) -> None:

@@ -29,7 +29,6 @@ _BEHIND = {
     "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
     "link": 0.5, "correlate": 0.65, "write": 0.88,
 }  # fmt: skip
-_LATER_S = 5.0  # after the first change
 _PATIENCE_S = 5.0  # for a process that was asked to stop
 _LOST = (
     "The process that made the run ended without a word, most likely because the memory was used up. Close other "
@@ -104,13 +103,16 @@ class Applying:
         """Start the process that the next Apply will use, which takes a second or two."""
         with self._lock:
             if not self._closed and (self._ready is None or self._ready.poll() is not None):
-                self._ready = _worker()
+                self._ready = subprocess.Popen(
+                    [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+                    encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
+                )  # fmt: skip
 
     def _warm_soon(self) -> None:
         """Once something was changed, it will be applied; but not while the first clicks follow each other."""
         if self.session.state is not self.session.first:
             self._unlisten()
-            later = threading.Timer(_LATER_S, self.warm)
+            later = threading.Timer(5.0, self.warm)  # after the first change
             later.daemon = True
             later.start()
 
@@ -207,13 +209,6 @@ class Applying:
         with suppress(OSError, ValueError):
             sweep(Path((staged / TARGET).read_text(encoding="utf-8")))
         shutil.rmtree(staged, ignore_errors=True)
-
-
-def _worker() -> subprocess.Popen[str]:
-    return subprocess.Popen(
-        [sys.executable, "-m", "planish.app.apply_worker"], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
-        encoding="utf-8", env={"OPENBLAS_NUM_THREADS": "1"} | os.environ,  # as the command line has it
-    )  # fmt: skip
 
 
 def _wait_and_close(process: subprocess.Popen[str]) -> None:

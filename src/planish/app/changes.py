@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar
 
@@ -13,6 +13,8 @@ from planish.core.text import printable
 from planish.marks.files.lists import MOST_MARKS
 from planish.marks.regions.model import LONGEST_TEXT
 from planish.register.params import ModelChoice
+from planish.study import Study
+from planish.surface import Corrections, read_corrections
 
 FARTHEST_UM = 1e9
 """Positions beyond a kilometre are errors, as in files of marks."""
@@ -102,7 +104,7 @@ class Correction(_Part):
     note: Text = ""
 
 
-class Region(_Part):
+class DrawnRegion(_Part):
     """A polygon of the reference, ``(x, y)`` in um, that is declared an artefact."""
 
     id: Id
@@ -265,13 +267,13 @@ class State:
     model : str
         Transformation that is fitted.
     corrections : tuple of Correction
-    regions : tuple of Region
+    regions : tuple of DrawnRegion
     """
 
     marks: Mapping[str, tuple[Mark, ...]]
     model: str = "auto"
     corrections: tuple[Correction, ...] = ()
-    regions: tuple[Region, ...] = ()
+    regions: tuple[DrawnRegion, ...] = ()
     first: str = ""  # the layer of changes that name none
 
     def of(self, layer: str | None) -> tuple[Mark, ...]:
@@ -303,7 +305,7 @@ def applied(state: State, change: Change) -> State:
         case Uncorrect():
             return replace(state, corrections=_without(state.corrections, change.id))
         case DeclareRegion():
-            region = Region.model_validate(change.model_dump(exclude={"do", "layer"}))
+            region = DrawnRegion.model_validate(change.model_dump(exclude={"do", "layer"}))
             return replace(state, regions=(*state.regions, region))
         case Unregion():
             return replace(state, regions=_without(state.regions, change.id))
@@ -315,34 +317,31 @@ def applied(state: State, change: Change) -> State:
 def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Delete | Import) -> tuple[Mark, ...]:
     match change:
         case Add():
-            return (*marks, _new_mark(marks, change))
+            if change.moving is None and change.fixed is None:
+                raise ChangeError("A new mark has no place. Give moving or fixed.")
+            if len(marks) >= MOST_MARKS:
+                raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
+            labels = {mark.label for mark in marks}
+            if change.label in labels:
+                raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
+            label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels)
+            new = Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
+            return (*marks, new)
         case Move():
             ends = {side: end for side in ("moving", "fixed") if (end := getattr(change, side)) is not None}
             if not ends:
                 raise ChangeError("A move gives no new place. Give moving or fixed.")
-            return _with_fields(marks, change.id, ends)
+            return _with_fields(marks, change.id, **ends)
         case Use():
-            return _with_fields(marks, change.id, {"used": change.used})
+            return _with_fields(marks, change.id, used=change.used)
         case Relabel():
             if any(mark.label == change.label and mark.id != change.id for mark in marks):
                 raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
-            return _with_fields(marks, change.id, {"label": checked_label(change.label)})
+            return _with_fields(marks, change.id, label=checked_label(change.label))
         case Delete():
             return _without(marks, change.id)
         case Import():
             return change.marks
-
-
-def _new_mark(marks: tuple[Mark, ...], change: Add) -> Mark:
-    if change.moving is None and change.fixed is None:
-        raise ChangeError("A new mark has no place. Give moving or fixed.")
-    if len(marks) >= MOST_MARKS:
-        raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
-    labels = {mark.label for mark in marks}
-    if change.label in labels:
-        raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
-    label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels)
-    return Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
 
 
 def checked_label(label: str) -> str:
@@ -352,12 +351,12 @@ def checked_label(label: str) -> str:
     return label
 
 
-T = TypeVar("T", Mark, Correction, Region)
+T = TypeVar("T", Mark, Correction, DrawnRegion)
 
 
-def _with_fields(marks: tuple[Mark, ...], part_id: str, fields: Mapping[str, Any]) -> tuple[Mark, ...]:
+def _with_fields(marks: tuple[Mark, ...], part_id: str, **fields: Any) -> tuple[Mark, ...]:
     old = _part_of_id(marks, part_id)
-    return tuple(mark.model_copy(update=dict(fields)) if mark is old else mark for mark in marks)
+    return tuple(mark.model_copy(update=fields) if mark is old else mark for mark in marks)
 
 
 def _without(parts: tuple[T, ...], part_id: str) -> tuple[T, ...]:
@@ -366,7 +365,38 @@ def _without(parts: tuple[T, ...], part_id: str) -> tuple[T, ...]:
 
 
 def _part_of_id(parts: tuple[T, ...], part_id: str) -> T:
-    for part in parts:
-        if part.id == part_id:
-            return part
-    raise ChangeError(f"{part_id} is not there any more. The page shows what is.")
+    part = next((part for part in parts if part.id == part_id), None)
+    if part is None:
+        raise ChangeError(f"{part_id} is not there any more. The page shows what is.")
+    return part
+
+
+def corrections_of(study: Study) -> tuple[Correction, ...]:
+    """The corrections that a run has, as a session begins with them."""
+    corrections: list[Correction] = []
+    for layer in study.layers:
+        if layer.volume is None or layer.surface.corrections is None:
+            continue
+        for stretch in read_corrections(layer.surface.corrections).stretches:
+            named = {"id": f"c0-{len(corrections) + 1}", "layer": layer.name}
+            corrections.append(Correction.model_validate(stretch.model_dump() | named))
+    return tuple(corrections)
+
+
+def stretches_of(corrections: Sequence[Correction], layer: str, first: str) -> Corrections:
+    """The corrections of one layer as its file has them; those that name none are of the ``first``."""
+    of_layer = [correction for correction in corrections if (correction.layer or first) == layer]
+    stretches = [correction.model_dump(exclude={"layer"}, exclude_none=True) for correction in of_layer]
+    return Corrections.model_validate({"stretches": stretches})
+
+
+def changed_corrections(
+    study: Study, before: Sequence[Correction], now: Sequence[Correction]
+) -> Mapping[str, Corrections]:
+    """The corrections of each layer that has others than before."""
+    volumes = [layer.name for layer in study.layers if layer.volume is not None]
+    return {
+        name: stretches
+        for name in volumes
+        if (stretches := stretches_of(now, name, volumes[0])) != stretches_of(before, name, volumes[0])
+    }

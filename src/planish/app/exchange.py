@@ -7,12 +7,10 @@ import binascii
 import io
 import tempfile
 import zipfile
-from collections.abc import Mapping, Sequence
 from pathlib import Path, PurePosixPath
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
-import xarray as xr
 from pydantic import BaseModel, ConfigDict, Field
 
 from planish.app.changes import ChangeError, Import, Mark, checked_label
@@ -22,7 +20,7 @@ from planish.app.pictures import Pictures
 from planish.app.session import Session, ends_of, places_of
 from planish.core.errors import MarkError
 from planish.io.run_folder import read_group
-from planish.marks.files import FORMATS, LayerPixels, make_marks, pair_of_layers, read_any, write_any
+from planish.marks.files import LayerPixels, make_marks, pair_of_layers, read_any, write_any
 from planish.marks.files.formats import TARGETS
 from planish.pipeline.layers import Layer
 from planish.pipeline.registration import volume_to_map
@@ -96,9 +94,7 @@ def imported(
     )
 
 
-def exported(
-    session: Session, pictures: Pictures, layer: str, to: str, fitted: Fitted
-) -> tuple[str, bytes]:  # fmt: skip
+def exported(session: Session, pictures: Pictures, layer: str, to: str, fitted: Fitted) -> tuple[str, bytes]:
     """Name and bytes of a file with the marks; a ZIP where the format has a file for each layer.
 
     Raises
@@ -110,11 +106,19 @@ def exported(
     """
     if to not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
-    about = {plane: _pixels(session, pictures, layer, plane).about() for plane in PLANES}
-    marks = dataset_of(session.state.of(layer), fitted, about)
+    marks, row_of = session.state.of(layer), {name: k for k, name in enumerate(fitted.ids)}
+    rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
+    errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
+    content = make_marks(
+        [mark.label for mark in marks],
+        {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
+        used=[mark.used for mark in marks],
+        about={plane: _pixels(session, pictures, layer, plane).about() for plane in PLANES},
+        results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},  # what the shown fit leaves
+    )
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         path = Path(folder) / f"marks{_ENDS.get(to, '.csv')}"
-        paths = write_any(marks, path, to=to)
+        paths = write_any(content, path, to=to)
         if len(paths) == 1:
             return paths[0].name, paths[0].read_bytes()
         packed = io.BytesIO()
@@ -122,25 +126,6 @@ def exported(
             for written in paths:
                 archive.writestr(written.name, written.read_bytes())
         return "marks.zip", packed.getvalue()
-
-
-def dataset_of(marks: Sequence[Mark], fitted: Fitted, about: Mapping[str, Mapping[str, Any]]) -> xr.Dataset:
-    """Marks of a session as files have them, with what the fit that is shown leaves of each."""
-    row_of = {name: k for k, name in enumerate(fitted.ids)}
-    rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
-    errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
-    return make_marks(
-        [mark.label for mark in marks],
-        {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
-        used=[mark.used for mark in marks],
-        about=about,
-        results={name: np.append(values, np.nan)[rows] for name, values in errors_um.items()},
-    )
-
-
-def formats() -> list[dict[str, str]]:
-    """List the formats that marks can be exported as."""
-    return [{"name": name, "title": FORMATS[name].title} for name in TARGETS]
 
 
 def _pixels(session: Session, pictures: Pictures, layer: str, plane: Plane) -> LayerPixels:

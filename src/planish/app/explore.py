@@ -2,17 +2,133 @@
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
+from typing import Any
 
-from planish.app.exploring.maps import MapsOfPage, maps_of
-from planish.app.exploring.page import render
+import numpy as np
+
+from planish.app.exploring.maps import MapsOfPage, Packed, map_spec, maps_of
 from planish.app.exploring.slices import BUDGET, Stack, stack_of
 from planish.compute import Compute, Progress, silent
+from planish.core.area import area_mean
+from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
 from planish.core.files import write_whole
 from planish.core.threads import limit_threads
 from planish.exports import ExportSource
 from planish.io.run_folder import refuse_existing, refuse_inside
+from planish.report import summary
+from planish.report.colours import MISSING, colours_in_steps, image_uri
+from planish.report.slices import LINES
+from planish.report.text import template
+from planish.results import Results
+
+_PACKAGE = "planish.app.exploring"
+_PARTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")
+_STILL = 640  # pixels along the longer side of the picture that needs no script
+
+
+def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]) -> str:
+    """Return the page as text; the same run gives the same bytes."""
+    style = template(_PACKAGE, "explore.css").render()
+    parts = [(files(_PACKAGE) / "script" / name).read_text(encoding="utf-8") for name in _PARTS]
+    script = "(() => {\n" + '"use strict";\n' + "".join(parts) + "})();\n"  # in a scope of their own
+    hashes = [base64.b64encode(hashlib.sha256(part.encode()).digest()).decode() for part in (style, script)]
+    policy = (
+        f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}'; img-src data: blob:; "
+        "base-uri 'none'; form-action 'none'"
+    )
+    data = json.dumps(_data(results, maps, stacks), allow_nan=False, separators=(",", ":"))
+    for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
+        data = data.replace(sign, code)  # it cannot end the element that it stands in
+    # The map that leads as a picture for those without a script.
+    factor = max(1.0, max(maps.headline.shape) / _STILL)
+    still = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
+    page = template(_PACKAGE, "explore.html.j2").render(
+        results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=maps.maps[0],
+        still=image_uri(still, maps.maps[0].scale), notes=notes, stacks=stacks, style=style, script=script,
+        policy=policy, data=data, blocks=list(_blocks(maps, stacks)),
+    )  # fmt: skip
+    return f"{page}\n"
+
+
+def _blocks(maps: MapsOfPage, stacks: Sequence[Stack]) -> Iterator[dict[str, str]]:
+    """All packed data, under names of the page's own."""
+    for k, shown in enumerate(maps.maps):
+        yield {"name": f"m{k}", "text": shown.packed.text}
+    for k, group in enumerate(maps.groups):
+        masks = {} if group.valid is None else {"valid": group.valid}
+        yield from ({"name": f"g{k}{key}", "text": pack.text} for key, pack in (group.places | masks).items())
+    for k, stack in enumerate(stacks):
+        lines = stack.lines | {"used": stack.used}
+        yield from ({"name": f"s{k}{key}", "text": pack.text} for key, pack in lines.items())
+        yield {"name": f"s{k}pictures", "text": "".join(stack.pictures)}
+
+
+def _data(results: Results, maps: MapsOfPage, stacks: Sequence[Stack]) -> dict[str, Any]:
+    """Give what the script needs beside the blocks."""
+    grid = maps.grid
+    linked = results.is_link
+    return {
+        "maps": [_spec(f"m{k}", shown.packed) | map_spec(shown) for k, shown in enumerate(maps.maps)],
+        "groups": [
+            {
+                "sheet": group.sheet,
+                "valid": None if group.valid is None else _spec(f"g{k}valid", group.valid),
+                "places": {axis: _spec(f"g{k}{axis}", place) for axis, place in group.places.items()},
+            }
+            for k, group in enumerate(maps.groups)
+        ],
+        "grid": {
+            "rows": grid.shape[0], "cols": grid.shape[1], "dy": grid.pixel_um[0], "dx": grid.pixel_um[1],
+            "x0": grid.origin_um[0], "y0": grid.origin_um[1], "names": ["x", "y"] if linked else ["u", "v"],
+        },
+        "pairs": _pairs(results, maps),
+        "halved": maps.halvings > 0,
+        "several": len(results.layers) > 2 or len(stacks) > 1,
+        "stacks": [
+            {
+                "sheet": one.sheet, "rows": one.rows, "cols": one.cols, "through": one.through, "sign": one.sign,
+                "at": list(one.at_um), "top": list(one.top_um), "start": one.start_um, "size": list(one.size_um),
+                "ends": np.cumsum([len(picture) for picture in one.pictures]).tolist(), "kind": one.kind,
+                "pictures": f"s{k}pictures", "points": list(one.points_um),
+                "lines": {name: _spec(f"s{k}{name}", line) for name, line in one.lines.items()},
+                "used": _spec(f"s{k}used", one.used),
+            }
+            for k, one in enumerate(stacks)
+        ],
+        "lines": [dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES],
+        "palettes": {
+            name: base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
+            for name in sorted({one.scale.colours for one in maps.maps})
+        },
+        "missing": MISSING,
+    }  # fmt: skip
+
+
+def _spec(block: str, packed: Packed) -> dict[str, Any]:
+    return packed.spec() | {"block": block}
+
+
+def _pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
+    """Pairs of maps whose relation the checks doubt or withhold: both, the word, and the checks."""
+    out: list[list[Any]] = []
+    for i, a in enumerate(maps.maps):
+        for j, b in enumerate(maps.maps[:i]):
+            layers = (a.layer, b.layer)
+            figures = (a.name, b.name, CORRELATION, *(() if a.layer == b.layer else (POSITION,)))
+            trust = trust_of(results.checks, layers, figures)
+            if trust != "ok":
+                state = "fail" if trust == "withheld" else "look"
+                names = [c.name for c in concerned(results.checks, layers, figures) if c.state == state]
+                out.append([j, i, trust, names])
+    return out
+
 
 LARGEST = 12_000_000
 """Bytes that no page exceeds."""

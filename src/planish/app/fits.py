@@ -2,25 +2,121 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
+from itertools import combinations
+from math import comb
 from typing import Any
 
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
+from scipy import stats
 
 from planish.app.changes import Mark
-from planish.app.outliers import find_outliers
 from planish.app.picture import PLANES, Plane, finite_or_none
 from planish.core.errors import PlanishError
+from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats
 from planish.register import FittedTransform, RegistrationParams, fit_transform, register_marks
+
+Complexes = NDArray[np.complex128]
+
+LEAST = 5
+"""Of fewer marks none can be told from the others."""
+_CHANCE = 0.01  # of right marks alone, in one set of a hundred one is named
+_MOST_PAIRS = 1500  # of which a similarity is tried
+_CLEAR = 4.0  # standard deviations of one coordinate
+
+
+def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um: float) -> Bools:
+    """Pairs that the others do not expect, shape (n,).
+
+    Parameters
+    ----------
+    moving, fixed : ndarray, shape (n, 2), in um
+    mirrored : bool
+        Whether the moving x axis runs in the opposite direction.
+    tolerance_um : float
+        Two marks farther apart do not match, however few there are to tell.
+
+    Notes
+    -----
+    A least trimmed squares fit of a similarity: of those through two of the pairs, the one that the best two thirds of
+    all marks follow most closely, improved by refits to these. So wrong marks that agree with each other do not hide,
+    unless they are more than a third. Of the rest are named those that are off by more than the tolerance and four
+    standard deviations, and those that lie farther off than chance puts one of so many that were chosen from.
+
+    References
+    ----------
+    Rousseeuw and Van Driessen (2006), Data Min. Knowl. Discov. 12, 29, doi:10.1007/s10618-005-0024-4.
+    """
+    n = len(moving)
+    is_outlier = np.zeros(n, dtype=np.bool_)
+    if n < LEAST:
+        return is_outlier
+    z = (-moving[:, 0] if mirrored else moving[:, 0]) + 1j * moving[:, 1]
+    w = fixed[:, 0] + 1j * fixed[:, 1]
+    inliers = _best_inliers(z, w, n - n // 3)
+    for _ in range(n):
+        # How far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance.
+        off = np.abs(_residuals(z, w, inliers))
+        away = np.abs(z - z[inliers].mean()) ** 2
+        lever = 1 / inliers.size + away / max(float(np.sum(away[inliers])), 1e-300)
+        spread = float(np.sum(off[inliers] ** 2)) / max(2 * inliers.size - 4, 1)
+        off = off / np.sqrt(1 + lever)
+        # The inliers were chosen for being close: the chance counts how many choices there were.
+        limit = _CHANCE / comb(n, n - inliers.size) / max(n - inliers.size, 1)
+        free = 2 * inliers.size - 4
+        chance = stats.f.sf(off**2 / (2 * spread), 2, free) if spread > 0 else (off == 0).astype(np.float64)
+        outside = np.setdiff1d(np.arange(n), inliers)
+        if not outside.size:
+            break
+        nearest = outside[np.argmax(chance[outside])]
+        if chance[nearest] < limit or off[nearest] > max(tolerance_um, _CLEAR * np.sqrt(spread)):
+            is_outlier[outside] = True
+            break
+        inliers = np.append(inliers, nearest)
+    return is_outlier
+
+
+def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
+    """The marks that one similarity fits best."""
+    if len(z) < 56:
+        i, j = np.array(list(combinations(range(len(z)), 2))).T
+    else:
+        tries = np.tile(np.arange(len(z)), (_MOST_PAIRS, 1))
+        i, j = np.random.default_rng(0).permuted(tries, axis=1)[:, :2].T
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = (w[j] - w[i]) / (z[j] - z[i])
+    good = np.isfinite(turn)
+    turn, i = turn[good], i[good]
+    if not turn.size:
+        return np.arange(len(z))
+    off = np.abs(w - w[i][:, None] - turn[:, None] * (z - z[i][:, None])) ** 2
+    best = np.argsort(np.sum(np.partition(off, count - 1, axis=1)[:, :count], axis=1), kind="stable")[:10]
+    candidates: list[tuple[float, NDArray[np.intp]]] = []
+    for k in best:
+        inliers = np.argsort(off[k], kind="stable")[:count]
+        for _ in range(5):
+            inliers = np.argsort(np.abs(_residuals(z, w, inliers)), kind="stable")[:count]
+        candidates.append((float(np.sum(np.abs(_residuals(z, w, inliers)[inliers]) ** 2)), np.sort(inliers)))
+    return min(candidates, key=lambda candidate: candidate[0])[1]
+
+
+def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complexes:
+    """Give the residuals of all marks from the similarity that fits the inliers best."""
+    source, target = z[inliers].mean(), w[inliers].mean()
+    away = z[inliers] - source
+    turn = np.sum(away.conj() * (w[inliers] - target)) / max(float(np.sum(np.abs(away) ** 2)), 1e-300)
+    return w - (target + turn * (z - source))
+
 
 QUICK = ("rigid", "similarity", "affine", "projective")
 """Models that are fitted within a click."""
 
-_ROW_NUMBERS = "(counted from 0)"
+_OF_MARKS = "(counted from 0)", "marks only"  # in warnings of a fit that are about single marks
 _COVARIANCES = ("cov_xx", "cov_xy", "cov_yy")
 
 
@@ -93,7 +189,11 @@ class Fitted:
         self, side: Plane, point_um: tuple[float, float]
     ) -> tuple[tuple[float, float], float | None, str] | None:
         """Place in the other plane of a point of ``side``, its expected error in um where known, and both in words."""
-        transform, error, words = self._transform()
+        if self.fit is not None and int(self.used.sum()) >= 3:
+            transform, error, words = self.fit, self.fit.expected_error_um, "its error is not known"
+        else:
+            error = None
+            transform, words = _from_few_pairs(self.moving[self.used], self.fixed[self.used], self.mirrored)
         if transform is None:
             return None
         point = np.array(point_um)
@@ -104,12 +204,6 @@ class Fitted:
         if error_um is not None:
             words = f"expected error {error_um:.1f} um"
         return (float(counterpart_um[0]), float(counterpart_um[1])), error_um, words
-
-    def _transform(self) -> tuple[Any, Callable[[Any], Any] | None, str]:
-        n = int(self.used.sum())
-        if self.fit is not None and n >= 3:
-            return self.fit, self.fit.expected_error_um, "its error is not known"
-        return _from_few_pairs(self.moving[self.used], self.fixed[self.used], self.mirrored)
 
 
 def fitted(
@@ -132,7 +226,8 @@ def fitted(
         Whether only what takes some milliseconds is done: of another model than `QUICK`, a similarity instead.
     """
     rows = [mark for mark in marks if mark.paired]
-    moving, fixed = (_places(rows, plane) for plane in PLANES)
+    ends = ([getattr(mark, plane).xy for mark in rows] for plane in PLANES)
+    moving, fixed = (np.array(places, dtype=np.float64).reshape(-1, 2) for places in ends)
     used = np.array([mark.used for mark in rows], dtype=np.bool_)
     is_mirrored = _fits_mirrored(moving[used], fixed[used]) if mirrored is None else mirrored
     is_outlier = np.zeros(len(rows), dtype=np.bool_)
@@ -142,8 +237,10 @@ def fitted(
         "model": model, "ids": tuple(m.id for m in rows), "labels": tuple(m.label for m in rows), "moving": moving,
         "fixed": fixed, "used": used, "mirrored": mirrored, "pending": quick and len(rows) > 1,
     }  # fmt: skip
-    warnings = [*_at_one_place(rows), *_too_few(int(used.sum()))]
-    error = ""
+    warnings, error = _at_one_place(rows), ""
+    if (count := int(used.sum())) < 3:
+        few = f"{count} pair{'s' * (count != 1)} of marks in use: a registration needs 3, far apart, and more to say"
+        warnings.append(FitWarning(text=f"{few} how good it is."))
     try:
         if model == "auto" and not quick:
             fit = _fit_as_applied([m for m in rows if m.used], mirrored, params)
@@ -168,24 +265,21 @@ def fitted(
         with suppress(PlanishError):  # too few are left for this model
             fit_to_others = _least_squares(moving, fixed, kind, mirrored, inspect=False, weights=weights)
             leave_one_out_um = fit_to_others.leave_one_out_um
-    about_marks = _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
+    warnings += _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
+    # Those of the fit that are about single marks stand beside them already.
+    warnings += [FitWarning(text=text) for text in fit.warnings if not any(part in text for part in _OF_MARKS)]
     return Fitted(
         **common, fit=fit, outliers=is_outlier, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
-        warnings=(*warnings, *about_marks, *_warnings_of_fit(fit)),
+        warnings=tuple(warnings),
     )  # fmt: skip
-
-
-def _places(rows: Sequence[Mark], plane: Plane) -> Floats:
-    return np.array([end.xy for m in rows if (end := getattr(m, plane)) is not None], dtype=np.float64).reshape(-1, 2)
 
 
 def _fit_as_applied(rows: Sequence[Mark], mirrored: bool | None, params: RegistrationParams) -> FittedTransform:
     """The fit that a run makes of given marks."""
-    seen_from = {"moving": "bottom" if mirrored else "top", "fixed": "top"}
-    holes = [holes_of(rows, plane).assign_attrs(seen_from=seen_from[plane]) for plane in PLANES]
-    params = params.model_copy(update={"model": "auto"})
+    sides = zip(PLANES, ("bottom" if mirrored else "top", "top"), strict=True)
+    holes = [holes_of(rows, plane).assign_attrs(seen_from=side) for plane, side in sides]
     pairs = np.stack([np.arange(len(rows))] * 2, axis=1)
-    return register_marks(*holes, params=params, pairs=pairs).fit
+    return register_marks(*holes, params=params.model_copy(update={"model": "auto"}), pairs=pairs).fit
 
 
 def holes_of(rows: Sequence[Mark], plane: Plane) -> xr.Dataset:
@@ -210,26 +304,17 @@ def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | N
     return fit_transform(moving, fixed, model=model, mirrored=mirrored, robust=False, lowest="similarity", **how)
 
 
-def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, None, str]:
+def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
     """Fit one or two pairs: a shift, or a similarity."""
-    is_mirrored = bool(mirrored)
     if len(moving) == 1:
-        from planish.core.transform import Similarity
-
-        turned = moving[0] * (-1.0, 1.0) if is_mirrored else moving[0]
-        x, y = (fixed[0] - turned).tolist()
-        return (
-            Similarity(shift_um=(x, y), mirrored=is_mirrored),
-            None,
-            "from 1 mark, a shift: rotation and scale unknown",
-        )
-    if len(moving) < 2:
-        return None, None, ""
-    try:
-        fit = _least_squares(moving, fixed, "similarity", mirrored, inspect=False)
-    except PlanishError:
-        return None, None, ""
-    return fit, None, f"from {len(moving)} marks, a similarity: its error is not known"
+        x, y = (fixed[0] - (moving[0] * (-1.0, 1.0) if mirrored else moving[0])).tolist()
+        shift = Similarity(shift_um=(x, y), mirrored=bool(mirrored))
+        return shift, "from 1 mark, a shift: rotation and scale unknown"
+    with suppress(PlanishError):
+        if len(moving):
+            fit = _least_squares(moving, fixed, "similarity", mirrored, inspect=False)
+            return fit, f"from {len(moving)} marks, a similarity: its error is not known"
+    return None, ""
 
 
 # --- words -----------------------------------------------------------------------------------------------------------
@@ -247,13 +332,6 @@ def _at_one_place(rows: Sequence[Mark]) -> list[FitWarning]:
     return warnings
 
 
-def _too_few(count: int) -> list[FitWarning]:
-    if count >= 3:
-        return []
-    marks = f"{count} pair{'s' * (count != 1)} of marks in use"
-    return [FitWarning(text=f"{marks}: a registration needs 3, far apart, and more to say how good it is.")]
-
-
 def _warnings_of_marks(
     rows: Sequence[Mark], used: Bools, is_outlier: Bools, fit: FittedTransform, residual: Floats,
     leave_one_out_um: Floats,
@@ -268,11 +346,6 @@ def _warnings_of_marks(
         elif is_outlier[k]:
             warnings.append(FitWarning(id=mark.id, text=f"Stands out: {leave_one_out_um[k]:.0f} um off the others."))
     return warnings
-
-
-def _warnings_of_fit(fit: FittedTransform) -> list[FitWarning]:
-    """Give the warnings of a fit about all marks; those about single ones stand beside them."""
-    return [FitWarning(text=text) for text in fit.warnings if _ROW_NUMBERS not in text and "marks only" not in text]
 
 
 def _refusal(error: PlanishError, rows: Sequence[Mark], used: Bools) -> str:

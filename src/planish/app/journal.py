@@ -11,7 +11,7 @@ from typing import Any, Self
 
 from filelock import FileLock, Timeout
 
-from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.errors import FileError, ResourceError
 from planish.core.files import as_planish, writing
 
 FORMAT = "planish journal 1"
@@ -49,13 +49,18 @@ class Journal:
         self.path, self.of = path, of
         self._lock = _locked(path) if write else None
         try:
-            data = _content(path)
-            whole = data.rfind(b"\n") + 1
-            self.lines = _lines(data[:whole], path, of)
-            self._end = whole
-            if write and whole < len(data):
+            data = b""
+            try:
+                data = path.read_bytes()
+            except (FileNotFoundError, NotADirectoryError):
+                pass
+            except OSError as error:
+                raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
+            self._end = data.rfind(b"\n") + 1
+            self.lines = _lines(data[: self._end], path, of)
+            if write and self._end < len(data):
                 with writing(path), path.open("r+b") as file:
-                    file.truncate(whole)
+                    file.truncate(self._end)
         except BaseException:
             self.close()
             raise
@@ -86,10 +91,19 @@ class Journal:
                     with suppress(OSError):
                         file.truncate(self._end)
                     raise
-            if is_new:
-                _sync_folder(self.path.parent)
+            if is_new and os.name != "nt":  # Windows keeps the names of files by itself
+                descriptor = os.open(self.path.parent, os.O_RDONLY)
+                try:
+                    os.fsync(descriptor)
+                finally:
+                    os.close(descriptor)
         except OSError as error:
-            raise _not_saved(error, self.path) from error
+            fault = as_planish(error, self.path)
+            kind = ResourceError if isinstance(fault, ResourceError) else FileError
+            reason = "the disk is full" if kind is ResourceError else fault.text.removesuffix(".")
+            raise kind(
+                f"The change could not be saved and was not made: {reason}. Free some space, then do it again."
+            ) from error
         self._end += len(data)
         self.lines.append(line)
 
@@ -126,15 +140,6 @@ def _locked(path: Path) -> FileLock:
     return lock
 
 
-def _content(path: Path) -> bytes:
-    try:
-        return path.read_bytes()
-    except (FileNotFoundError, NotADirectoryError):
-        return b""
-    except OSError as error:
-        raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
-
-
 def _lines(data: bytes, path: Path, of: str) -> list[bytes]:
     head, *lines = data.splitlines() or [b""]
     if not head:
@@ -166,19 +171,3 @@ def _write_all(file: Any, data: bytes) -> None:
     remaining = memoryview(data)
     while remaining:
         remaining = remaining[file.write(remaining) :]
-
-
-def _sync_folder(folder: Path) -> None:
-    if os.name != "nt":  # Windows keeps the names of files by itself
-        descriptor = os.open(folder, os.O_RDONLY)
-        try:
-            os.fsync(descriptor)
-        finally:
-            os.close(descriptor)
-
-
-def _not_saved(error: OSError, path: Path) -> PlanishError:
-    planish_error = as_planish(error, path)
-    kind = ResourceError if isinstance(planish_error, ResourceError) else FileError
-    reason = "the disk is full" if kind is ResourceError else planish_error.text.removesuffix(".")
-    return kind(f"The change could not be saved and was not made: {reason}. Free some space, then do it again.")

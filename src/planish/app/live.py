@@ -8,7 +8,7 @@ import time
 from typing import Any
 
 from planish.app.changes import Mark
-from planish.app.fits import QUICK, Fitted, FitWarning, fitted
+from planish.app.fits import QUICK, Fitted, fitted
 from planish.app.picture import Plane, finite_or_none
 from planish.app.session import Session
 
@@ -51,7 +51,9 @@ class Live:
                 self._fits[layer] = key, quick_fit
                 if quick_fit.pending:
                     self._queue[layer] = key, marks, model
-                    self._start_thread()
+                    if self._thread is None:
+                        self._thread = threading.Thread(target=self._work, name="fits", daemon=True)
+                        self._thread.start()
                     if model not in QUICK:
                         self._lock.wait_for(lambda: not self._fits[layer][1].pending, timeout=WAIT_S)
             return self._current(layer, key) or quick_fit
@@ -63,11 +65,6 @@ class Live:
     def _fitted(self, layer: str, marks: tuple[Mark, ...], model: str, *, quick: bool) -> Fitted:
         params = self.session.study.registration
         return fitted(marks, model, mirrored=self.session.mirrored(layer), params=params, quick=quick)
-
-    def _start_thread(self) -> None:
-        if self._thread is None:
-            self._thread = threading.Thread(target=self._work, name="fits", daemon=True)
-            self._thread.start()
 
     def _work(self) -> None:
         """Work out what is wanted, the newest only, until nothing is."""
@@ -104,6 +101,11 @@ class Live:
         marks_fit = self.fit(layer)
         row_of = {name: k for k, name in enumerate(marks_fit.ids)}
         fit = marks_fit.fit
+        transform = None
+        if fit is not None:  # the closest similarity, by which the page lays one picture onto the other
+            t = fit.transform
+            transform = {"scale": t.scale, "rotation_rad": t.rotation_rad, "shift_um": list(t.shift_um)}
+            transform["mirrored"] = bool(t.mirrored)
         return {
             "version": version, "layer": layer, "model": state.model,
             "marks": [self._row(mark, marks_fit, row_of.get(mark.id)) for mark in state.of(layer)],
@@ -112,10 +114,10 @@ class Live:
                 "rms_um": None if fit is None else finite_or_none(fit.rms_um),
                 "loo_rms_um": None if fit is None else finite_or_none(fit.leave_one_out_rms_um),
                 "follows": marks_fit.pending and state.model not in QUICK,
-                "transform": None if fit is None else _similarity(fit),
+                "transform": transform,
             } | ({"error": marks_fit.error} if marks_fit.error else {}),
             "message": marks_fit.message,
-            "warnings": [_warning(warning) for warning in marks_fit.warnings],
+            "warnings": [{"text": w.text} | ({} if w.id is None else {"id": w.id}) for w in marks_fit.warnings],
             "corrections": [c.model_dump(mode="json") for c in state.corrections],
             "regions": [r.model_dump(mode="json") for r in state.regions],
             "can_undo": session.can_undo and not session.read_only,
@@ -123,8 +125,9 @@ class Live:
         }  # fmt: skip
 
     def _row(self, mark: Mark, marks_fit: Fitted, k: int | None) -> dict[str, Any]:
+        sources = dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None)
         row: dict[str, Any] = {
-            "id": mark.id, "label": mark.label, "used": mark.used, "source": _source(mark),
+            "id": mark.id, "label": mark.label, "used": mark.used, "source": " and ".join(sources),
             "moving": None if mark.moving is None else mark.moving.xy,
             "fixed": None if mark.fixed is None else mark.fixed.xy,
             "residual_um": None if k is None else finite_or_none(marks_fit.residual_um[k]),
@@ -139,20 +142,3 @@ class Live:
         elif marks_fit.pending and self.session.state.model not in QUICK:
             row["note"] = f"{self.session.state.model} follows"
         return row
-
-
-def _source(mark: Mark) -> str:
-    """Give the sources of the ends of a mark, in a word or two."""
-    return " and ".join(dict.fromkeys(end.source for end in (mark.moving, mark.fixed) if end is not None))
-
-
-def _similarity(fit: Any) -> dict[str, Any]:
-    """The closest similarity, by which the page lays one picture onto the other."""
-    t = fit.transform
-    return {
-        "scale": t.scale, "rotation_rad": t.rotation_rad, "shift_um": list(t.shift_um), "mirrored": bool(t.mirrored),
-    }  # fmt: skip
-
-
-def _warning(warning: FitWarning) -> dict[str, str]:
-    return {"text": warning.text} | ({} if warning.id is None else {"id": warning.id})

@@ -1,27 +1,31 @@
-"""Routes of the marks: the session, its state, changes, undo and redo, and news for every window."""
+"""Routes of what is changed: the session, its marks, undo and redo, news for every window, and Apply."""
 
 from __future__ import annotations
 
 import asyncio
 import json
 from collections.abc import AsyncIterator, Callable
+from contextlib import suppress
+from pathlib import Path
 from typing import Any
 
 import anyio
 import numpy as np
-import xarray as xr
 from anyio.to_thread import run_sync
 from pydantic import BaseModel, ConfigDict, ValidationError
 from starlette.requests import Request
-from starlette.responses import JSONResponse, Response, StreamingResponse
+from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
+from planish.app.applying import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
-from planish.app.exchange import MarkFile, exported, formats, imported
+from planish.app.exchange import MarkFile, exported, imported
 from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Session, Stale
 from planish.app.snap import not_snapped, snapped
+from planish.marks.files import FORMATS
+from planish.marks.files.formats import TARGETS
 from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams
 
@@ -67,33 +71,31 @@ async def _body_of(request: Request, model: type[Any]) -> Any:
 
 async def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
-    return JSONResponse(await run_sync(_session_of, _session(request), request.app))
+    session, pictures = _session(request), request.app.state.pictures
 
+    def described() -> dict[str, Any]:
+        layers: list[dict[str, Any]] = []
+        for layer in session.layers:
+            circles: dict[str, list[list[float]]] = {}
+            for plane, holes in session.holes(layer).items():
+                um = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], np.nan)
+                columns = holes["x"].values, holes["y"].values, np.where(np.isfinite(um), um, USUAL_UM)
+                circles[plane] = np.stack(columns, 1).tolist()
+            owners = {plane: session.shown_by(layer, plane) for plane in PLANES}
+            shown = {plane: {"plane": owner[0], "layer": owner[1]} for plane, owner in owners.items()}
+            headline = session.results.layer(layer).headline
+            layers.append(
+                {"name": layer, "to": session.target(layer), "headline": headline, "holes": circles, "shown": shown}
+            )
+        return {
+            "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
+            "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
+            "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
+            "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
+            "pictures": pictures.described(),
+        }  # fmt: skip
 
-def _session_of(session: Session, app: Any) -> dict[str, Any]:
-    layers: list[dict[str, Any]] = []
-    for layer in session.layers:
-        holes = {plane: _circles(detected) for plane, detected in session.holes(layer).items()}
-        headline = session.results.layer(layer).headline
-        shown = {plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES}
-        layers.append(
-            {"name": layer, "to": session.target(layer), "headline": headline, "holes": holes, "shown": shown}
-        )
-    return {
-        "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
-        "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
-        "models": _models(), "export_formats": formats(), "pictures": app.state.pictures.described(),
-    }  # fmt: skip
-
-
-def _circles(holes: xr.Dataset) -> list[list[float]]:
-    size = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], USUAL_UM)
-    return np.stack([holes["x"].values, holes["y"].values, np.where(np.isfinite(size), size, USUAL_UM)], 1).tolist()
-
-
-def _models() -> list[str]:
-    schema: Any = RegistrationParams.model_json_schema()["properties"]["model"]
-    return list(schema["enum"])
+    return JSONResponse(await run_sync(described))
 
 
 async def get_state(request: Request) -> Response:
@@ -102,7 +104,7 @@ async def get_state(request: Request) -> Response:
 
 
 def _layer(request: Request) -> str:
-    """The registration that is body for; the first where none is."""
+    """The registration that is asked for; the first where none is."""
     return request.query_params.get("layer") or _session(request).state.first
 
 
@@ -194,31 +196,27 @@ async def _state_after(request: Request, action: Callable[[], object]) -> Respon
     return await run_sync(act)
 
 
-# --- what is body ---------------------------------------------------------------------------------------------------
+# --- what is asked for ------------------------------------------------------------------------------------------------
 
 
 async def get_predict(request: Request) -> Response:
     """Predict where a point of one plane lies in the other."""
     live: Live = request.app.state.live
-    side, x, y = (request.query_params.get(key, "") for key in ("side", "x", "y"))
+    side, *point = (request.query_params.get(key, "") for key in ("side", "x", "y"))
     if side not in PLANES:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
-    point_um = _number(x), _number(y)
-    prediction = await run_sync(lambda: live.fit(_layer(request)).predicted(side, point_um))
+    point_um = [float("nan"), float("nan")]
+    for k, text in enumerate(point):
+        with suppress(ValueError):
+            point_um[k] = float(text)
+        if not abs(point_um[k]) <= FARTHEST_UM:
+            raise ChangeError(f"{text[:40]!r} is no place in um.")
+    x, y = point_um
+    prediction = await run_sync(lambda: live.fit(_layer(request)).predicted(side, (x, y)))
     if prediction is None:
         return JSONResponse(None)
     (other_x, other_y), error_um, words = prediction
     return JSONResponse({"x": other_x, "y": other_y, "error_um": error_um, "text": words})
-
-
-def _number(text: str) -> float:
-    try:
-        number = float(text)
-    except ValueError:
-        number = float("nan")
-    if not abs(number) <= FARTHEST_UM:
-        raise ChangeError(f"{text[:40]!r} is no place in um.")
-    return number
 
 
 async def get_export(request: Request) -> Response:
@@ -235,6 +233,51 @@ async def get_export(request: Request) -> Response:
     return Response(data, headers=headers, media_type="application/octet-stream")
 
 
+# The page is one file that needs nothing else; it keeps no script, and none that got into it would be carried out.
+_HEADERS = {
+    "content-security-policy": "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'",
+    "cache-control": "no-store",
+}
+
+
+def _applying(request: Request) -> Applying:
+    return request.app.state.applying
+
+
+def _answer(progress: Progress, status: int = 200) -> Response:
+    return JSONResponse(progress.model_dump(exclude_none=True), status)
+
+
+async def get_apply(request: Request) -> Response:
+    """Give the progress of the run that is made."""
+    return _answer(_applying(request).progress)
+
+
+async def post_apply(request: Request) -> Response:
+    """Begin to make a run."""
+    applying = _applying(request)
+    try:
+        return _answer(await run_sync(applying.start), 202)
+    except Busy as error:
+        return JSONResponse({"error": error.text} | applying.progress.model_dump(exclude_none=True), 409)
+
+
+async def post_cancel(request: Request) -> Response:
+    """Stop, and leave nothing."""
+    return _answer(await run_sync(_applying(request).cancel))
+
+
+async def get_report(request: Request) -> Response:
+    """The page of a run that was made here: its address is a secret of its own."""
+    path = _applying(request).reports.get(request.path_params["ticket"])
+    if path is None:
+        return PlainTextResponse("There is no such report.", 404)
+    try:
+        return Response(await run_sync(Path(path).read_bytes), headers=_HEADERS, media_type="text/html; charset=utf-8")
+    except OSError:
+        return PlainTextResponse("The run is not there any more.", 404)
+
+
 ROUTES = [
     Route("/api/session", get_session),
     Route("/api/state", get_state),
@@ -246,4 +289,8 @@ ROUTES = [
     Route("/api/predict", get_predict),
     Route("/api/marks/import", post_import, methods=["POST"]),
     Route("/api/marks/export", get_export),
+    Route("/api/apply", get_apply),
+    Route("/api/apply", post_apply, methods=["POST"]),
+    Route("/api/apply/cancel", post_cancel, methods=["POST"]),
+    Route("/report/{ticket}", get_report),
 ]

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import threading
+from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
+from concurrent.futures import Future
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Self
@@ -12,8 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.app.computed_levels import ComputedLevels, cache_place
-from planish.app.picture import Picture, Plane, Stored
+from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_place
 from planish.app.strain import strains
 from planish.core.area import count_of, middles
 from planish.core.errors import InputError
@@ -21,13 +22,13 @@ from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
-from planish.io.map_store import OVERVIEWS, stored_group
+from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
 from planish.pipeline.compare import is_property
 from planish.pipeline.linking import LINKED
 from planish.pipeline.run import MAPS, is_run, open_results
-from planish.study import LayerParams, read_study
+from planish.study import read_study
 
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
 
@@ -59,7 +60,7 @@ class ImageFile:
 class Pictures:
     """All pictures of a session, by their ids."""
 
-    def __init__(self, pictures: Iterable[Picture]) -> None:
+    def __init__(self, pictures: Iterable[PlanePicture]) -> None:
         self._by_id = {picture.id: picture for picture in (replace(p, id=f"p{k}") for k, p in enumerate(pictures))}
 
     @classmethod
@@ -76,25 +77,27 @@ class Pictures:
             pictures.append(image_picture(ImageFile.of(image), plane="fixed", name="image"))
         return cls(pictures)
 
-    def __iter__(self) -> Iterator[Picture]:
+    def __iter__(self) -> Iterator[PlanePicture]:
         """In the order in which a page lists them."""
         return iter(self._by_id.values())
 
-    def __getitem__(self, id: str) -> Picture:
+    def __getitem__(self, id: str) -> PlanePicture:
         """The picture with an id; InputError where there is none."""
         if id not in self._by_id:
             raise InputError(f"This session has no picture {id[:20]!r}.")
         return self._by_id[id]
 
-    def on_same_pixels(self, picture: Picture) -> list[Picture]:
+    def on_same_pixels(self, picture: PlanePicture) -> list[PlanePicture]:
         """All pictures on the pixels of a picture, itself among them."""
-        return [p for p in self if p.plane == picture.plane and _same_pixels(p, picture)]
+        shape, place = picture.grid.shape, [*picture.grid.origin_um, *picture.grid.pixel_um]
+        same_shape = [p for p in self if p.plane == picture.plane and p.grid.shape == shape]
+        return [p for p in same_shape if np.allclose([*p.grid.origin_um, *p.grid.pixel_um], place)]
 
-    def on(self, plane: Plane, layer: str) -> list[Picture]:
+    def on(self, plane: Plane, layer: str) -> list[PlanePicture]:
         """All pictures of a plane: of a moving one, those of its layer."""
         return [p for p in self if p.plane == plane and (plane == "fixed" or p.layer == layer)]
 
-    def valid_of(self, *pictures: Picture) -> list[Picture]:
+    def valid_of(self, *pictures: PlanePicture) -> list[PlanePicture]:
         """The masks that say where values of pictures count."""
         layers = {p.layer for p in pictures}
         return [p for p in self.on_same_pixels(pictures[0]) if p.layer in layers and p.name.split("/")[-1] == "valid"]
@@ -104,13 +107,7 @@ class Pictures:
         return [picture.facts.model_dump() for picture in self]
 
 
-def _same_pixels(a: Picture, b: Picture) -> bool:
-    return a.grid.shape == b.grid.shape and np.allclose(
-        [*a.grid.origin_um, *a.grid.pixel_um], [*b.grid.origin_um, *b.grid.pixel_um]
-    )
-
-
-def _of_run(run: Path) -> Iterator[Picture]:
+def _of_run(run: Path) -> Iterator[PlanePicture]:
     """The pictures of a run: of every moving layer, then of what lies on the reference."""
     results, study = open_results(run), read_study(run / "run.toml")
     if not results.is_link:
@@ -119,7 +116,11 @@ def _of_run(run: Path) -> Iterator[Picture]:
     together = study.is_sheet_on_image
     for facts in results.moving:
         params = next(layer for layer in study.layers if layer.name == facts.name)
-        yield from _moving(run, params, prefix="" if together else f"{facts.name}/")
+        prefix, inner = "" if together else f"{facts.name}/", run / "layers" / facts.name
+        if params.image is None:
+            yield from _sheet(inner if is_run(inner) else run, layer=facts.name, prefix=prefix)
+        elif Path(params.image.path).is_file():
+            yield image_picture(ImageFile.of(params.image, facts.name), plane="moving", name=f"{prefix}image")
     if together:
         yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
         yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
@@ -128,54 +129,38 @@ def _of_run(run: Path) -> Iterator[Picture]:
         yield from group_pictures(run, f"layers/{layer.name}", plane="fixed", layer=layer.name, prefix=f"{layer.name}/")
 
 
-def _moving(run: Path, params: LayerParams, *, prefix: str) -> Iterator[Picture]:
-    """A moving layer on its own plane: the maps of a sheet, or an image."""
-    if params.image is not None:
-        if Path(params.image.path).is_file():
-            yield image_picture(ImageFile.of(params.image, params.name), plane="moving", name=f"{prefix}image")
-        return
-    inner = run / "layers" / params.name
-    yield from _sheet(inner if is_run(inner) else run, layer=params.name, prefix=prefix)
-
-
-def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[Picture]:
+def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
     """The maps of a sheet on its own plane, and the strains of its flattening."""
     maps = [*group_pictures(run, "maps", plane="moving", layer=layer, prefix=prefix)]
     yield from maps
     places = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
     for name, strain, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
-        yield Picture(
+        yield PlanePicture(
             id="", plane="moving", layer=layer, name=prefix + name, title=strain.title, units=strain.units,
             levels=Stored(levels), around_zero=True,
         )  # fmt: skip
 
 
-def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: str = "") -> Iterator[Picture]:
+def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: str = "") -> Iterator[PlanePicture]:
     """The maps of a group of a run: images and properties first, places last."""
     path = run / MAPS
     if not (path / group).is_dir():
         return
-    full, smaller = stored_group(path, group), [*_overviews(path, group)]
+    full, smaller = stored_group(path, group), list[xr.Dataset]()
+    while (path / (overview := f"{OVERVIEWS}/{group}/{len(smaller) + 1}")).is_dir():
+        smaller.append(stored_group(path, overview))
     shape = tuple(full.sizes.values())
-    maps = {str(name): data for name, data in full.data_vars.items() if data.ndim == 2}
+    # Codes have no mean: no smaller copies.
+    maps = {str(n): data for n, data in full.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
     for name in sorted(maps, key=lambda name: _order(maps[name])):
         data = maps[name]
-        if data.dtype.kind not in "fb":  # codes have no mean: no smaller copies
-            continue
-        levels: Sequence[xr.DataArray] = Stored((data, *(one[name] for one in smaller if name in one)))
+        levels: Sequence[xr.DataArray] = Stored((data, *(maps_of[name] for maps_of in smaller if name in maps_of)))
         if len(levels) <= count_of(shape):
             levels = _on_grids(ComputedLevels(data, cache_place(path / "zarr.json", group, name)), Grid.of(data))
-        yield Picture(
+        yield PlanePicture(
             id="", plane=plane, layer=layer, name=prefix + name, title=str(data.attrs.get("long_name", name)),
             units=str(data.attrs.get("units", "")), levels=levels,
         )  # fmt: skip
-
-
-def _overviews(path: Path, group: str) -> Iterator[xr.Dataset]:
-    k = 1
-    while (path / OVERVIEWS / group / str(k)).is_dir():
-        yield stored_group(path, f"{OVERVIEWS}/{group}/{k}")
-        k += 1
 
 
 def _order(data: xr.DataArray) -> tuple[int, str]:
@@ -194,7 +179,7 @@ def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
     return arrays
 
 
-def image_picture(file: ImageFile, *, plane: Plane, name: str) -> Picture:
+def image_picture(file: ImageFile, *, plane: Plane, name: str) -> PlanePicture:
     """The picture of an image file.
 
     Raises
@@ -209,7 +194,7 @@ def image_picture(file: ImageFile, *, plane: Plane, name: str) -> Picture:
     rows, cols = head.values.shape[:2]
     place = cache_place(file.path, "image", file.channel)
     levels = ComputedLevels(_ImageValues(file, (rows, cols)), place, keep_all=not is_mapped(file.path))
-    return Picture(
+    return PlanePicture(
         id="", plane=plane, layer=file.layer, name=name, title=title, units="1",
         levels=_on_grids(levels, Grid.regular((rows, cols), file.pixel_um)),
     )  # fmt: skip
@@ -230,3 +215,101 @@ class _ImageValues(LazyArray):
                 self._picture = load_picture(self._file.path)
         part = replace(self._picture, values=self._picture.values[where])
         return channel_of(part, self._file.channel, file_name=self._file.path.name)[0]
+
+
+BLOCKS_BYTES = 96 * 2**20
+"""Bytes of blocks that are held."""
+
+Key = tuple[str, int, int, int]
+
+
+class Tiles:
+    """Windows of pictures, block by block.
+
+    Attributes
+    ----------
+    read_bytes : int
+        Of all blocks that were read so far.
+    """
+
+    def __init__(self, pictures: Pictures, *, most_bytes: int = BLOCKS_BYTES) -> None:
+        self.pictures, self._most_bytes = pictures, most_bytes
+        self._lock, self._blocks, self._held = threading.Lock(), OrderedDict[Key, Future[NDArray[Any]]](), 0
+        self.read_bytes = 0
+
+    def tile(self, id: str, level: int, row: int, col: int) -> bytes:
+        """Codes of one tile: TILE x TILE little-endian 16-bit values, row by row; 0 where there is no picture.
+
+        Raises
+        ------
+        InputError
+            If there is no such picture, level or tile.
+        FileError
+            If the picture is damaged.
+        """
+        picture = self.pictures[id]
+        if not 0 <= level < len(picture.levels):
+            raise InputError(f"{picture.name} has {len(picture.levels)} levels; there is no level {level}.")
+        rows, cols = picture.levels[level].shape
+        if not (0 <= row * TILE < rows and 0 <= col * TILE < cols):
+            raise InputError(f"Level {level} of {picture.name} has no tile {row}, {col}.")
+        window = slice(row * TILE, min((row + 1) * TILE, rows)), slice(col * TILE, min((col + 1) * TILE, cols))
+        codes = np.zeros((TILE, TILE), "<u2")
+        part = picture.codes.of(self.window(picture, level, *window))
+        codes[: part.shape[0], : part.shape[1]] = part
+        return codes.tobytes()
+
+    def window(self, picture: PlanePicture, level: int, rows: slice, cols: slice) -> NDArray[Any]:
+        """Values of a window of a level."""
+        pixels = np.empty((rows.stop - rows.start, cols.stop - cols.start), picture.levels[level].dtype)
+        for i in range(rows.start // CHUNK, -(-rows.stop // CHUNK)):
+            for j in range(cols.start // CHUNK, -(-cols.stop // CHUNK)):
+                block = self.block(picture, level, i, j)
+                (of_r, in_r), (of_c, in_c) = _shared(rows, i, block.shape[0]), _shared(cols, j, block.shape[1])
+                pixels[of_r, of_c] = block[in_r, in_c]
+        return pixels
+
+    def values_at(
+        self, picture: PlanePicture, level: int, rows: NDArray[np.intp], cols: NDArray[np.intp]
+    ) -> NDArray[Any]:
+        """Values of single pixels (n,) of a level."""
+        pixels = np.empty(rows.size, picture.levels[level].dtype)
+        i, j = rows // CHUNK, cols // CHUNK
+        for a, b in {*zip(i.tolist(), j.tolist(), strict=True)}:
+            here = (i == a) & (j == b)
+            pixels[here] = self.block(picture, level, a, b)[rows[here] - a * CHUNK, cols[here] - b * CHUNK]
+        return pixels
+
+    def block(self, picture: PlanePicture, level: int, i: int, j: int) -> NDArray[Any]:
+        """The i-th block down and j-th across; whoever asks for it while it is read waits for the same one."""
+        key = (picture.id, level, i, j)
+        with self._lock:
+            mine = Future[NDArray[Any]]()
+            future = self._blocks.setdefault(key, mine)
+            self._blocks.move_to_end(key)
+        if future is not mine:
+            return future.result()
+        try:
+            data = picture.levels[level]
+            block = data[i * CHUNK : (i + 1) * CHUNK, j * CHUNK : (j + 1) * CHUNK].values
+        except BaseException as error:
+            with self._lock:
+                self._blocks.pop(key, None)
+            mine.set_exception(error)
+            raise
+        mine.set_result(block)
+        with self._lock:
+            self.read_bytes += block.nbytes
+            self._held += block.nbytes
+            while self._held > self._most_bytes and (old := next(iter(self._blocks))) != key:
+                if not self._blocks[old].done():
+                    self._blocks.move_to_end(old)
+                    continue
+                self._held -= self._blocks.pop(old).result().nbytes
+        return block
+
+
+def _shared(of: slice, k: int, length: int) -> tuple[slice, slice]:
+    """Give the place of the k-th block in a window, and of the window in the block."""
+    start, stop = max(of.start, k * CHUNK), min(of.stop, k * CHUNK + length)
+    return slice(start - of.start, stop - of.start), slice(start - k * CHUNK, stop - k * CHUNK)

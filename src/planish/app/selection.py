@@ -1,4 +1,4 @@
-"""What two pictures have in common: their density and histograms from an overview, a selection at full resolution."""
+"""Values of pictures at a point, along a line and in a region; densities and histograms from an overview."""
 
 from __future__ import annotations
 
@@ -13,19 +13,127 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze import correlate
-from planish.app.picture import Answer, Picture, finite_or_none
-from planish.app.tiles import Tiles
+from planish.app.picture import Answer, PlanePicture, finite_or_none
+from planish.app.pictures import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError
 from planish.core.lazy import LazyArray, Where, held
 from planish.core.typing import Bools, Floats
 from planish.pipeline.evidence import CELLS
 
+MOST_SAMPLES = 2000
+"""Pixels along a profile; a longer line is read from a coarser level."""
+
+
+class ValueAt(Answer):
+    """Value of one picture at a point; None where it has none."""
+
+    id: str
+    layer: str
+    name: str
+    title: str
+    units: str
+    value: float | None
+
+
+class VolumePlace(Answer):
+    """Place of the centre surface in the volume, in um along its axes."""
+
+    layer: str
+    x: float
+    y: float
+    z: float
+
+
+class Cursor(Answer):
+    """All values at a point (x, y) of a plane, in um, and the place in the volume that it shows."""
+
+    x: float
+    y: float
+    row: int | None
+    col: int | None
+    values: tuple[ValueAt, ...]
+    volume: VolumePlace | None
+
+
+class ProfileOf(Answer):
+    """Values of one picture along a line."""
+
+    id: str
+    name: str
+    units: str
+    values: tuple[float | None, ...]
+
+
+class Profile(Answer):
+    """Values along a line at ``at_um`` from its beginning, of pixels that are ``pixel_um`` wide."""
+
+    pixel_um: float
+    at_um: tuple[float, ...]
+    lines: tuple[ProfileOf, ...]
+
+
+def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> Cursor:
+    """Values of all pictures on the pixels of one, at the pixel that holds a point."""
+    rows, cols, (inside,) = _pixels(picture, np.array([[x, y]]), 0)
+    pictures = tiles.pictures.on_same_pixels(picture)
+    value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in pictures}
+    volume, places = None, {(p.layer, p.name.split("/")[-1]): value_of[p.id] for p in pictures}
+    for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):  # its own, or the first that has it
+        place = [places.get((layer, f"volume_{axis}")) for axis in "xyz"]
+        if None not in place:
+            volume = VolumePlace.model_validate({"layer": layer} | dict(zip("xyz", place, strict=True)))
+            break
+    return Cursor(
+        x=x, y=y, row=int(rows[0]) if inside else None, col=int(cols[0]) if inside else None,
+        values=tuple(
+            ValueAt(id=p.id, layer=p.layer, name=p.name, title=p.title, units=p.units, value=value_of[p.id])
+            for p in pictures
+        ),
+        volume=volume,
+    )  # fmt: skip
+
+
+def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> Profile:
+    """Values of pictures on one grid along the line from (x0, y0) to (x1, y1) in um, each of the pixel it crosses."""
+    x0, y0, x1, y1 = line
+    length = math.hypot(x1 - x0, y1 - y0)
+    if length == 0:
+        raise InputError("The line has no length. Give two places: x0, y0, x1, y1 in um.")
+    first = pictures[0]
+    pixel = min(first.grid.pixel_um)
+    coarsest = len(first.levels) - 1
+    level = min(max(0, math.ceil(math.log2(length / pixel / MOST_SAMPLES))), coarsest)
+    step = pixel * 2**level
+    distances_um = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
+    points = np.array([x0, y0]) + (distances_um / length)[:, None] * np.array([x1 - x0, y1 - y0])
+    rows, cols, inside = _pixels(first, points, level)
+    lines: list[ProfileOf] = []
+    for picture in pictures:
+        values = np.full(distances_um.size, np.nan)
+        values[inside] = tiles.values_at(picture, level, rows[inside], cols[inside])
+        lines.append(
+            ProfileOf(id=picture.id, name=picture.name, units=picture.units, values=tuple(map(finite_or_none, values)))
+        )
+    return Profile(pixel_um=step, at_um=tuple(distances_um.tolist()), lines=tuple(lines))
+
+
+def _pixels(picture: PlanePicture, points: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
+    """Rows and columns of the pixels of a level that hold points (n, 2: x, y), and which lie in the picture.
+
+    Pixels of all levels share one corner.
+    """
+    (x0, y0), (dy, dx) = picture.grid.origin_um, picture.grid.pixel_um
+    rows = np.floor((points[:, 1] - y0) / dy + 0.5).astype(np.intp) >> level
+    cols = np.floor((points[:, 0] - x0) / dx + 0.5).astype(np.intp) >> level
+    height, width = picture.levels[level].shape
+    return rows, cols, (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+
+
 BASE_PIXELS = 4_000_000
 """Pixels of the overview from which densities and histograms are made."""
 
 _BINS = 128
-_TAILS = (0.1, 99.9)  # percentiles between which points are drawn; those beyond are counted
 
 Window = tuple[slice, slice]
 
@@ -77,7 +185,7 @@ class Selected(Answer):
 class Brush:
     """Pixels of a picture whose value lies from ``low`` to ``high``."""
 
-    picture: Picture
+    picture: PlanePicture
     low: float
     high: float
 
@@ -91,7 +199,7 @@ class Rectangle:
     x1: float
     y1: float
 
-    def on(self, picture: Picture, level: int = 0) -> Window:
+    def on(self, picture: PlanePicture, level: int = 0) -> Window:
         """Rows and columns of a level of a picture; InputError where it holds none of them."""
         data = picture.levels[level]
         (y, x), (dy, dx) = (data[dim].values for dim in data.dims), picture.grid.pixel_um
@@ -105,7 +213,7 @@ class Stopped(Exception):
     """The page does not want the answer any more."""
 
 
-def density(tiles: Tiles, a: Picture, b: Picture, window: Rectangle | None = None) -> Density:
+def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, window: Rectangle | None = None) -> Density:
     """Count the points of two pictures in the plane of their values.
 
     The limits are those of all points, also where only a region is counted.
@@ -130,7 +238,7 @@ def density(tiles: Tiles, a: Picture, b: Picture, window: Rectangle | None = Non
     )  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: Picture, window: Rectangle | None = None) -> Histogram:
+def histogram(tiles: Tiles, picture: PlanePicture, window: Rectangle | None = None) -> Histogram:
     """Count the values of a picture where they are valid."""
     level, (values,) = _overview(tiles, picture)
     every = values[np.isfinite(values)]
@@ -157,7 +265,7 @@ def _between(places: Floats, low: float, high: float, step: float) -> slice:
 
 
 def select(
-    tiles: Tiles, a: Picture, b: Picture, *, region: Rectangle | None = None, brushes: Sequence[Brush] = (),
+    tiles: Tiles, a: PlanePicture, b: PlanePicture, *, region: Rectangle | None = None, brushes: Sequence[Brush] = (),
     stop: threading.Event | None = None,
 ) -> Selected:  # fmt: skip
     """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.
@@ -169,7 +277,7 @@ def select(
     """
     stop, pixel = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
-    x, y = (_watched(p.full[window], stop) for p in (a, b))
+    x, y = (_lazy_array(_Stoppable(p.full[window], stop), p.full[window]) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes:
         chosen = [(brush, brush.picture.full[window]) for brush in brushes]
@@ -217,15 +325,11 @@ class _Stoppable(LazyArray):
         return self._values[where].values
 
 
-def _watched(values: xr.DataArray, stop: threading.Event) -> xr.DataArray:
-    return _lazy_array(_Stoppable(values, stop), values)
-
-
 def _lazy_array(values: LazyArray, like: xr.DataArray) -> xr.DataArray:
     return xr.DataArray(xr.Variable(like.dims, held(values)), coords=like.coords)
 
 
-def _overview(tiles: Tiles, *pictures: Picture) -> tuple[int, list[Floats]]:
+def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]:
     """A level of few pixels, and the values of pictures there; NaN where they do not count."""
     level = pictures[0].level_within(BASE_PIXELS)
     whole = tuple(slice(0, n) for n in pictures[0].levels[level].shape)
@@ -240,11 +344,12 @@ def _limits(values: Floats) -> tuple[float, float]:
     """Between which nearly all values lie, with a little room."""
     if values.size == 0:
         return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(values, _TAILS))
+    # Percentiles between which points are drawn; those beyond are counted.
+    low, high = (float(v) for v in np.percentile(values, (0.1, 99.9)))
     room = 0.02 * (high - low) or 0.5
     return low - room, high + room
 
 
-def _pixel(picture: Picture, level: int) -> tuple[float, float]:
+def _pixel(picture: PlanePicture, level: int) -> tuple[float, float]:
     down, across = picture.grid.pixel_um
     return down * 2**level, across * 2**level

@@ -14,8 +14,18 @@ from typing import Any, Self
 import numpy as np
 import xarray as xr
 
-from planish.app.changes import Change, ChangeError, End, Mark, Region, State, applied, change_of, numbered
-from planish.app.corrections import corrections_of
+from planish.app.changes import (
+    Change,
+    ChangeError,
+    DrawnRegion,
+    End,
+    Mark,
+    State,
+    applied,
+    change_of,
+    corrections_of,
+    numbered,
+)
 from planish.app.journal import InUse, Journal
 from planish.app.picture import PLANES, Plane
 from planish.core.errors import FileError, InputError, PlanishError
@@ -164,20 +174,21 @@ class Session:
 
     def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
-        if layer in self.registrations:
-            marks = self.registrations[layer].marks
-            return {plane: _holes_in(marks, plane) for plane in PLANES}
-        return self._detected_holes
+        if layer not in self.registrations:
+            return self._detected_holes
+        marks, holes = self.registrations[layer].marks, dict[Plane, xr.Dataset]()
+        for plane in PLANES:
+            names = {f"{plane}_{key}": key for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
+            rows = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
+            holes[plane] = marks[[*names]].rename(names).isel(mark=rows)
+        return holes
 
     @cached_property
     def _detected_holes(self) -> dict[Plane, xr.Dataset]:
         assert self.image is not None
-        maps, side = read_group(self.folder / MAPS, "maps"), self.side_of("image")
-        params = self.study.holes
-        return {
-            "moving": find_holes(maps, params=params, side=side),
-            "fixed": find_holes(self.image, params=params, side=side),
-        }
+        shown: dict[Plane, Any] = {"moving": read_group(self.folder / MAPS, "maps"), "fixed": self.image}
+        params, side = self.study.holes, self.side_of("image")
+        return {plane: find_holes(data, params=params, side=side) for plane, data in shown.items()}
 
     # --- what was changed ---------------------------------------------------------------------------------------------
 
@@ -217,9 +228,9 @@ class Session:
             self._check(version)
             new = numbered(change, len(self.journal.lines) + 1)
             state = applied(self.state, new)
-            self.journal.append(new.model_dump_json(exclude_none=True).encode())
-            self._step(state)
-            return state
+            line = new.model_dump_json(exclude_none=True).encode()
+            self.journal.append(line)
+            return self._step(line, state)
 
     def undo(self, *, version: int | None = None) -> State:
         """Take the last change back; ChangeError where there is none."""
@@ -228,8 +239,7 @@ class Session:
             if not self.can_undo:
                 raise ChangeError("There is nothing to undo: the run stands as it was.")
             self.journal.append(_UNDO)
-            self._back()
-            return self.state
+            return self._step(_UNDO)
 
     def redo(self, *, version: int | None = None) -> State:
         """Make the change that was taken back again; ChangeError where there is none."""
@@ -238,40 +248,30 @@ class Session:
             if not self.can_redo:
                 raise ChangeError("There is nothing to redo.")
             self.journal.append(_REDO)
-            self._forth()
-            return self.state
+            return self._step(_REDO)
 
     def _check(self, version: int | None) -> None:
         if version is not None and version < self.changed_at:
             raise Stale("Something was changed in another window meanwhile. What stands now is shown; do it again.")
 
-    def _step(self, state: State) -> None:
-        self._done.append(state)
-        self._undone.clear()
-        self._changed()
-
-    def _back(self) -> None:
-        self._undone.append(self._done.pop())
-        self._changed()
-
-    def _forth(self) -> None:
-        self._done.append(self._undone.pop())
-        self._changed()
-
-    def _changed(self) -> None:
+    def _step(self, line: bytes, state: State | None = None) -> State:
+        """Take the step of a line of the journal: to the state before, to the one after it, or to a new one."""
+        if line == _UNDO and self.can_undo:
+            self._undone.append(self._done.pop())
+        elif line == _REDO and self.can_redo:
+            self._done.append(self._undone.pop())
+        else:
+            self._done.append(state or applied(self.state, change_of(line)))
+            self._undone.clear()
         self.publish()
         self.changed_at = self.version
+        return self.state
 
     def _replay(self) -> None:
         self._done = [self._original_state()]
         for k, line in enumerate(self.journal.lines, 1):
             try:
-                if line == _UNDO and self.can_undo:
-                    self._back()
-                elif line == _REDO and self.can_redo:
-                    self._forth()
-                else:
-                    self._step(applied(self.state, change_of(line)))
+                self._step(line)
             except ChangeError as error:
                 raise FileError(
                     f"{self.journal.path} is damaged: its change {k} cannot be made ({error.text}) Cut the file before "
@@ -280,21 +280,28 @@ class Session:
 
     def _original_state(self) -> State:
         """The run as it was."""
-        regions = read_regions(self.folder / REGIONS) if self.results.regions else None
-        declared = [] if regions is None else [
-            (region, rings) for region in regions.declared for rings in region.polygons
+        declared = read_regions(self.folder / REGIONS).declared if self.results.regions else ()
+        polygons = ((region, rings) for region in declared for rings in region.polygons)
+        regions = [
+            DrawnRegion(
+                id=f"r0-{k}", name=region.name, author=region.author, reason=region.reason,
+                polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
+            )
+            for k, (region, rings) in enumerate(polygons, 1)
         ]  # fmt: skip
+        marks: dict[str, tuple[Mark, ...]] = {}
+        for layer, registration in self.registrations.items():
+            pairs = registration.marks
+            ends = [ends_of(pairs, plane) for plane in PLANES]
+            rows = zip(pairs["label"].values, pairs["used"].values, *ends, strict=True)
+            marks[layer] = tuple(
+                Mark(id=f"m0-{k}", label=str(label), used=bool(used), moving=moving, fixed=fixed)
+                for k, (label, used, moving, fixed) in enumerate(rows, 1)
+                if moving is not None and fixed is not None
+            )
         return State(
-            marks={name: _marks_of(r.marks) for name, r in self.registrations.items()} or {self.layers[0]: ()},
-            model=self.study.registration.model,
-            regions=tuple(
-                Region(
-                    id=f"r0-{k}", name=region.name, author=region.author, reason=region.reason,
-                    polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
-                ) for k, (region, rings) in enumerate(declared, 1)
-            ),
-            corrections=corrections_of(self.study),
-            first=self.layers[0],
+            marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
+            corrections=corrections_of(self.study), first=self.layers[0],
         )  # fmt: skip
 
     # --- news for the windows -----------------------------------------------------------------------------------------
@@ -351,17 +358,6 @@ def _image_params(run: Path, image: Path | ImageParams | None, results: Results)
     return ImageParams.model_validate(asked)
 
 
-def _marks_of(marks: xr.Dataset) -> tuple[Mark, ...]:
-    """The pairs of a run."""
-    ends = {plane: ends_of(marks, plane) for plane in PLANES}
-    rows = zip(marks["label"].values, marks["used"].values, ends["moving"], ends["fixed"], strict=True)
-    return tuple(
-        Mark(id=f"m0-{k}", label=str(label), used=bool(used), moving=moving, fixed=fixed)
-        for k, (label, used, moving, fixed) in enumerate(rows, 1)
-        if moving is not None and fixed is not None
-    )
-
-
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Give the ends of a file's marks in a plane, with all that is known of them."""
     names = {key: f"{plane}_{key}" for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
@@ -387,13 +383,6 @@ def places_of(ends: Sequence[End | None]) -> Places:
         source=["imported" if end is None else end.source for end in ends],
         extras={name: column(name) for name in EXTRAS},
     )
-
-
-def _holes_in(marks: xr.Dataset, plane: Plane) -> xr.Dataset:
-    """The marks of a plane as holes."""
-    names = {f"{plane}_{key}": key for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
-    rows = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
-    return marks[[*names]].rename(names).isel(mark=rows)
 
 
 def _ring(points: Any) -> tuple[tuple[float, float], ...]:

@@ -89,7 +89,7 @@ class SliceFacts(Answer):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Slice:
+class SheetSlice:
     """A slice as it is sent: pixels (down, across), lines (columns,) and contours (n, 4)."""
 
     facts: SliceFacts
@@ -99,7 +99,7 @@ class Slice:
 
 
 @dataclass(eq=False, kw_only=True)
-class Sheet:
+class SlicedSheet:
     """One sheet of a run: its volume and its surfaces, both left in their files."""
 
     name: str
@@ -162,7 +162,7 @@ class Sheet:
     def cut(
         self, direction: Direction, index: int, *, near_um: Near = (None, None),
         corrections: Corrections | None = None,
-    ) -> Slice:  # fmt: skip
+    ) -> SheetSlice:  # fmt: skip
         """One slice.
 
         Parameters
@@ -189,13 +189,12 @@ class Sheet:
                 return self._along(index, near_um)
             return self._across(direction, index, near_um, corrections)
 
-    def _across(self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None) -> Slice:
+    def _across(self, direction: Axis, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
         """A slice through the sheet, with its top up."""
         f = self.frame
         other: Axis = f.cols if direction == f.rows else f.rows
         along, down = _window(self.places(other), near_um[0]), _window(self.places(f.through), near_um[1])
-        part = self.volume.isel({direction: slice(index, index + 1), other: along, f.through: down})
-        values = part.values.transpose([part.get_axis_num(axis) for axis in (f.through, other, direction)])[..., 0]
+        values = self._voxels({f.through: down, other: along, direction: slice(index, index + 1)})
         depth = self.places(f.through)[down]
         if f.top == "high":
             values, depth = values[::-1], depth[::-1]
@@ -209,14 +208,13 @@ class Sheet:
             down=_axis(f.through, depth), scale=scale, offset=offset, missing=missing, lines=tuple(lines),
             columns=_axis(other, self._column_places(other)[columns]),
         )  # fmt: skip
-        return Slice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
+        return SheetSlice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
 
-    def _along(self, index: int, near_um: Near) -> Slice:
+    def _along(self, index: int, near_um: Near) -> SheetSlice:
         """A slice along the sheet, with the contours of its surfaces."""
         f = self.frame
         cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
-        part = self.volume.isel({f.through: slice(index, index + 1), f.rows: rows, f.cols: cols})
-        values = part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])[..., 0]
+        values = self._voxels({f.rows: rows, f.cols: cols, f.through: slice(index, index + 1)})
         pixels, scale, offset, missing = self.coded(values)
         height = float(self.places(f.through)[index])
         window = {
@@ -233,9 +231,9 @@ class Sheet:
             across=_axis(f.cols, self.places(f.cols)[cols]), down=_axis(f.rows, self.places(f.rows)[rows]),
             scale=scale, offset=offset, missing=missing, segments={name: len(part) for name, part in contours.items()},
         )  # fmt: skip
-        return Slice(facts=facts, pixels=pixels, contours=[part.astype(np.float32) for part in contours.values()])
+        return SheetSlice(facts=facts, pixels=pixels, contours=[part.astype(np.float32) for part in contours.values()])
 
-    def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> Slice:
+    def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
         """One row of columns, straightened along the normals."""
         f = self.frame
         places = self._column_places(f.cols)
@@ -263,7 +261,7 @@ class Sheet:
             down=_axis("height", s), scale=codes.scale, offset=codes.offset - codes.scale, missing=0,
             lines=tuple(lines), columns=_axis(f.cols, places[window]),
         )  # fmt: skip
-        return Slice(facts=facts, pixels=codes.of(values), lines=[v.astype(np.float32) for v in lines.values()])
+        return SheetSlice(facts=facts, pixels=codes.of(values), lines=[v.astype(np.float32) for v in lines.values()])
 
     def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s: Floats) -> Floats:
         """Grey along the normals of one row, (s, columns)."""
@@ -294,6 +292,11 @@ class Sheet:
             block, where, order=1, mode="constant", cval=np.nan, prefilter=False
         )
         return values
+
+    def _voxels(self, window: dict[Axis, slice]) -> NDArray[Any]:
+        """Values of the voxels of a plane, in the order of the first two axes."""
+        part = self.volume.isel(window)
+        return part.values.transpose([part.get_axis_num(axis) for axis in window])[..., 0]
 
     # --- surfaces -----------------------------------------------------------------------------------------------------
 

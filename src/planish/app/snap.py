@@ -15,7 +15,6 @@ from planish.pipeline import find_holes
 
 REACH = 0.75
 """Share of a hole's diameter within which a mark is taken for one of it."""
-_AROUND = 2.0  # half a window, over the largest diameter: holes at its border are left out
 _WHERE = {"moving": "on the volume side", "fixed": "in the image"}
 
 
@@ -72,7 +71,7 @@ def _search_holes(
 ) -> xr.Dataset | None:  # fmt: skip
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
-    reach = _AROUND * params.hole_um[1]
+    reach = 2.0 * params.hole_um[1]  # half a window, over the largest diameter: holes at its border are left out
     shown = _hole_layers(session, pictures, layer, plane)
     if not shown:
         return None

@@ -13,14 +13,13 @@ from numpy.typing import NDArray
 from planish.core.bands import bands
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, held
-from planish.core.typing import Floats
 from planish.io.map_store import stored_group
 from planish.io.run_folder import read_group
 from planish.pipeline.run import MAPS
 from planish.study import RUN_TOML, read_study
 
 
-class Strain(NamedTuple):
+class StrainDisplay(NamedTuple):
     """How a variable of the group ``strain`` is shown: ``factor * (value - unstrained)``."""
 
     title: str
@@ -30,11 +29,11 @@ class Strain(NamedTuple):
 
 
 STRAINS = {
-    "area_ratio": Strain("Change of area", "%", 1.0, 100.0),
-    "stretch_max": Strain("Largest strain", "%", 1.0, 100.0),
-    "stretch_min": Strain("Smallest strain", "%", 1.0, 100.0),
-    "shear": Strain("Shear", "mrad", 0.0, 1000.0),
-    "needed_strain": Strain("Strain that the curvature needs", "%", 0.0, 100.0),
+    "area_ratio": StrainDisplay("Change of area", "%", 1.0, 100.0),
+    "stretch_max": StrainDisplay("Largest strain", "%", 1.0, 100.0),
+    "stretch_min": StrainDisplay("Smallest strain", "%", 1.0, 100.0),
+    "shear": StrainDisplay("Shear", "mrad", 0.0, 1000.0),
+    "needed_strain": StrainDisplay("Strain that the curvature needs", "%", 0.0, 100.0),
 }
 """What is shown of the group ``strain``: all are 0 where the sheet was laid flat without any strain."""
 
@@ -55,7 +54,7 @@ def sheet_run(run: Path, layer: str) -> Path | None:
 class _CellValues(LazyArray):
     """Values of the mesh's cells on the pixels of a flat map: those of the cell in which a pixel lies."""
 
-    def __init__(self, cells: xr.DataArray, shown: Strain, rows_at: xr.DataArray, cols_at: xr.DataArray) -> None:
+    def __init__(self, cells: xr.DataArray, shown: StrainDisplay, rows_at: xr.DataArray, cols_at: xr.DataArray) -> None:
         self._cells = (shown.factor * (np.asarray(cells.values) - shown.unstrained)).astype(np.float32)
         self._coordinates = rows_at, cols_at
         self._places = tuple(np.asarray(cells[axis].values, dtype=np.float64) for axis in ("y", "x"))
@@ -77,7 +76,7 @@ class _CellValues(LazyArray):
 
 def strains(
     run: Path, places: Mapping[str, Sequence[xr.DataArray]]
-) -> Iterator[tuple[str, Strain, list[xr.DataArray]]]:
+) -> Iterator[tuple[str, StrainDisplay, list[xr.DataArray]]]:
     """Each strain of a run that is known on its flat map: name, title and units, and values at every level.
 
     Parameters
@@ -123,14 +122,10 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
         inside = (nodes[0] >= band.start) & (nodes[0] < band.stop)
         for j, name in enumerate(("u", "v")):
             uv[inside, :, j] = flat[name][band].values[np.ix_(nodes[0][inside] - band.start, nodes[1])]
-    lines = [part for line in (*uv, *uv.transpose(1, 0, 2)) for part in _pieces(line)]
+    lines: list[list[tuple[float, float]]] = []
+    for line in (*uv, *uv.transpose(1, 0, 2)):
+        is_sheet = np.isfinite(line).all(axis=1)
+        ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
+        pieces = (line[first:last] for first, last in ends.reshape(-1, 2).tolist() if last - first > 1)
+        lines += [[(round(float(x), 1), round(float(y), 1)) for x, y in piece] for piece in pieces]
     return lines, every
-
-
-def _pieces(line: Floats) -> Iterator[list[tuple[float, float]]]:
-    """The pieces of a line between gaps."""
-    is_sheet = np.isfinite(line).all(axis=1)
-    ends = np.flatnonzero(np.diff(np.concatenate([[0], is_sheet.astype(np.int8), [0]])))
-    for first, last in zip(ends[::2].tolist(), ends[1::2].tolist(), strict=True):
-        if last - first > 1:
-            yield [(round(float(x), 1), round(float(y), 1)) for x, y in line[first:last]]

@@ -1,4 +1,4 @@
-"""Checks of a scan: the order of its slices, its grey scale, one sheet and not two, dust."""
+"""Checks of a run: all of a scan, a sheet, a registration and a link, in one table."""
 
 import lazy_loader as lazy
 

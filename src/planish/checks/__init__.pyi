@@ -1,2 +1,15 @@
-from .exposure import exposure_check as exposure_check
-from .scan import check_scan as check_scan
+from .greys import SheetImage as SheetImage
+from .registration import DetectedHoles as DetectedHoles
+from .registration import HolesOnSheet as HolesOnSheet
+from .registration import RegisteredLayer as RegisteredLayer
+from .registration import TextureChecks as TextureChecks
+from .sheets import MeasuredSheet as MeasuredSheet
+from .table import CHECKS as CHECKS
+from .table import apply_checks as apply_checks
+from .table import check_holes as check_holes
+from .table import check_scan as check_scan
+from .table import exposure_check as exposure_check
+from .table import for_layers as for_layers
+from .table import rows_with_trust as rows_with_trust
+from .table import run_checks as run_checks
+from .through_scale import RegisteredSheet as RegisteredSheet

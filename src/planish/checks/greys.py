@@ -1,8 +1,7 @@
-"""The grey scale of a scan: cut off at the sheet's end, or another one in every slice."""
+"""Lights of grey levels: cut off, another scale in every slice, shaded, blurred; and those of an image."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,47 +9,67 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.checks.scan import GreyScan
 from planish.checks.windows import Window
-from planish.core.checks import PROPERTIES, Check
-
-Array = NDArray[np.float64]
+from planish.core.checks import PROPERTIES, Check, Light
+from planish.core.facts import SIDES
+from planish.core.frame import Frame
+from planish.core.typing import Floats
+from planish.measure.greys import Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
-UNSTEADY = 0.03  # of the contrast: levels of slices that jump by as much, as a standard deviation
 _BINS = 256  # between the air and the end of the grey scale
 _REST = range(1, 7)  # bins that the histogram is continued from
-_NEAR = 1.0  # standard deviations of the noise: so near to the layer's own level, a limit moves it
-_LEVELS = (5.0, 50.0, 95.0)  # percentiles of the block means of a slice
-_COATINGS = ("coating_top", "coating_bottom", "base_thickness", "thickness")
+SHADED = 0.15  # of base - air: change of the base's grey across the sheet
+_NOTABLE = 9.0  # times the standard error of a mean: range of a fitted parabola that chance does not make
+_LEAST_TILES, _LEAST_PLACES = 20, 4  # of all, and different ones along an axis
+
+_FWHM = 2.3548  # of a Gaussian, in standard deviations
+_EDGE, _DEPTH = 32, 8  # voxels along the edge of a block of air; along the axis through the sheet
+_GAP = 6  # voxels between the sheet and a block
+_PLACES = 4  # blocks along either axis of the sheet, on either side
+_LAGS = 12  # voxels
+
+_CUT_SHARE = 0.01  # of an image's pixels at one end of the scale, from which on a correlation suffers
 
 
 @dataclass(frozen=True, slots=True)
-class Greys:
-    """Grey levels that the surface search learnt; NaN for a coating that is not there."""
+class SheetImage:
+    """A sample of the greys of an image of the sheet, away from holes: any shape and numeric type, NaN is left out."""
 
-    air: float
-    base: float
-    coating: float
-    noise: float
+    greys: NDArray[Any]
 
-    @classmethod
-    def of(cls, surfaces: xr.Dataset) -> Greys:
-        """Take them from the attributes of surfaces; of two coatings the one farther from the base."""
-        a = surfaces.attrs
-        base = float(a["grey_base"])
-        coats = [c for c in (float(a["grey_coating_top"]), float(a["grey_coating_bottom"])) if np.isfinite(c)]
-        coating = max(coats, key=lambda c: abs(c - base), default=float("nan"))
-        return cls(air=float(a["grey_air"]), base=base, coating=coating, noise=float(a["grey_noise"]))
 
-    @property
-    def densest(self) -> float:
-        """Level of the layer that is farthest from the air."""
-        return self.coating if np.isfinite(self.coating) else self.base
+# --- of a scan -------------------------------------------------------------------------------------------------------
 
-    @property
-    def polarity(self) -> float:
-        """-1 where the sheet is darker than the air."""
-        return 1.0 if self.base >= self.air else -1.0
+
+def clipped_grey(light: Light, scan: GreyScan) -> Check:
+    """Judge whether the grey scale ends where the sheet's densest layer lies."""
+    greys = scan.greys
+    spike, share, end = clipping(scan.sample, greys)
+    coat = denser_coating(greys)
+    layer, level = ("base", greys.base) if coat is None else ("coating", coat)
+    # So near to the layer's own level, a limit moves it.
+    is_inside = greys.polarity * (end - level) < greys.noise + 0.02 * abs(level - greys.air)
+    crowd = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
+    if not (spike > SPIKE and share > SHARE):
+        sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
+    elif not is_inside and share < 0.02:
+        sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({level:.4g})."
+    else:
+        return light.check(
+            "look", value=spike, limit=SPIKE, figures=(PROPERTIES,) if coat is None else light.figures,
+            sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {level:.4g}: its "
+            "contrast is too low, and its face is displaced.",
+            advice="Export the volume with a wider grey window, or as 16 bit.",
+        )  # fmt: skip
+    return light.check("pass", sentence, value=spike, limit=SPIKE, figures=())
+
+
+def denser_coating(greys: Greys) -> float | None:
+    """Level of the coating, of two the one farther from the base; None where there is none."""
+    levels = [greys.coating(side) for side in SIDES if greys.coated(side)]
+    return max(levels, key=lambda level: abs(level - greys.base), default=None)
 
 
 def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
@@ -66,8 +85,7 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     levels, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
-    sign = greys.polarity
-    end = float(levels.max() if sign > 0 else levels.min())
+    end = float(levels.max() if greys.polarity > 0 else levels.min())
     reach = abs(end - greys.air)
     width = reach / _BINS
     if whole:  # a bin holds as many steps of the scale as any other
@@ -75,7 +93,7 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
         step = float(np.diff(near.astype(np.float64)).min()) if near.size > 1 else 1.0
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
     # Away from the end; half a step keeps rounding out of the places of the bins.
-    bins = np.floor(sign * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
+    bins = np.floor(greys.polarity * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
     is_near_end = bins <= _REST[-1]
     weights = None if counts is None else counts[is_near_end]
     h = np.bincount(bins[is_near_end].astype(np.int64), weights, _REST[-1] + 1).astype(np.float64)
@@ -86,46 +104,155 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     return first / (x + 3 * np.sqrt(x) + 1), first / (levels.size if counts is None else int(counts.sum())), end
 
 
-def clipping_check(sample: NDArray[Any], greys: Greys) -> Check:
-    """Judge whether the grey scale ends where the sheet's densest layer lies."""
-    spike, share, end = clipping(sample, greys)
-    name, figures = "clipped grey", _COATINGS if np.isfinite(greys.coating) else (PROPERTIES,)
-    has_spike = spike > SPIKE and share > SHARE
-    layer = "coating" if np.isfinite(greys.coating) else "base"
-    inside = greys.polarity * (end - greys.densest) < _NEAR * greys.noise + 0.02 * abs(greys.densest - greys.air)
-    crowd = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
-    if not has_spike:
-        sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
-    elif not inside and share < 0.02:
-        sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({greys.densest:.4g})."
-    else:
-        return Check(
-            name=name, state="look", value=spike, limit=SPIKE, figures=figures,
-            sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {greys.densest:.4g}: its "
-            "contrast is too low, and its face is displaced.",
-            advice="Export the volume with a wider grey window, or as 16 bit.",
-        )  # fmt: skip
-    return Check(name=name, state="pass", sentence=sentence, value=spike, limit=SPIKE, figures=())
+def steady_grey(light: Light, scan: GreyScan) -> Check:
+    """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
+    greys, coat = scan.greys, denser_coating(scan.greys)
+    contrast = abs((greys.base if coat is None else coat) - greys.air)
+    judged = [w for axis, w in scan.windows.items() if axis not in (*scan.assembled, scan.through)]
+    jumps, axis = max(((level_jump(w) / contrast, w.axis) for w in judged), key=lambda j: j[0], default=(0.0, "z"))
+    return light.at_most(
+        jumps, look=0.03,
+        sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jumps:.1f} % of the contrast between "
+        "air and sheet.",
+        advice="Slices were probably scaled one by one. Export all of them with one grey window.",
+    )  # fmt: skip
 
 
 def level_jump(window: Window) -> float:
     """Standard deviation of what the levels of single slices jump by, in greys."""
-    levels = np.percentile(window.blocks, _LEVELS, axis=1)
+    levels = np.percentile(window.blocks, (5.0, 50.0, 95.0), axis=1)
     if levels.shape[1] < 8:
         return 0.0
     bend = np.abs(np.diff(levels, n=2, axis=1))
     return float(1.4826 / np.sqrt(6) * np.median(bend, axis=1).max())
 
 
-def steadiness_check(windows: Iterable[Window], greys: Greys) -> Check:
-    """Judge whether all slices have one grey scale."""
-    contrast = abs(greys.densest - greys.air)
-    jump_by_axis = {w.axis: level_jump(w) / contrast for w in windows}
-    axis = max(jump_by_axis, key=lambda a: jump_by_axis[a], default="z")
-    jumps = jump_by_axis.get(axis, 0.0)
-    return Check.at_most(
-        "grey of the slices", jumps, look=UNSTEADY, figures=(PROPERTIES,),
-        sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jumps:.1f} % of the contrast between "
-        "air and sheet.",
-        advice="Slices were probably scaled one by one. Export all of them with one grey window.",
+def shading(light: Light, scan: GreyScan) -> Check:
+    """Judge whether the base has one grey from one border of the sheet to the other.
+
+    Along each axis of the sheet a parabola is fitted to the tiles' grey.
+    """
+    core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
+    points = core.points.reshape(*core.shape, 3)
+    tiles = np.any(np.isfinite(grey).all(axis=2), axis=1)
+    if np.count_nonzero(tiles) < _LEAST_TILES or not contrast > 0:
+        return light.check(
+            "unknown", f"The base is seen in {np.count_nonzero(tiles)} tiles only, too few to follow its grey."
+        )
+    level = np.nanmedian(grey[tiles], axis=(1, 2))
+    share, limit, along = 0.0, SHADED, ""
+    for k, axis in enumerate("zyx"):
+        if axis == scan.through:
+            continue
+        place = np.nanmean(np.where(core.is_base[tiles], points[tiles, :, 0, k], np.nan), axis=1)
+        if np.unique(place).size < _LEAST_PLACES:
+            continue
+        fit = np.polynomial.Polynomial.fit(place, level, 2)
+        change = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
+        chance = _NOTABLE * float(np.std(level - fit(place))) / contrast / np.sqrt(level.size)
+        if not along or change - max(SHADED, chance) > share - limit:
+            share, limit, along = change, max(SHADED, chance), axis
+    return light.at_most(
+        share, look=limit, units="share",
+        sentence=f"Along {along}, the grey of the base changes by {100 * share:.2g} % of its contrast to the air.",
+        advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
+    )  # fmt: skip
+
+
+def blur(light: Light, scan: GreyScan) -> Check | None:
+    """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen.
+
+    What is flattened lies between the faces: where they are moved, so are its places.
+
+    A filter that keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
+    """
+    measured = scan.measured
+    names = [k for k in ("coating_top", "coating_bottom") if k in measured and np.isfinite(measured[k].values).any()]
+    if not names:
+        return None
+    thin = min(float(np.nanmedian(measured[k].values)) for k in names)
+    edge, noise = _FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
+    width = max(edge, noise) if np.isfinite(noise) else edge
+    cause = "An edge is blurred" if width == edge else "The noise is smoothed"
+    return light.at_most(
+        width / max(thin, 1e-9), look=1.0, units="of the coating",
+        sentence=f"{cause} over {width:.3g} um, full width at half maximum; the coating is {thin:.3g} um thick.",
+        advice="Thickness and grey level of a layer that is thinner than the blur cannot be distinguished. Scan with "
+        "smaller voxels, and leave out filters that smooth.",
+    )  # fmt: skip
+
+
+def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
+    """Full width at half maximum of a Gaussian filter that smooths white noise to that of the air, um; NaN without air.
+
+    It is that of the noise's autocorrelation over the root of two.
+    """
+    frame = Frame.of(measured)
+    coordinates = {k: np.asarray(volume.coords[k].values, dtype=np.float64) for k in ("z", "y", "x")}
+    heights = coordinates[frame.through]
+    faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
+    lags = np.zeros(_LAGS)
+    for row, col in _blocks(frame, coordinates):
+        inside = [
+            (measured[dim].values >= ends[0]) & (measured[dim].values <= ends[1])
+            for dim, ends in (("y", coordinates[frame.rows][[row.start, row.stop - 1]]),
+                             ("x", coordinates[frame.cols][[col.start, col.stop - 1]]))
+        ]  # fmt: skip
+        faces_here = faces[:, inside[0]][:, :, inside[1]]
+        if not np.isfinite(faces_here).any():
+            continue
+        low, high = (np.searchsorted(heights, f(faces_here)) for f in (np.nanmin, np.nanmax))
+        for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
+            if start < 0 or stop > heights.size:
+                continue
+            part = volume.isel({frame.through: slice(start, stop), frame.rows: row, frame.cols: col})
+            grey = np.asarray(part.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
+            grey -= grey.mean()
+            variance = float(np.mean(grey**2))
+            # Noise below half a step of the grey scale is that of rounding.
+            if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
+                # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
+                sides = grey, grey.swapaxes(0, 1)
+                means = [[float(np.mean(v[k:] * v[: len(v) - k])) for v in sides] for k in range(_LAGS)]
+                lags += np.array(means, dtype=np.float64).mean(axis=1)
+    if not lags[0] > lags[-1]:
+        return float("nan")
+    # What goes on farther is no noise but streaks and shading.
+    share = (lags - lags[-1]) / (lags[0] - lags[-1])
+    k = int(np.argmax(share < 0.5))
+    half = k - (0.5 - share[k]) / (share[k - 1] - share[k])
+    return np.sqrt(2.0) * half * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+
+
+def _blocks(frame: Frame, coordinates: dict[str, Floats]) -> list[tuple[slice, slice]]:
+    """Rows and columns (voxels) of places spread over the sheet."""
+    sides: list[list[slice]] = []
+    for n in (coordinates[axis].size for axis in (frame.rows, frame.cols)):
+        starts = np.unique(np.linspace(0, n - _EDGE, _PLACES + 2)[1:-1].astype(int)) if n >= _EDGE else []
+        sides.append([slice(int(k), int(k) + _EDGE) for k in starts])
+    return [(row, col) for row in sides[0] for col in sides[1]]
+
+
+# --- of an image -----------------------------------------------------------------------------------------------------
+
+
+def clipped_image(light: Light, image: SheetImage) -> Check:
+    """Judge whether the greys of an image are cut off."""
+    grey = np.asarray(image.greys, dtype=np.float64)
+    grey = grey[np.isfinite(grey)]
+    share, tone = 0.0, "dark"
+    if grey.size and np.unique(grey).size >= 8:  # fewer levels are an image of areas
+        lowest, highest = float(grey.min()), float(grey.max())
+        near = 1 / 64 * (highest - lowest)  # counted as next to an end
+        for end_tone, end in (("dark", lowest), ("bright", highest)):
+            end_share = float(np.mean(grey == end))
+            near_share = float(np.mean((grey != end) & (np.abs(grey - end) < near)))
+            if end_share > SPIKE * near_share and end_share > share:
+                share, tone = end_share, end_tone
+    return light.at_most(
+        share, look=_CUT_SHARE, units="share",
+        sentence=f"{100 * share:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
+        if share > _CUT_SHARE else "The image's grey scale does not end within the sheet's greys.",
+        advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, "
+        "or export it with a wider grey window.",
     )  # fmt: skip

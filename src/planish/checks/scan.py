@@ -1,68 +1,142 @@
-"""Checks of a scan: all those of a volume and of the sheet that was found in it."""
+"""What the lights of a scan judge: a volume, the sheet measured in it, and what one pass over its voxels gives."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Any
+
 import numpy as np
 import xarray as xr
+from numpy.typing import NDArray
 
-from planish.checks.blur import blur_check
-from planish.checks.dust import dust_check
-from planish.checks.greys import Greys, clipping_check, steadiness_check
-from planish.checks.shading import shading_check
-from planish.checks.sheets import core_places, layers_check, voxels_check
-from planish.checks.slice_checks import slice_checks
-from planish.checks.windows import read_windows
-from planish.core.checks import Check
+from planish.checks.windows import Window, read_windows
 from planish.core.frame import Axis, Frame
+from planish.core.grid import pitch
+from planish.core.typing import Bools, Floats
+from planish.measure.greys import Greys
+
+TILE_UM = 60.0
+_COLUMNS = 7  # along the edge of a tile, at most
+_INNER = (0.2, 0.45)  # of the base on either side, least and most, that is left out, and
+_BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
+_DEPTHS = (9, 48)  # fewest and most places across the base
+_TILES = 2500  # at most
 
 
-def check_scan(
-    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool = False, labels: bool = False,
-    threads: int | None = None,
-) -> tuple[Check, ...]:  # fmt: skip
-    """Check a volume and the sheet that was measured in it.
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Core:
+    """Places in the middle part of the base, in tiles."""
 
-    Parameters
-    ----------
-    volume : DataArray, dims (z, y, x), coordinates in um
-        Parts of it are read, in one pass.
-    measured : Dataset, dims (y, x)
-        Surfaces and properties, heights in um.
-    sections : bool
-        Whether planish joined serial sections to the volume: what it bridged itself is no fault.
-    labels : bool
-        Whether voxels are labels, which have no grey scale.
-    threads : int, optional
-        No result depends on it.
-    """
-    frame = Frame.of(measured)
+    # (tiles * columns * depths, 3): voxels z, y, x; (0, 0, 0) in columns without a base
+    points: NDArray[np.signedinteger[Any]]
+    shape: tuple[int, int, int]  # tiles, columns, depths
+    is_base: Bools  # (tiles, columns)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ScannedSheet:
+    """A volume (z, y, x) and the sheet that was measured in it (y, x)."""
+
+    volume: xr.DataArray
+    measured: xr.Dataset
+    through: Axis
+    assembled: tuple[Axis, ...]  # axes along which planish put the slices together, or along which they are labels
+    windows: dict[Axis, Window]
+    voxels: float  # through the sheet, along its normal
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class GreyScan(ScannedSheet):
+    """A scan whose voxels are greys, not labels."""
+
+    greys: Greys
+    sample: NDArray[Any]  # as stored, of a part of the voxels around the sheet
+    core: Core
+    core_grey: NDArray[np.float32]  # (tiles, columns, depths), NaN where it was not read
+
+
+def read_scan(
+    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
+) -> ScannedSheet:  # fmt: skip
+    """Read what the lights need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
+    through = Frame.of(measured).through
     every: tuple[Axis, ...] = ("z", "y", "x")
-    assembled = every if labels else every[:1] if sections else ()
-    air = 0.0 if labels else float(measured.attrs["grey_air"])
-    core = None if labels else core_places(volume, measured)
-    reading = read_windows(
-        volume, through=frame.through, sheet=_reach(volume, measured, frame),
-        points=None if core is None else core.points, missing=air, threads=threads,
-    )  # fmt: skip
-    voxels = voxels_check(volume, measured)
-    checks: list[Check | None] = [*slice_checks(reading.windows, through=frame.through, assembled=assembled)]
-    if core is not None:
-        greys = Greys.of(measured)
-        checks += [
-            clipping_check(reading.sample, greys),
-            steadiness_check([w for w in reading.windows if w.axis not in (*assembled, frame.through)], greys),
-            shading_check(core, reading.grey, greys, through=frame.through),
-            layers_check(core, reading.grey, greys, resolved=voxels.state == "pass"),
-            blur_check(volume, measured),
-        ]
-    checks += [voxels, *(dust_check(measured, side) for side in ("top", "bottom"))]
-    return tuple(check for check in checks if check is not None)
-
-
-def _reach(volume: xr.DataArray, measured: xr.Dataset, frame: Frame) -> tuple[int, int]:
-    """First and last slice along the axis through the sheet that hold it."""
-    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
+    heights = np.asarray(volume.coords[through].values, dtype=np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
-    low, high = np.nanmin(faces), np.nanmax(faces)
-    last = heights.size - 1
-    return tuple(int(np.clip(np.searchsorted(heights, height), 0, last)) for height in (low, high))  # pyright: ignore[reportReturnType]
+    low, high = np.clip(np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)]), 0, heights.size - 1)
+    greys, core = (None, None) if labels else (Greys.of(measured), core_places(volume, measured))
+    reading = read_windows(
+        volume, through=through, sheet=(int(low), int(high)), points=None if core is None else core.points,
+        missing=0.0 if greys is None else greys.air, threads=threads,
+    )  # fmt: skip
+    scan: dict[str, Any] = {
+        "volume": volume, "measured": measured, "through": through,
+        "assembled": every if labels else every[:1] if sections else (),
+        "windows": {window.axis: window for window in reading.windows}, "voxels": voxels_through(volume, measured),
+    }  # fmt: skip
+    if greys is None or core is None:
+        return ScannedSheet(**scan)
+    grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
+    return GreyScan(**scan, greys=greys, sample=reading.sample, core=core, core_grey=grey)
+
+
+def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
+    """Voxels through the sheet, along its normal."""
+    frame = Frame.of(measured)
+    voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    tall = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
+    rise = (
+        np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i))) for i, p in enumerate(pitch(measured))
+    )
+    cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in rise))
+    # Along the normal, the voxel is as long as its sides let it be.
+    edge = cosine * voxel[frame.through] + (1 - cosine) * max(voxel[frame.rows], voxel[frame.cols])
+    return tall * cosine / edge
+
+
+def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
+    """Choose voxels between the interfaces, or between the faces where a side has no coating."""
+    frame = Frame.of(measured)
+    high, low = (_base_end(measured, side) for side in ("top", "bottom"))
+    good = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
+    r, c = _tile_columns(good.shape, pitch(measured))
+    along = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
+    thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
+    margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
+    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
+    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
+    # Millions of places: two bytes each way are enough for most volumes.
+    points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
+    for dim, axis, columns in (("y", frame.rows, r), ("x", frame.cols, c)):
+        places = np.asarray(volume.coords[axis].values, dtype=np.float64)
+        step = places[1] - places[0] if places.size > 1 else 1.0
+        voxels = np.rint((measured[dim].values - places[0]) / step).astype(np.int32)
+        points[..., "zyx".index(axis)] = voxels[columns][..., None]
+    is_base, high, low = good[r, c], high[r, c], low[r, c]
+    for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
+        index = np.rint((np.nan_to_num(high * (1 - share) + low * share) - heights[0]) / along).astype(np.int32)
+        points[..., k, "zyx".index(frame.through)] = np.clip(index, 0, heights.size - 1)
+    points[~is_base] = 0
+    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)
+
+
+def _base_end(measured: xr.Dataset, side: str) -> Floats:
+    """Give the height of the interface of a side; of its face where the interface is missing."""
+    interface, face = (measured[name].values.astype(np.float64) for name in (f"interface_{side}", side))
+    is_coated = np.isfinite(interface[measured["status"].values == 0]).any()
+    return np.where(np.isfinite(interface), interface, face) if is_coated else face
+
+
+def _tile_columns(shape: tuple[int, ...], pitch_um: tuple[float, float]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
+    counts: list[int] = []
+    columns: list[NDArray[np.intp]] = []  # (tiles, columns) along one axis
+    for n, step in zip(shape, pitch_um, strict=True):
+        edge = max(round(TILE_UM / step), 1)
+        counts.append(max(n // edge, 1))
+        inside = np.unique(np.linspace(0, edge - 1, min(edge, _COLUMNS)).round().astype(np.intp))
+        columns.append(np.minimum(np.arange(counts[-1])[:, None] * edge + inside, n - 1))
+    rows, cols = columns
+    tiles = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)
+    tiles = tiles[:: max(-(-len(tiles) // _TILES), 1)]
+    return np.repeat(rows[tiles[:, 0]], cols.shape[1], axis=1), np.tile(cols[tiles[:, 1]], rows.shape[1])

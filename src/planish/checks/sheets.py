@@ -1,163 +1,244 @@
-"""One sheet, and not two or a split one; enough voxels through it."""
+"""Lights of one sheet: measured where it is, whole, one and not two, flat without folds, thick enough, and clean."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from scipy import ndimage
 
-from planish.checks.greys import Greys
-from planish.core.checks import POSITION, PROPERTIES, Check
-from planish.core.frame import Frame
+from planish.checks.greys import denser_coating
+from planish.checks.scan import TILE_UM, GreyScan, ScannedSheet
+from planish.core.checks import Check, Light
+from planish.core.facts import SIDES, Side
 from planish.core.grid import pitch
+from planish.core.status import Status
 from planish.core.typing import Bools, Floats
+from planish.results import SheetFacts
+from planish.surface import Corrections
 
-BRIGHT, DARK = 0.5, 0.6  # of coating - base, of base - air
-BRIGHT_SHARE, DARK_SHARE = 0.10, 0.02  # of the tiles
-LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
-_TILE_UM = 60.0
-_COLUMNS = 7  # along the edge of a tile, at most
-_LEAST_COLUMNS = 5  # in a tile, and
-_LEAST_SHARE = 1 / 3  # of its columns: a few side by side may lie in one pore
-_INNER = (0.2, 0.45)  # of the base on either side, least and most, that is left out, and
-_BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
-_DEPTHS = (9, 48)  # fewest and most places across the base
-_TILES = 2500  # at most
+_BRIGHT_SHARE, _DARK_SHARE = 0.10, 0.02  # of the tiles
+_LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
+_LEAST_COLUMNS = 5  # in a tile, and a third of its columns: a few side by side may lie in one pore
 _LEAST_TILES = 10
-_SURE = 3.0  # standard errors of a median; 1.86 is 1.4826 of the median deviation, 1.253 of the median
-_SHEET = (PROPERTIES, POSITION)
+
+_HEIGHT, _AREA_UM2 = 5.0, 400.0  # of a particle: MAD, as a standard deviation, over the median around
+_AROUND_UM = 300.0
+_COARSE = 10  # cells across the median
+_LEAST_MM2 = 0.1  # measured
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Core:
-    """Places in the middle part of the base, in tiles."""
+@dataclass(frozen=True, slots=True)
+class MeasuredSheet:
+    """A sheet as it was mapped: its facts, and its surfaces and properties (y, x)."""
 
-    # (tiles * columns * depths, 3): voxels z, y, x; (0, 0, 0) in columns without a base
-    points: NDArray[np.signedinteger[Any]]
-    shape: tuple[int, int, int]  # tiles, columns, depths
-    is_base: Bools  # (tiles, columns)
+    facts: SheetFacts
+    measured: xr.Dataset
 
 
-def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
-    """Choose voxels between the interfaces, or between the faces where a side has no coating."""
-    frame = Frame.of(measured)
-    high, low = (_base_end(measured, side) for side in ("top", "bottom"))
-    good = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
-    r, c = _tile_columns(good.shape, pitch(measured))
-    along = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
-    thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
-    margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
-    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
-    heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
-    # Millions of places: two bytes each way are enough for most volumes.
-    points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
-    axis = {name: k for k, name in enumerate("zyx")}
-    points[..., axis[frame.rows]] = _voxel(measured, volume, "y", frame.rows)[r][..., None]
-    points[..., axis[frame.cols]] = _voxel(measured, volume, "x", frame.cols)[c][..., None]
-    above, below = high[r, c], low[r, c]
-    for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
-        index = np.rint((np.nan_to_num(above * (1 - share) + below * share) - heights[0]) / along).astype(np.int32)
-        points[..., k, axis[frame.through]] = np.clip(index, 0, heights.size - 1)
-    is_base = good[r, c]
-    points[~is_base] = 0
-    return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)
+# --- of a mapped sheet -----------------------------------------------------------------------------------------------
 
 
-def _base_end(measured: xr.Dataset, side: str) -> Floats:
-    """Give the height of the interface of a side; of its face where the interface is missing."""
-    interface, face = (measured[name].values.astype(np.float64) for name in (f"interface_{side}", side))
-    is_coated = np.isfinite(interface[measured["status"].values == 0]).any()
-    return np.where(np.isfinite(interface), interface, face) if is_coated else face
+def coverage(light: Light, sheet: MeasuredSheet) -> Check:
+    """Judge how much of the sheet is measured."""
+    s = sheet.facts.surfaces
+    # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
+    air = min(s.empty_share or 0.0, s.shares["no_sheet"])
+    share = s.shares["measured"] / max(1.0 - s.shares["rim"] - air, 1e-9)
+    return light.at_least(
+        share, look=0.5, units="share",
+        sentence=f"{100 * share:.0f} % of the columns with a sheet, away from rims, are measured.",
+        advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
+    )  # fmt: skip
 
 
-def _tile_columns(shape: tuple[int, ...], pitch_um: tuple[float, float]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
-    edges = [max(round(_TILE_UM / p), 1) for p in pitch_um]
-    counts = [max(n // e, 1) for n, e in zip(shape, edges, strict=True)]
-    rows, cols = (_of_tiles(n, e, c) for n, e, c in zip(shape, edges, counts, strict=True))
-    tiles = np.stack(np.meshgrid(np.arange(counts[0]), np.arange(counts[1]), indexing="ij"), axis=-1).reshape(-1, 2)
-    tiles = tiles[:: max(-(-len(tiles) // _TILES), 1)]
-    return np.repeat(rows[tiles[:, 0]], cols.shape[1], axis=1), np.tile(cols[tiles[:, 1]], rows.shape[1])
+def missing_voxels(light: Light, sheet: MeasuredSheet) -> Check | None:
+    """Judge how many voxels have no value."""
+    if (share := sheet.facts.surfaces.missing_share) is None:
+        return None
+    return light.at_most(
+        share, look=0.05, units="share",
+        sentence=f"{100 * share:.1f} % of the voxels are NaN or infinite.",
+        advice="Columns with such voxels near a face are not measured. Export the volume without them.",
+    )  # fmt: skip
 
 
-def _of_tiles(n: int, edge: int, count: int) -> NDArray[np.intp]:
-    """Columns that are looked at in every tile along one axis, (tiles, columns)."""
-    inside = np.unique(np.linspace(0, edge - 1, min(edge, _COLUMNS)).round().astype(np.intp))
-    return np.minimum(np.arange(count)[:, None] * edge + inside, n - 1)
+def fold_over(light: Light, sheet: MeasuredSheet) -> Check:
+    """Judge whether the flattened mesh is folded."""
+    folded = sheet.facts.flatten.folded_cells
+    return light.at_most(
+        folded, look=0, sentence=f"{folded} cells of the flattened mesh are folded.",
+        advice="They are marked invalid. Look at the centre surface there: the sheet is folded, or a face was lost.",
+    )  # fmt: skip
 
 
-def _voxel(measured: xr.Dataset, volume: xr.DataArray, dim: str, axis: str) -> NDArray[np.int32]:
-    """Voxel in the middle of every column."""
-    places = np.asarray(volume.coords[axis].values, dtype=np.float64)
-    step = places[1] - places[0] if places.size > 1 else 1.0
-    return np.rint((measured[dim].values - places[0]) / step).astype(np.int32)
+def alignment(light: Light, sheet: MeasuredSheet) -> Check | None:
+    """Judge whether serial sections fit their neighbours."""
+    if (sections := sheet.facts.sections) is None:
+        return None
+    return light.at_most(
+        sections.not_aligned / sections.count, look=0.05, units="share",
+        sentence=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
+        advice="The others are torn, blurred, or not of this sheet, and count as missing. Look at them, and at the "
+        "order of the files.",
+    )  # fmt: skip
 
 
-def layers_check(core: Core, grey: NDArray[np.float32], greys: Greys, *, resolved: bool = True) -> Check:
-    """Judge whether a coating, or air, lies inside the base.
+def cutoff(light: Light, sheet: MeasuredSheet) -> Check:
+    """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
+    attrs = sheet.measured.attrs
+    share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
+    return light.at_most(
+        share, look=0.02,
+        sentence=f"The centre surface has the stated cut-off of {cutoff_um:g} um in {100 * (1 - share):.1f} % of the "
+        "columns away from holes and rims"
+        + (", and twice or four times as much in the alternatives." if share > 0 else "."),
+        advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.",
+    )  # fmt: skip
 
-    ``grey`` (points,) of the core, NaN where it was not read; ``resolved``: whether enough voxels lie across the sheet
-    to tell a second coating from the first.
-    """
-    if not resolved:
-        return Check(
-            name="one sheet", state="unknown", figures=_SHEET,
-            sentence="There are too few voxels across the sheet to tell one sheet from two.",
-        )  # fmt: skip
-    profiles = np.where(core.is_base[..., None], grey.reshape(core.shape), np.float32(np.nan))
-    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, _LEAST_SHARE * core.shape[1])
+
+def corrections(light: Light, sheet: MeasuredSheet) -> Check | None:
+    """Judge how much of the sheet was corrected by hand; None where nothing was."""
+    surfaces = sheet.measured
+    if "corrections" not in surfaces.attrs:
+        return None
+    stretches = Corrections.model_validate_json(surfaces.attrs["corrections"]).stretches
+    points = sum(len(stretch.points) for stretch in stretches)
+    how = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
+    columns = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
+    drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (1, 2))  # the flags of the maps
+    return light.at_most(
+        drawn / columns, look=0.1,
+        sentence=f"Faces of {drawn} columns ({100 * drawn / columns:.2g} % of the sheet) were drawn to {points} points "
+        f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
+        advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
+    )  # fmt: skip
+
+
+# --- of a scan -------------------------------------------------------------------------------------------------------
+
+
+def hand(light: Light, scan: ScannedSheet) -> Check | None:
+    """Say that the file makes its slices a mirror image of the specimen."""
+    if not (axes := scan.volume.attrs.get("hand")):
+        return None
+    return light.check(
+        "look", f"The axes of the volume make a left-handed system ({axes}): its slices and maps are a mirror "
+        "image of the specimen.",
+        advice="Flip one axis where you export the volume, and map it again.",
+    )  # fmt: skip
+
+
+def one_sheet(light: Light, scan: GreyScan) -> Check:
+    """Judge whether a coating, or air, lies inside the base."""
+    greys, core, profiles = scan.greys, scan.core, scan.core_grey
+    if not scan.voxels >= _LEAST_VOXELS:
+        return light.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
+    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, 1 / 3 * core.shape[1])
     if np.count_nonzero(enough) < _LEAST_TILES:
-        return Check(
-            name="one sheet", state="unknown", figures=_SHEET,
-            sentence=f"The base is seen in {np.count_nonzero(enough)} tiles of {_TILE_UM:g} um only, too few to tell "
+        return light.check(
+            "unknown", f"The base is seen in {np.count_nonzero(enough)} tiles of {TILE_UM:g} um only, too few to tell "
             "one sheet from two.",
         )  # fmt: skip
     profiles = profiles[enough]
     count = np.isfinite(profiles).sum(axis=1)
     middle = np.nanmedian(profiles, axis=1)
-    # What the scatter of a tile's columns leaves open of their median: strong noise is no gap.
+    # What the scatter of a tile's columns leaves open of their median, 3 standard errors: strong noise is no gap.
+    # 1.86 is 1.4826 of the median deviation, 1.253 of the median.
     profiles -= middle[:, None]
     spread, median = np.nanmedian(np.abs(profiles, out=profiles), axis=1), middle.astype(np.float64)
-    open_ = _SURE * 1.86 * spread / np.sqrt(count)
+    open_ = 3.0 * 1.86 * spread / np.sqrt(count)
     base = float(np.median(median))
-    dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > DARK))
+    dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > 0.6))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
-    brighter = (greys.coating if np.isfinite(greys.coating) else 2 * base - greys.air) - base
-    bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > BRIGHT))
-    if bright > BRIGHT_SHARE:
-        return Check(
-            name="one sheet", state="fail", value=bright, limit=BRIGHT_SHARE, units="share", figures=_SHEET,
+    coat = denser_coating(greys)
+    brighter = (2 * base - greys.air if coat is None else coat) - base
+    bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > 0.5))
+    if bright > _BRIGHT_SHARE:
+        return light.check(
+            "fail", value=bright, limit=_BRIGHT_SHARE, units="share",
             sentence=f"In {100 * bright:.0f} % of the sheet something as dense as a coating lies in the middle of the "
             "base: a second sheet lies on the first.",
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
-    return Check.at_most(
-        "one sheet", dark, fail=DARK_SHARE, units="share", figures=_SHEET,
-        sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base"
-        + (": it is split, or two sheets lie on each other." if dark > DARK_SHARE else ", and nowhere a second sheet."),
+    end = ": it is split, or two sheets lie on each other." if dark > _DARK_SHARE else ", and nowhere a second sheet."
+    return light.at_most(
+        dark, fail=_DARK_SHARE, units="share",
+        sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base{end}",
         advice="Look at the slices. Crop the volume to one sheet that is whole.",
     )  # fmt: skip
 
 
-def voxels_check(volume: xr.DataArray, measured: xr.Dataset) -> Check:
+def voxels_through(light: Light, scan: ScannedSheet) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
-    frame = Frame.of(measured)
-    voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
-    tall = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
-    rise = (
-        np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i))) for i, p in enumerate(pitch(measured))
-    )
-    cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in rise))
-    # Along the normal, the voxel is as long as its sides let it be.
-    edge = cosine * voxel[frame.through] + (1 - cosine) * max(voxel[frame.rows], voxel[frame.cols])
-    count = tall * cosine / edge
-    return Check.at_least(
-        "voxels through the sheet", count, look=LEAST_VOXELS, units="voxels",
-        figures=("thickness", "coating_top", "coating_bottom", "base_thickness"),
-        sentence=f"The sheet is {count:.1f} voxels thick."
-        + (" It may be thinner: sheets of 2 or 3 voxels are measured too thick." if count < LEAST_VOXELS else ""),
+    thinner = " It may be thinner: sheets of 2 or 3 voxels are measured too thick."
+    return light.at_least(
+        scan.voxels, look=_LEAST_VOXELS, units="voxels",
+        sentence=f"The sheet is {scan.voxels:.1f} voxels thick.{thinner if scan.voxels < _LEAST_VOXELS else ''}",
         advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
     )  # fmt: skip
+
+
+def dust(light: Light, scan: ScannedSheet, *, side: Side) -> Check | None:
+    """Judge the particles on a side, which are measured as coating; None where no coating was measured."""
+    name = f"coating_{side}"
+    if name not in scan.measured or not np.isfinite(scan.measured[name].values).any():
+        return None
+    coating = scan.measured[name].values
+    particles = find_particles(coating.astype(np.float64), pitch(scan.measured))
+    if particles.area_mm2 < _LEAST_MM2:
+        return None
+    covered = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
+    return light.at_most(
+        particles.a_mm2, look=1.0, units="1/mm2",
+        sentence=f"{particles.number} particles stand out of the {side} coating, {particles.a_mm2:.2g} a mm², "
+        f"on {covered:.2g} % of it.",
+        advice="Blow the specimen clean and scan it again, or leave the particles out of the map.",
+    )  # fmt: skip
+
+
+class Particles(NamedTuple):
+    """Particles on one side."""
+
+    mask: Bools
+    number: int
+    area_mm2: float  # that was measured
+
+    @property
+    def a_mm2(self) -> float:
+        """Particles a mm2."""
+        return self.number / max(self.area_mm2, 1e-9)
+
+
+def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
+    """Find the particles that stand out of a map of a coating, (rows, cols) in um."""
+    is_measured = np.isfinite(coating)
+    cell = pitch_um[0] * pitch_um[1]
+    area = float(is_measured.sum()) * cell * 1e-6
+    if area < _LEAST_MM2:
+        return Particles(np.zeros(coating.shape, bool), 0, area)
+    above = coating - _median_around(coating, pitch_um)
+    scale = 1.4826 * float(np.nanmedian(np.abs(above - np.nanmedian(above))))
+    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > _HEIGHT * max(scale, 1e-6))
+    sizes = np.bincount(labels.ravel(), minlength=n + 1) * cell
+    large = sizes >= _AREA_UM2
+    large[0] = False
+    return Particles(large[labels], int(large.sum()), area)
+
+
+def _median_around(coating: Floats, pitch_um: tuple[float, float]) -> Floats:
+    """Median of 300 um around every column, from medians of cells of a tenth."""
+    edges = [max(round(_AROUND_UM / _COARSE / p), 1) for p in pitch_um]
+    counts = [max(n // e, 1) for n, e in zip(coating.shape, edges, strict=True)]
+    part = coating[: counts[0] * edges[0], : counts[1] * edges[1]]
+    shape = (counts[0], min(edges[0], coating.shape[0]), counts[1], min(edges[1], coating.shape[1]))
+    cells = part.reshape(shape).transpose(0, 2, 1, 3).reshape(counts[0], counts[1], -1)
+    medians = np.full(cells.shape[:2], np.nan)
+    is_measured = np.isfinite(cells).any(axis=2)
+    medians[is_measured] = np.nanmedian(cells[is_measured], axis=1)
+    medians[~is_measured] = np.nanmedian(medians) if is_measured.any() else 0.0
+    coarse = ndimage.median_filter(medians, size=_COARSE, mode="nearest")
+    coordinates = [(np.arange(n) + 0.5) / e - 0.5 for n, e in zip(coating.shape, edges, strict=True)]
+    return ndimage.map_coordinates(coarse, np.meshgrid(*coordinates, indexing="ij"), order=1, mode="nearest")

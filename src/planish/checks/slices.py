@@ -1,4 +1,4 @@
-"""Slices out of order, repeated, filled, missing or foreign, found from how each differs from its neighbours.
+"""Light of the slices: out of order, repeated, filled, missing or foreign, by how each differs from its neighbours.
 
 Neighbouring slices of a continuous body are alike, and how much they differ changes slowly from slice to slice. Every
 statistic compares a slice with its own neighbourhood, so that none needs a scale; logarithms are natural.
@@ -6,13 +6,18 @@ statistic compares a slice with its own neighbourhood, so that none needs a scal
 
 from __future__ import annotations
 
+import math
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
+from planish.checks.scan import ScannedSheet
 from planish.checks.windows import Window
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light
+from planish.core.frame import Axis
 from planish.core.typing import Bools, Floats
 
 Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "jump"]
@@ -28,6 +33,15 @@ _BACK, _FAR = 0.25, 64  # rise of ln d1 above its median at a jump that may lead
 _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _RUN = 10  # slices that are filled, or nearly the same, at most
 _LEAST = 8  # slices that are needed
+
+_NAMED = 4  # faults that a sentence names
+_ADVICE = {
+    "order": "Check the numbers of the files: sort them, and read the stack again.",
+    "repeated": "Take the copies out of the stack, or put the right slices in their place.",
+    "filled": "Put the measured slices in their place if there are any.",
+    "foreign": "Look at these slices; put the right ones in their place, or read the stack without them.",
+    "jump": "Compare the number of slices with the scanner's log; give the missing ones or map either part alone.",
+}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,6 +64,72 @@ class Fault:
         return self.last - self.first + 1
 
 
+def slice_order(light: Light, scan: ScannedSheet, *, axis: Axis) -> Check:
+    """Judge the slices along an axis.
+
+    ``fail`` where they are not in their order, ``look`` where some are repeated, filled, foreign, empty or missing. The
+    value is the number of slices, or breaks, that are concerned.
+    """
+    window = scan.windows[axis]
+    faults = find_faults(window, assembled=axis in scan.assembled)
+    if not faults:
+        return light.check(
+            "pass", value=0.0, limit=0.0, units="slices", figures=(),
+            sentence=f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged, repeated, filled or "
+            "missing.",
+        )  # fmt: skip
+    kinds = [f.kind for f in faults]
+    unordered = [f for f in faults if f.kind in ("exchanged", "moved")]
+    listed = unordered or faults
+    sentences = [_sentence(f, axis) for f in listed[:_NAMED]]
+    if len(listed) > _NAMED:
+        sentences.append(f"{len(listed) - _NAMED} more such places.")
+    if unlisted := len(faults) - len(listed):
+        sentences.append(f"{unlisted} other {'fault' if unlisted == 1 else 'faults'} along the same axis.")
+    is_grave = unordered or axis == scan.through  # heights that are wrong displace on every slope
+    most = max(dict.fromkeys(kinds), key=kinds.count)
+    return light.check(
+        "fail" if unordered else "look", value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
+        limit=0.0, units="slices", sentence=" ".join(sentences) + " Slices count from 0.",
+        advice=_ADVICE["order" if unordered else "foreign" if most == "empty" else most],
+        figures=(
+            CORRELATION,
+            *([POSITION] if is_grave or {*kinds} & {"repeated", "jump"} else []),
+            *([PROPERTIES] if is_grave or {*kinds} & {"filled", "foreign", "empty"} else []),
+        ),
+    )  # fmt: skip
+
+
+def _sentence(f: Fault, axis: Axis) -> str:
+    which = f"Slices {f.first}-{f.last}" if f.count > 1 else f"Slice {f.first}"
+    several = f.count > 1
+    match f.kind:
+        case "exchanged":
+            return f"Slices {f.first} and {f.last} along {axis} are exchanged."
+        case "moved":
+            return (
+                f"Slices along {axis} are not in order: slice {f.first} does not follow {f.first - 1}, "
+                f"and slice {f.other} fits there."
+            )
+        case "repeated":
+            assert f.other is not None
+            # Slices that all repeat one slice have no room for as many others.
+            source = f"{f.other}-{f.other + f.count - 1}" if several and f.first - f.other >= f.count else f"{f.other}"
+            return f"{which} along {axis} {'are copies' if several else 'is a copy'} of {source}."
+        case "filled":
+            return f"{which} along {axis} {'are means' if several else 'is the mean'} of the neighbours, not measured."
+        case "foreign":
+            return f"{which} along {axis} does not fit between its neighbours."
+        case "empty":
+            return f"{which} along {axis} {'show' if several else 'shows'} nothing, while the neighbours do."
+        case "jump":
+            far = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
+            return (
+                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if {far} "
+                f"{'slice was' if far == 'some 1' else 'slices were'} missing."
+            )
+
+
 def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
 
@@ -64,8 +144,8 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     stack = _Stack.of(window, standardised=assembled)
     if stack is None or np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
-    steps = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
-    for find in (_foreign, _exchanged, _jumps) if assembled else steps:
+    every = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
+    for find in (_foreign, _exchanged, _jumps) if assembled else every:
         for fault in find(stack):
             stack.faults.append(fault)
             stack.good[max(fault.first - 1, 0) : fault.last + 2] = False
@@ -145,7 +225,7 @@ def _log(differences: Floats) -> Floats:
     return np.log(np.maximum(differences, 1e-300))
 
 
-def _empty(t: _Stack) -> list[Fault]:
+def _empty(t: _Stack) -> Iterable[Fault]:
     """Slices that show nothing between such that show the body."""
     edges = np.flatnonzero(np.diff(np.concatenate([[True], t.shows, [True]]).astype(np.int8)))
     usual = _FULL * float(np.median(t.spread))
@@ -156,27 +236,23 @@ def _empty(t: _Stack) -> list[Fault]:
     ]
 
 
-def _foreign(t: _Stack) -> list[Fault]:
+def _foreign(t: _Stack) -> Iterator[Fault]:
     """Slices unlike both neighbours, which are like each other."""
     indices = np.arange(1, t.d1.size)
     ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
-    faults: list[Fault] = []
-    for k in indices[(ratio > FOREIGN) & t.good[indices - 1] & t.good[indices] & t.good[indices + 1]]:
-        away = t.away(int(k))
+    named: set[int] = set()
+    for k in indices[(ratio > FOREIGN) & _all(t.good, indices, -1, 1)].tolist():
+        away = t.away(k)
         away[max(k - 2, 0) : k + 3] = np.inf
         other = int(away.argmin())
-        if away[other] == 0 and any(f.first == other for f in faults):
+        if away[other] == 0 and other in named:
             continue
-        if away[other] == 0:
-            faults.append(Fault(kind="repeated", first=int(k), last=int(k), other=other))
-        elif away[other] < _FITS * t.usual(other):
-            faults.append(Fault(kind="moved", first=int(k), last=int(k), other=other))
-        else:
-            faults.append(Fault(kind="foreign", first=int(k), last=int(k)))
-    return faults
+        kind: Kind = "repeated" if away[other] == 0 else "moved" if away[other] < _FITS * t.usual(other) else "foreign"
+        named.add(k)
+        yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else other)
 
 
-def _copies(t: _Stack) -> list[Fault]:
+def _copies(t: _Stack) -> Iterator[Fault]:
     """Slices of which every block mean is that of an earlier one; neighbours at the same distance are one fault."""
     copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
     first_indices: dict[bytes, int] = {}
@@ -184,19 +260,17 @@ def _copies(t: _Stack) -> list[Fault]:
     for k in np.flatnonzero(t.shows):
         if k not in copied:
             lag[k] = k - first_indices.setdefault(t.s[k].tobytes(), int(k))
-    faults: list[Fault] = []
     k = 0
     while k < len(t.s):
         last = k
         if lag[k]:
             while lag[last + 1] and (k - lag[k] == last + 1 - lag[last + 1] or lag[last + 1] == lag[k]):
                 last += 1
-            faults.append(Fault(kind="repeated", first=k, last=last, other=k - int(lag[k])))
+            yield Fault(kind="repeated", first=k, last=last, other=k - int(lag[k]))
         k = last + 1
-    return faults
 
 
-def _exchanged(t: _Stack) -> list[Fault]:
+def _exchanged(t: _Stack) -> Iterator[Fault]:
     """Two neighbours in the wrong order: each is nearer to the neighbour of the other."""
     k = np.arange(1, t.d1.size - 1)
     ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(np.maximum(t.d2[k - 1], t.d2[k]), 1e-300)
@@ -208,11 +282,11 @@ def _exchanged(t: _Stack) -> list[Fault]:
     pairs = np.flatnonzero(between > limit[: d3.size] * outer)
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     hit |= np.isin(k, pairs) | np.isin(k, pairs + 2)
-    faults: list[Fault] = []
-    for first in k[hit & _all(t.good, k, -1, 2)]:
-        if not faults or first > faults[-1].last:
-            faults.append(Fault(kind="exchanged", first=int(first), last=int(first) + 1))
-    return faults
+    last = -1
+    for first in k[hit & _all(t.good, k, -1, 2)].tolist():
+        if first > last:
+            last = first + 1
+            yield Fault(kind="exchanged", first=first, last=last)
 
 
 def _all(good: Bools, k: NDArray[np.intp], low: int, high: int) -> Bools:
@@ -237,27 +311,25 @@ def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[i
     return dips
 
 
-def _near_copies(t: _Stack) -> list[Fault]:
+def _near_copies(t: _Stack) -> Iterator[Fault]:
     """Slices that differ from the one before by noise or compression alone."""
-    dips = _dips(_log(t.square), t.good, 2, ALIKE)
-    return [Fault(kind="repeated", first=a + 1, last=b + 1, other=a) for a, b in dips]
+    for a, b in _dips(_log(t.square), t.good, 2, ALIKE):
+        yield Fault(kind="repeated", first=a + 1, last=b + 1, other=a)
 
 
-def _filled(t: _Stack) -> list[Fault]:
+def _filled(t: _Stack) -> Iterator[Fault]:
     """Slices that are the mean of their neighbours, or lie on a straight line between two."""
     bend = (t.square[:-1] + t.square[1:] - 2 * t.product) / 4
-    return [
-        Fault(kind="filled", first=a + 1, last=b + 1)
-        for a, b in _dips(_log(bend), t.good, 3, FILLED)
-        if float((_difference(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a)  # otherwise all of them are copies
-    ]
+    for a, b in _dips(_log(bend), t.good, 3, FILLED):
+        # Otherwise all of them are copies.
+        if float((_difference(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a):
+            yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
-def _far_copies(t: _Stack) -> list[Fault]:
+def _far_copies(t: _Stack) -> Iterator[Fault]:
     """Blocks of slices that were there before, with noise or compression of their own: a jump leads back to them."""
-    log, n = _log(t.d1), len(t.s)
-    faults: list[Fault] = []
-    for k in range(2, n - 1):
+    log = _log(t.d1)
+    for k in range(2, len(t.s) - 1):
         back = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
         if back < _BACK or not t.good[k - 1 : k + 1].all():
             continue
@@ -267,13 +339,10 @@ def _far_copies(t: _Stack) -> list[Fault]:
         usual = min(t.usual(k - 1), t.usual(source))
         if away.min() < _COPY * usual:
             same = _differences(t.s[source : k + _FAR], k - source) < _COPY * usual
-            last = k + int(np.argmin(np.append(same, False))) - 1
-            faults.append(Fault(kind="repeated", first=k, last=last, other=source))
-            t.good[k - 1 : last + 2] = False
-    return faults
+            yield Fault(kind="repeated", first=k, last=k + int(np.argmin(np.append(same, False))) - 1, other=source)
 
 
-def _jumps(t: _Stack) -> list[Fault]:
+def _jumps(t: _Stack) -> Iterable[Fault]:
     """Places where the body goes on by more than a slice: what is missing, or lies elsewhere."""
     log = _log(t.d1)
     k = np.arange(1, t.d1.size - 1)
@@ -291,23 +360,16 @@ def _jumps(t: _Stack) -> list[Fault]:
 
 def _jump(t: _Stack, k: int) -> Fault:
     """Name the fault at a jump between slices k and k + 1: one of them fits elsewhere, or slices are missing."""
-    usual = t.usual(k)
     back, onward = t.away(k + 1), t.away(k)
     back[k : k + 4] = onward[max(k - 2, 0) : k + 2] = np.inf
-    back_fit, onward_fit = int(back.argmin()), int(onward.argmin())
-    far = 0.6 * t.d1[k]
-    fits = back_fit if back[back_fit] < onward[onward_fit] else onward_fit
-    if min(back[back_fit], onward[onward_fit]) < min(_FITS * min(usual, t.usual(fits)), far) and _breaks(t.d1, fits):
-        return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
+    nearest = back if back.min() < onward.min() else onward
+    fits = int(nearest.argmin())
+    if nearest[fits] < min(_FITS * min(t.usual(k), t.usual(fits)), 0.6 * t.d1[k]):
+        # That slice is at an end of the stack, or does not continue a neighbour of its own.
+        usual = np.median(t.d1[max(fits - 4, 0) : fits + 4])
+        if fits in (0, t.d1.size) or max(t.d1[fits - 1], t.d1[fits]) > 1.3 * usual:
+            return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
     return Fault(kind="jump", first=k, last=k + 1, steps=_steps(t.s, k, float(t.d1[k])))
-
-
-def _breaks(d1: Floats, k: int) -> bool:
-    """Tell if slice ``k`` is at an end of the stack or does not continue a neighbour of its own."""
-    if k in (0, d1.size):
-        return True
-    near = d1[max(k - 4, 0) : k + 4]
-    return bool(max(d1[k - 1], d1[k]) > 1.3 * np.median(near))
 
 
 def _steps(s: NDArray[Any], k: int, difference: float) -> float:

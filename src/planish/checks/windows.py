@@ -175,26 +175,20 @@ def _window_numbers(points: Places, places: dict[Axis, dict[str, slice]]) -> NDA
     """Number of the axis in whose window each point is read; -1 for none."""
     numbers = np.full(len(points), -1, np.int8)
     for i, place in enumerate(places.values()):
-        inside = np.ones(len(points), bool)
-        for k, name in enumerate("zyx"):
-            inside &= (points[:, k] >= place[name].start) & (points[:, k] < place[name].stop)
-        numbers[inside] = i
+        low, high = np.array([(place[name].start, place[name].stop) for name in "zyx"], points.dtype).T
+        numbers[((points >= low) & (points < high)).all(axis=1)] = i
     return numbers
 
 
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet: tuple[int, int]) -> dict[str, slice]:
     """Give the window of an axis as a part of the volume: all slices along it that hold the sheet."""
-    size = {k: int(n) for k, n in volume.sizes.items()}
-    around = slice(max(sheet[0] - 4, 0), min(sheet[1] + 5, size[through]))
-    across = [k for k in ("z", "y", "x") if k not in (axis, through)]
-    edge = _EDGE if axis == through else int(np.clip(_COLUMNS // (around.stop - around.start), 60, 2 * _EDGE))
-    place = {k: _middle(size[k], edge) for k in across}
-    return place | {through: around} | ({} if axis == through else {axis: slice(0, size[axis])})
-
-
-def _middle(n: int, edge: int) -> slice:
-    edge = min(edge, n) // BLOCK * BLOCK or n
-    return slice((n - edge) // 2, (n - edge) // 2 + edge)
+    around = slice(max(sheet[0] - 4, 0), min(sheet[1] + 5, volume.sizes[through]))
+    widest = _EDGE if axis == through else int(np.clip(_COLUMNS // (around.stop - around.start), 60, 2 * _EDGE))
+    place: dict[str, slice] = {}
+    for k, n in zip("zyx", volume.shape, strict=True):  # the middle, in whole blocks
+        edge = min(widest, n) // BLOCK * BLOCK or n
+        place[k] = slice((n - edge) // 2, (n - edge) // 2 + edge)
+    return place | ({} if axis == through else {axis: slice(0, volume.sizes[axis])}) | {through: around}
 
 
 def _pieces(volume: xr.DataArray, places: dict[Axis, dict[str, slice]], reach: slice) -> list[slice]:

@@ -27,8 +27,8 @@ _MODULES = {
     "link": "runs", "map": "runs", "demo": "runs", "run": "runs", "info": "files", "import": "files",
     "properties": "files", "surface": "stages", "measure": "stages", "flatten": "stages", "resample": "stages",
     "holes": "stages", "register": "stages", "correlate": "stages", "report": "stages", "marks": "marks",
-    "specimen": "validate", "validate": "validate", "export": "export", "doctor": "doctor",
-    "completion": "completion", "new": "studies", "study": "series", "compare": "compare", "view": "view",
+    "specimen": "validate", "validate": "validate", "export": "export", "doctor": "setup",
+    "completion": "setup", "new": "runs", "study": "series", "compare": "series", "view": "export",
     "explore": "export",
 }  # fmt: skip
 """Verb -> module of this package that holds it, as ``verb``, ``verb_`` where the name is taken."""
@@ -88,7 +88,7 @@ def main(args: list[str] | None = None) -> None:
     arguments = sys.argv[1:] if args is None else args
     prepare_streams()
     if os.environ.get("_PLANISH_COMPLETE", "").startswith("powershell"):
-        import_module("planish.cli.completion")  # click knows the other shells by itself
+        import_module("planish.cli.setup")  # click knows the other shells by itself
     logging.getLogger("asyncio").setLevel(logging.CRITICAL)  # of zarr, about reads that a damaged chunk cut short
     try:
         code = planish.main(args=arguments, prog_name="planish", standalone_mode=False)

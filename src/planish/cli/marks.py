@@ -16,7 +16,7 @@ from planish.marks.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.files.formats import FORMATS, TARGETS, target_of
 
 if TYPE_CHECKING:
-    from planish.marks.design import DryRun, Pattern, Rule
+    from planish.marks.design import Pattern, Rule
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 _UNITS = click.Choice(["um", "mm", "pixel"])
@@ -27,7 +27,6 @@ _BY_NAME = ", ".join(
     f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}" for name in TARGETS if FORMATS[name].suffixes
 )
 _PICTURES = ("png", "svg", "pdf")
-_SAME_UM = 0.001  # a program states positions to 0.0005 um
 
 
 @click.group()
@@ -112,7 +111,7 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 @options(StageParams, "stage", "Options", only=("range_um",))
 @click.option("--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed.")
 @click.option("--pattern", type=click.Path(path_type=Path), help="Compare the shots with this pattern.json or table.")
-@click.option("--out", "-o", type=click.Path(path_type=Path), help="Picture of the path to make: .png, .svg or .pdf.")
+@out_option("Picture of the path to make: .png, .svg or .pdf.", required=False)
 @json_option
 def simulate(
     program: Path, pulse_most_s: float, pattern: Path | None, out: Path | None, as_json: bool, **values: Any
@@ -132,7 +131,19 @@ def simulate(
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
     run = dry_run(read_text(program, what="stage program"), stage, pulse_s=pulse_most_s)
-    difference = None if pattern is None else _compared(run, read_pattern(pattern))
+    difference = None
+    if pattern is not None:
+        import numpy as np
+
+        points = read_pattern(pattern).points_um
+        if len(points) != len(run.fired_um):
+            difference = f"the program fires {len(run.fired_um)} shots, the pattern has {len(points)} holes."
+        else:
+            distance_um = np.hypot(*(run.fired_um[:, None] - points[None]).transpose(2, 0, 1))
+            worst = max(float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max()))
+            if worst > 0.001:  # um: a program states positions to 0.0005
+                far = f"a hole of the pattern is {worst:.3f} um from the nearest shot"
+                difference = f"{far}; write the program again."
     if out is not None:
         out.parent.mkdir(parents=True, exist_ok=True)
         write_whole(out, path_picture(run, out.suffix.lower().lstrip("."), title=f"Path of the stage: {program.name}"))
@@ -149,20 +160,6 @@ def simulate(
     if difference is not None:
         click.echo(f"planish: {difference}", err=True)
     return 0 if difference is None else 4
-
-
-def _compared(run: DryRun, pattern: Pattern) -> str | None:
-    """Say how the shots differ from a pattern; None where they do not."""
-    import numpy as np
-
-    points = pattern.points_um
-    if len(points) != len(run.fired_um):
-        return f"the program fires {len(run.fired_um)} shots, the pattern has {len(points)} holes."
-    distance_um = np.hypot(*(run.fired_um[:, None] - points[None]).transpose(2, 0, 1))
-    worst = max(float(distance_um.min(axis=0).max()), float(distance_um.min(axis=1).max()))
-    if worst <= _SAME_UM:
-        return None
-    return f"a hole of the pattern is {worst:.3f} um from the nearest shot; write the program again."
 
 
 def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
@@ -185,10 +182,9 @@ def _rules_data(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
 @click.option("--moving-pixel-um", type=_SIZES, help="Pixel size of the moving layer, where a file counts in pixels.")
 @click.option("--fixed-pixel-um", type=_SIZES, help="The same for the fixed layer.")
 @click.option(
-    "--moving-origin-um",
-    type=_ORIGIN,
+    "--moving-origin-um", type=_ORIGIN,
     help="Place of the moving layer's first pixel, from which other programs count; 0,0 where not given.",
-)
+)  # fmt: skip
 @click.option("--fixed-origin-um", type=_ORIGIN, help="The same for the fixed layer.")
 @click.option(
     "--unit", type=_UNITS, help="Unit of IN where it states none: BigWarp and ImageJ um, elastix mm if not given."
@@ -198,15 +194,9 @@ def _rules_data(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
 @click.option("--swap-out", is_flag=True, help="The fixed layer is to be the moving image of OUT.")
 @json_option
 def convert(
-    files: tuple[Path, ...],
-    to: str | None,
-    unit: Literal["um", "mm", "pixel"] | None,
-    out_unit: Literal["um", "mm", "pixel"] | None,
-    swap: bool,
-    swap_out: bool,
-    as_json: bool,
-    **options: Any,
-) -> None:
+    files: tuple[Path, ...], to: str | None, unit: Literal["um", "mm", "pixel"] | None,
+    out_unit: Literal["um", "mm", "pixel"] | None, swap: bool, swap_out: bool, as_json: bool, **options: Any,
+) -> None:  # fmt: skip
     """Convert marks from one program's file into another's.
 
     IN is a file of planish, BigWarp, elastix, 3D Slicer, MATLAB or ImageJ, recognised by its content. Where it
@@ -237,10 +227,8 @@ def convert(
     for layer in layers if FORMATS[kind].unit is not None else ():
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
         if any(origin.values()):
-            click.echo(
-                f"{layer}: positions count from its first pixel, at {origin['x']:g},{origin['y']:g} um; give that as "
-                "its origin when they are read again.",
-                err=True,
-            )
+            place = f"{origin['x']:g},{origin['y']:g} um"
+            advice = "give that as its origin when they are read again."
+            click.echo(f"{layer}: positions count from its first pixel, at {place}; {advice}", err=True)
     if kind == "elastix":
         click.echo("elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.", err=True)

@@ -131,30 +131,23 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "required": field.is_required()}
     if kinds == [bool] or _inner(field) is not None:
         return click.option(*shown.flags, name, is_flag=True, default=None, **how)
-    how["help"] += _default(field.get_default())
+    default = field.get_default()
+    if default not in (None, (), ...) and default is not PydanticUndefined:
+        values: tuple[Any, ...] = default if isinstance(default, tuple) else (default,)
+        texts = (f"{value:.7g}" if isinstance(value, float) else str(value) for value in values)
+        how["help"] += f"  [default: {','.join(texts)}]"
     if kinds == [tuple[str, ...]]:
-        how["callback"] = _given_or_none
+
+        def callback(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
+            return values or None  # not given is other than an empty choice
+
+        how["callback"] = callback
         return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
     unit = (unit_of(name) or "").upper() or None if kinds == [float] else None
     kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
     return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
-
-
-def _given_or_none(
-    _context: click.Context, _parameter: click.Parameter, value: tuple[str, ...]
-) -> tuple[str, ...] | None:
-    """Give None for a repeatable option that was not given, which is other than an empty choice."""
-    return value or None
-
-
-def _default(value: Any) -> str:
-    """Write a default for the help; nothing where there is none."""
-    if value in (None, (), ...) or value is PydanticUndefined:
-        return ""
-    values: tuple[Any, ...] = value if isinstance(value, tuple) else (value,)
-    return f"  [default: {','.join(f'{v:.7g}' if isinstance(v, float) else str(v) for v in values)}]"
 
 
 def given_options(values: dict[str, Any], section: str) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Commands that make a run: link, map, run, demo; the groups of its options, and how they become a study."""
+"""Commands that make a run: link, map, run, demo; a study file for one, new; how the options become a study."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from typing import Any
 import click
 
 from planish.analyze.params import CorrelateParams
+from planish.cli.console import sentence
 from planish.cli.options import (
     Command,
     Option,
@@ -52,9 +53,7 @@ link_options = stack(
     image_options, hole_options, options(RegistrationParams, "registration", "Marks and registration"),
     correlate_options,
 )  # fmt: skip
-_folder_option = click.option(
-    "--out", "-o", type=click.Path(path_type=Path), help="Folder to make; a new one where not given."
-)
+_folder_option = out_option("Folder to make; a new one where not given.", required=False)
 
 
 def _set_option(text: str) -> Command:
@@ -213,24 +212,17 @@ def _compare(old: Path, target: Path) -> None:
     if before is not None and before["warning"]:
         click.echo(f"{old.name} was {before['warning']}", err=True)
     elif (old / "results.json").is_file():
-        different = _different(old, target)
+        # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what
+        # was changed since in the browser.
+        paths = [p.relative_to(root) for root in (old, target) for p in root.rglob("*") if p.is_file()]
+        compared = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
+        _, other, missing = filecmp.cmpfiles(old, target, {p.as_posix() for p in compared}, shallow=False)
+        different = sorted([*other, *missing])
         verb = "differs" if len(different) == 1 else "differ"
         text = f"{_listed(different)} {verb} from" if different else "same bytes as"
-        other = before is not None and not is_this_code(before["planish"], before["code"])
-        origin = f", which was made by other code (planish {before['planish']})" if before and other else ""
+        is_other_code = before is not None and not is_this_code(before["planish"], before["code"])
+        origin = f", which was made by other code (planish {before['planish']})" if before and is_other_code else ""
         click.echo(f"{target}: {text} {old}{origin}", err=True)
-
-
-def _different(old: Path, new: Path) -> list[str]:
-    """Name the files of either folder that are not the same in both."""
-    # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what was
-    # changed since in the browser.
-    paths = (p.relative_to(root) for root in (old, new) for p in root.rglob("*") if p.is_file())
-    files = {
-        p.as_posix() for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)
-    }
-    _, other, missing = filecmp.cmpfiles(old, new, files, shallow=False)
-    return sorted([*other, *missing])
 
 
 def _listed(files: list[str]) -> str:
@@ -267,3 +259,35 @@ def demo(out: Path | None, seed: int, strict: bool, as_json: bool) -> int:
     return _run_and_show(
         study_from((files.volume, files.image), {}), folder / "run", {}, as_json=as_json, strict=strict
     )
+
+
+@verb(
+    "planish new study.toml volume.tif image.tif", "planish new study.toml scan/", "planish run study.toml", name="new"
+)
+@existing("study")
+@existing("volume")
+@click.argument("image", required=False, type=click.Path(path_type=Path))
+def new(study: Path, volume: Path, image: Path | None) -> None:
+    """Write STUDY, a commented file with all options, for VOLUME and IMAGE; 'planish run STUDY' then does it.
+
+    What the files state stands in it: sizes, shapes, grey values, the axis that seems to run through the sheet. What
+    they do not state is listed at its top, with line numbers. Without IMAGE it is a study that maps VOLUME.
+    """
+    from planish.core.errors import FileError
+    from planish.core.files import write_whole
+    from planish.io.run_folder import refuse_existing
+    from planish.pipeline.draft import draft_study
+
+    if study.suffix.lower() != ".toml":
+        raise click.UsageError(f"STUDY comes first and ends in .toml; {study} does not.")
+    refuse_existing(study)
+    draft = draft_study(volume, image, home=study.absolute().parent, name=study.name)
+    if not study.absolute().parent.is_dir():
+        raise FileError(f"The folder of {study} does not exist. Make it, or choose another one.")
+    write_whole(study, draft.text.encode())
+    click.echo(f"{study}: written")
+    for needed, words in ((True, "fill in"), (False, "look at")):
+        for gap in draft.missing:
+            if gap.needed is needed:
+                sentence(f"{words} line {gap.line}, {gap.key}: {gap.why}")
+    click.echo(f"then: planish run {study}")

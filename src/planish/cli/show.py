@@ -23,9 +23,6 @@ if TYPE_CHECKING:
     from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
 
 
-_SPOKEN: tuple[State, ...] = ("fail", "look", "unknown")
-
-
 @contextmanager
 def stages(total: int) -> Generator[Tell]:
     """Show a progress bar on a terminal, one line a stage otherwise; always on standard error."""
@@ -65,7 +62,10 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         for layer in results.moving:
             _registration(layer)
         if results.comparison:
-            _comparison(results)
+            if any(not r.n for r in results.comparison):
+                sentence("Points that are larger than what both show have no correlation and are left out.")
+            title = f"{results.reference.name} against {results.comparison[0].property}"
+            correlations(title, [(r.registration, r) for r in results.comparison if r.n])
         elif results.correlations:
             pairs = [(f"{r.a} {r.a_map} / {r.b} {r.b_map}", r) for r in results.correlations if r.n]
             correlations("Layers against each other", pairs)
@@ -73,8 +73,9 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
         if results.is_link:
             click.echo(f"check and correct it: planish view {quoted(str(out))}")
     several = len(results.layers) > 2
-    for state in _SPOKEN:
-        for check in results.spoken(state):
+    states: tuple[State, ...] = ("fail", "look", "unknown")
+    for state in states:
+        for check in results.checks_in(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
             text = f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip()
             sentence(text, err=True)
@@ -83,22 +84,14 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
 
 def exit_code(results: Results, *, strict: bool = False) -> int:
     """4 where a check failed or, with ``strict``, asks for a look."""
-    return 4 if results.state == "fail" or (strict and results.spoken("look")) else 0
+    return 4 if results.state == "fail" or (strict and results.checks_in("look")) else 0
 
 
 def _properties(name: str, sheet: SheetFacts) -> None:
-    rows = [
-        (
-            key if p.trust == "ok" else f"{key} ({p.trust})",
-            p.units,
-            number(p.mean, 2),
-            number(p.sd, 2),
-            number(p.p5, 2),
-            number(p.p95, 2),
-            str(p.n),
-        )
-        for key, p in sheet.properties.items()
-    ]
+    rows: list[tuple[str, ...]] = []
+    for key, p in sheet.properties.items():
+        label = key if p.trust == "ok" else f"{key} ({p.trust})"
+        rows.append((label, p.units, *(number(v, 2) for v in (p.mean, p.sd, p.p5, p.p95)), str(p.n)))
     table(f"Properties of the {name} along its normals", ("", "unit", "mean", "sd", "p5", "p95", "columns"), rows)
     f = sheet.flatten
     sentence(
@@ -124,39 +117,21 @@ def _registration(layer: LayerFacts) -> None:
         sentence(f"  {text}")
 
 
-def _comparison(results: Results) -> None:
-    if any(not r.n for r in results.comparison):
-        sentence("Points that are larger than what both show have no correlation and are left out.")
-    title = f"{results.reference.name} against {results.comparison[0].property}"
-    correlations(title, [(r.registration, r) for r in results.comparison if r.n])
-
-
 def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | ComparisonRow]]) -> None:
     """Print correlations, each under its name."""
     marks = [getattr(r, "marks_rms_um", None) for _, r in rows]
-    cells = [
-        (
-            name if getattr(r, "trust", "ok") == "ok" else f"{name} ({r.trust})",
-            f"{r.point_um:g}",
-            str(r.n),
-            number(r.n_eff, 0),
-            number(r.r),
-            _interval(*r.interval) if is_known(r.interval) else "-",
-            number(r.r2),
-            f"{r.slope:.4g}" if is_known(r.slope) else "-",
-            number(rms_um, 1),
-        )
-        for (name, r), rms_um in zip(rows, marks, strict=True)
-    ]
+    cells: list[tuple[str, ...]] = []
+    for (name, r), rms_um in zip(rows, marks, strict=True):
+        label = name if getattr(r, "trust", "ok") == "ok" else f"{name} ({r.trust})"
+        low, high = r.interval
+        digits = 2 if high - low >= 0.02 else 4  # of a narrow one more: two decimals hide it
+        interval = f"{low:.{digits}f} to {high:.{digits}f}" if is_known(r.interval) else "-"
+        slope = f"{r.slope:.4g}" if is_known(r.slope) else "-"
+        figures = number(r.n_eff, 0), number(r.r), interval, number(r.r2), slope, number(rms_um, 1)
+        cells.append((label, f"{r.point_um:g}", str(r.n), *figures))
     names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
     shown = len(names) if any(marks) else len(names) - 1
     table(title, names[:shown], [row[:shown] for row in cells])
-
-
-def _interval(low: float, high: float) -> str:
-    """Write an interval of r; of narrow ones more, as two decimals hide them."""
-    digits = 2 if high - low >= 0.02 else 4
-    return f"{low:.{digits}f} to {high:.{digits}f}"
 
 
 def run_facts(path: Path) -> dict[str, Any] | None:

@@ -50,6 +50,13 @@ _STORE = "Zarr store to make; it must not exist."
 _ONE_FILE: dict[str, Any] = {"type": click.Path(path_type=Path), "cls": Option}
 
 
+def _refuse(*paths: Path) -> None:
+    from planish.io.run_folder import refuse_existing
+
+    for path in paths:
+        refuse_existing(path)
+
+
 def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
     from planish.io.run_folder import new_folder, write_tree
 
@@ -73,10 +80,8 @@ def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumePar
     """A volume of any kind, how it lies, and what may be used."""
     from planish.pipeline.volume import read_sheet_volume
 
-    params, compute = (
-        build_params(VolumeParams, values, "volume", path=str(path.absolute())),
-        build_params(Compute, values, "compute"),
-    )
+    params = build_params(VolumeParams, values, "volume", path=str(path.absolute()))
+    compute = build_params(Compute, values, "compute")
     return read_sheet_volume(params, compute, silent)[0], params, compute
 
 
@@ -98,11 +103,10 @@ def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
 @compute_options
 def surface(volume: Path, out: Path, **values: Any) -> None:
     """Find the faces, interfaces and centre surface of the sheet in VOLUME."""
-    from planish.io.run_folder import refuse_existing
     from planish.pipeline.sheet import search_sheet
     from planish.study import LayerParams
 
-    refuse_existing(out)
+    _refuse(out)
     data, params, compute = _volume(volume, values)
     layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values, "surface"))
     surfaces = search_sheet(data, layer, compute=compute)
@@ -126,10 +130,9 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     """Measure all properties along the normals of SURFACES."""
     from planish.core.errors import FileError
     from planish.io import find_place
-    from planish.io.run_folder import refuse_existing
     from planish.measure import measure_properties
 
-    refuse_existing(out)
+    _refuse(out)
     data = _read(surfaces, "surfaces", "'planish surface'")
     noted = json.loads(data.attrs.pop(_VOLUME, "{}"))
     if path is None and noted:
@@ -181,13 +184,12 @@ def resample(
     measured: Path, flat: Path, out: Path, reference: Path | None, registration: Path | None, **values: Any
 ) -> None:  # fmt: skip
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
-    from planish.io.run_folder import refuse_existing
     from planish.pipeline import Registration, resample_maps
     from planish.pipeline.compared import compared_image
 
     if (reference is None) != (registration is None):
         raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
-    refuse_existing(out)
+    _refuse(out)
     data = _read(measured, "surfaces", "'planish measure'")
     coordinates = _read(flat, "flat", "'planish flatten'")
     map_um = given_options(values, "flatten").get("map_um")
@@ -209,13 +211,12 @@ def resample(
 @hole_options
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
-    from planish.io.run_folder import refuse_existing
-    from planish.marks import check_holes, write_holes
+    from planish.checks import check_holes
+    from planish.marks import write_holes
     from planish.pipeline import find_holes
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
-    for path in files:
-        refuse_existing(path)
+    _refuse(*files)
     side: Side = given_options(values, "image").get("side", "top")
     shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)
     detected = find_holes(shown, params=build_params(HoleParams, values, "holes"), side=side)
@@ -232,13 +233,11 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @options(RegistrationParams, "registration", "Marks and registration", without=("marks", "refine"))
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
-    from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
     from planish.pipeline import register_marks
 
     table = out.with_suffix(".csv")
-    for path in (out, table):
-        refuse_existing(path)
+    _refuse(out, table)
     registration = register_marks(
         read_holes(moving), read_holes(fixed), params=build_params(RegistrationParams, values, "registration")
     )
@@ -261,10 +260,10 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 
     Of a run, rows that a check makes doubtful are marked, and those that a failed check concerns are withheld.
     """
+    from planish.checks import rows_with_trust
     from planish.cli.show import correlations, exit_code
     from planish.core.errors import InputError
     from planish.pipeline import correlate_maps
-    from planish.pipeline.checks import rows_with_trust
     from planish.pipeline.run import is_run, open_results
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
@@ -290,14 +289,11 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 @figures_option
 def report(run: Path, out: Path, figures: bool) -> None:
     """Make the report of a RUN folder again."""
-    from planish.io.run_folder import refuse_existing
     from planish.pipeline import open_run
     from planish.report import FIGURES, write_report
 
     figures_folder = out.absolute().with_name(FIGURES) if figures else None
-    for path in (out, figures_folder):
-        if path is not None:
-            refuse_existing(path)
+    _refuse(out, *([figures_folder] if figures_folder else []))
     opened = open_run(run)
     marks = {name: registration.pairs() for name, registration in opened.registrations.items()}
     write_report(out, results=opened.results, groups=opened.groups, marks=marks, figures=figures_folder)

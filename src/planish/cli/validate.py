@@ -9,14 +9,12 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from planish.cli.console import table
-from planish.cli.options import build_params, json_option, options, verb
+from planish.cli.options import build_params, json_option, options, out_option, verb
 from planish.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
 if TYPE_CHECKING:
-    from planish.validate.certify import Certificate
-    from planish.validate.scenario import Scenario
-    from planish.validate.sensitivity import Sensitivity
+    from planish.validate.certify import Certificate, Sensitivity
 
 _DEFAULT = "small"
 
@@ -27,7 +25,7 @@ _DEFAULT = "small"
     name="specimen",
 )
 @options(SpecimenOptions, "specimen", "Specimen")
-@click.option("--out", "-o", type=click.Path(path_type=Path), help="Folder to make; it must not exist.")
+@out_option("Folder to make; it must not exist.", required=False)
 @click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and end.")
 def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     """Make a specimen with known answers: files as instruments write them, and the truth apart from them.
@@ -68,10 +66,9 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     help="Make specimens like those of a run: its paper, warp, voxels, blur and noise.",
 )  # fmt: skip
 @click.option("--sensitivity", "alone", is_flag=True, help="Also run with each nuisance alone: which stage suffers.")
-@click.option(
-    "--out", "-o", type=click.Path(path_type=Path),
-    help="Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.",
-)  # fmt: skip
+@out_option(
+    "Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.", required=False
+)
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios and end.")
 @options(Compute, "compute", "Resources")
 @json_option
@@ -85,22 +82,35 @@ def validate(
     """
     from dataclasses import replace
 
-    from planish.io.run_folder import new_folder, refuse_existing
+    from planish.io.run_folder import new_folder, refuse_existing, write_json
     from planish.validate import table as tables
-    from planish.validate.certify import run_scenario
-    from planish.validate.scenario import read_scenario
-    from planish.validate.sensitivity import sensitivity
+    from planish.validate.certify import run_scenario, sensitivity
+    from planish.validate.page import write_page
+    from planish.validate.scenario import read_scenario, scenario_names
 
     if listed:
-        return _list(as_json=as_json)
+        all_scenarios = map(read_scenario, scenario_names())
+        rows = [{"name": s.name, "title": s.title, "seeds": s.seeds} for s in all_scenarios]
+        if as_json:
+            click.echo(json.dumps(rows, indent=2))
+        else:
+            table("Scenarios", ("name", "title", "seeds"), [tuple(map(str, row.values())) for row in rows])
+        return 0
     # All of them are read before the first is run: a wrong name should not cost the time of the others.
     chosen, notes = [read_scenario(name) for name in scenarios or (_DEFAULT,)], ()
     if len({scenario.name for scenario in chosen}) < len(chosen):
         raise click.UsageError("--scenario: the same scenario is given twice.")
     if out is not None:
         refuse_existing(out)
-    if like is not None:
-        chosen, notes = _like(like, chosen)
+    if like is not None:  # the paper and the instruments of a run in each scenario
+        from planish.validate.like import like_run
+
+        if any(scenario.kind != "line" for scenario in chosen):
+            raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
+        template = like_run(like)
+        for note in template.notes:
+            click.echo(note, err=True)
+        chosen, notes = [template.scenario(scenario) for scenario in chosen], template.notes
 
     def report(stage: str, detail: str) -> None:
         click.echo(f"{stage}: {detail}", err=True)
@@ -121,33 +131,14 @@ def validate(
     if out is not None:
         with new_folder(out) as folder:
             for certificate, grown in results:
-                _write(folder if len(results) == 1 else folder / certificate.scenario.name, certificate, grown)
+                place = folder if len(results) == 1 else folder / certificate.scenario.name
+                place.mkdir(exist_ok=True)
+                write_json(place / "certificate.json", tables.as_json(certificate, grown))
+                text = tables.markdown(certificate, grown)
+                (place / "certificate.md").write_text(text, encoding="utf-8", newline="\n")
+                write_page(place / "certificate.html", certificate, grown)
         click.echo(f"certificate: {out}", err=True)
     return 0 if all(certificate.passed for certificate, _ in results) else 4
-
-
-def _list(*, as_json: bool) -> int:
-    from planish.validate.scenario import read_scenario, scenario_names
-
-    rows = [(s.name, s.title, s.seeds) for s in map(read_scenario, scenario_names())]
-    head = ("name", "title", "seeds")
-    if as_json:
-        click.echo(json.dumps([dict(zip(head, row, strict=True)) for row in rows], indent=2))
-    else:
-        table("Scenarios", head, [tuple(map(str, row)) for row in rows])
-    return 0
-
-
-def _like(run: Path, scenarios: list[Scenario]) -> tuple[list[Scenario], tuple[str, ...]]:
-    """Put the paper and the instruments of a run into each scenario."""
-    from planish.validate.like import like_run
-
-    if any(scenario.kind != "line" for scenario in scenarios):
-        raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")
-    template = like_run(run)
-    for note in template.notes:
-        click.echo(note, err=True)
-    return [template.scenario(scenario) for scenario in scenarios], template.notes
 
 
 def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
@@ -164,14 +155,3 @@ def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
     faults += [tables.plain(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
     for fault in faults:
         click.echo(f"planish: {fault}", err=True)
-
-
-def _write(folder: Path, certificate: Certificate, grown: Sensitivity | None) -> None:
-    from planish.io.run_folder import write_json
-    from planish.validate.page import write_page
-    from planish.validate.table import as_json, markdown
-
-    folder.mkdir(exist_ok=True)
-    write_json(folder / "certificate.json", as_json(certificate, grown))
-    (folder / "certificate.md").write_text(markdown(certificate, grown), encoding="utf-8", newline="\n")
-    write_page(folder / "certificate.html", certificate, grown)

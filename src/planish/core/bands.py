@@ -16,8 +16,6 @@ Rows = xr.DataArray | NDArray[Any]
 BAND = 512
 """Rows of a band, and of a chunk of a stored map: each chunk is read once."""
 
-_SAMPLE = 2**22  # pixels that show how the values of a map are distributed
-
 
 def bands(rows: int) -> Iterator[slice]:
     """All rows of a map, band by band."""
@@ -55,7 +53,8 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     For figures and medians, whose own uncertainty is larger than what this leaves out.
     """
     rows, cols = maps[0].shape
-    k = max(1, math.ceil(math.sqrt(rows * cols / _SAMPLE)))
+    # So many pixels show how the values of a map are distributed.
+    k = max(1, math.ceil(math.sqrt(rows * cols / 2**22)))
     if k == 1:
         return 1, [np.asarray(data) for data in maps]
     # The band's own rows, so that a stored map is read chunk by chunk and once.

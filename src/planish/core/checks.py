@@ -1,13 +1,14 @@
-"""One check of a result: what was found, against which limit, what it means for which figures, and what to do."""
+"""One check of a result: what was seen, against which limit, what it means for which figures, and what to do."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from typing import Literal, Self
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass
+from typing import Any, Literal
 
 from pydantic import Field
 
-from planish.core.facts import Facts, Number
+from planish.core.facts import Facts, Number, Trust
 
 State = Literal["pass", "look", "fail", "unknown"]
 """``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing can be said."""
@@ -36,29 +37,46 @@ class Check(Facts):
     )
     layers: tuple[str, ...] = Field(default=(), description="Layers that it is about.")
 
-    @classmethod
-    def at_most(
-        cls, name: str, value: float, *, look: float | None = None, fail: float | None = None, sentence: str,
-        units: str = "", advice: str = "", figures: tuple[str, ...] = (),
-    ) -> Self:  # fmt: skip
-        """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
-        state, limit = _judged(value, look, fail)
-        return cls(
-            name=name, state=state, sentence=sentence, value=float(value), limit=limit, units=units, figures=figures,
-            advice="" if state == "pass" else advice,
-        )  # fmt: skip
 
-    @classmethod
-    def at_least(
-        cls, name: str, value: float, *, look: float | None = None, fail: float | None = None, sentence: str,
-        units: str = "", advice: str = "", figures: tuple[str, ...] = (),
-    ) -> Self:  # fmt: skip
+@dataclass(frozen=True, slots=True)
+class Light:
+    """A rule that makes one check: a row of the table ``planish.checks.CHECKS``."""
+
+    name: str  # of the check
+    stage: type  # of a run, by the class of what it gives to judge
+    figures: tuple[str, ...]  # that the check concerns, where the function names no others
+    judge: Callable[[Light, Any], Check | None]  # takes the rule and what is judged; None where there is nothing
+
+    def __call__(self, subject: Any) -> Check | None:
+        """Judge a subject."""
+        return self.judge(self, subject)
+
+    def check(
+        self, state: State, sentence: str, *, advice: str = "", figures: tuple[str, ...] | None = None, **numbers: Any
+    ) -> Check:
+        """Make a check of this name; ``figures`` are those of the rule where not given."""
+        figures = self.figures if figures is None else figures
+        return Check(name=self.name, state=state, sentence=sentence, advice=advice, figures=figures, **numbers)
+
+    def at_most(
+        self, value: float, *, look: float | None = None, fail: float | None = None, sentence: str, advice: str = "",
+        **more: Any,
+    ) -> Check:  # fmt: skip
+        """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
+        state: State = "pass"
+        if fail is not None and value > fail:
+            state = "fail"
+        elif look is not None and not value <= look:
+            state = "look"
+        limit = fail if state == "fail" or look is None else look
+        advice = "" if state == "pass" else advice
+        return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **more)
+
+    def at_least(self, value: float, *, look: float, sentence: str, advice: str, units: str) -> Check:
         """Judge a value that should be large."""
-        state, limit = _judged(-value, *(None if k is None else -k for k in (look, fail)))
-        return cls(
-            name=name, state=state, sentence=sentence, value=float(value), limit=None if limit is None else -limit,
-            units=units, figures=figures, advice="" if state == "pass" else advice,
-        )  # fmt: skip
+        state: State = "pass" if value >= look else "look"
+        advice = "" if state == "pass" else advice
+        return self.check(state, sentence, value=float(value), limit=look, units=units, advice=advice)
 
 
 def concerned(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> list[Check]:
@@ -69,10 +87,7 @@ def concerned(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[
     return [c for c in checks if wanted & {*c.figures} and (not c.layers or names & {*c.layers})]
 
 
-def _judged(value: float, look: float | None, fail: float | None) -> tuple[State, float | None]:
-    """State of a value that should be small, and the limit that decided."""
-    if fail is not None and value > fail:
-        return "fail", fail
-    if look is not None and not value <= look:
-        return "look", look
-    return "pass", look if look is not None else fail
+def trust_of(checks: Iterable[Check], layers: Iterable[str], figures: Iterable[str]) -> Trust:
+    """Trust in a figure of some layers, by all checks that concern one of ``figures``."""
+    states = {check.state for check in concerned(checks, layers, figures)}
+    return "withheld" if "fail" in states else "doubtful" if "look" in states else "ok"

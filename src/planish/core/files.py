@@ -21,7 +21,6 @@ _DEVICES = {
     *(f"{device}{k}" for device in ("com", "lpt") for k in "123456789¹²³"),
 }
 _NOT_ON_WINDOWS = '<>:"|?*'
-_LONGEST = 259  # characters of a path, where Windows is not set to take longer ones
 INSIDE = 120
 """Characters that the longest path inside of a run folder takes while it is written, of a layer with a short name."""
 
@@ -75,11 +74,10 @@ def longest_path() -> int | None:
     if os.name != "nt":
         return None
     library: Any = getattr(ctypes, "windll").ntdll  # noqa: B009  # not known to checkers elsewhere
-    return None if library.RtlAreLongPathsEnabled() else _LONGEST
+    return None if library.RtlAreLongPathsEnabled() else 259
 
 
 _FULL = {errno.ENOSPC, errno.EDQUOT, errno.EFBIG}
-_WAITS_S = (0.05, 0.1, 0.2, 0.4, 0.8, 1.6)  # between attempts to rename what another program holds open
 _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where the system gives no reason
 
 
@@ -148,7 +146,7 @@ def delete(path: Path) -> None:
 
 def _insist(action: Callable[[], object], path: Path) -> None:
     """Do something with a file, again for some seconds while it is refused."""
-    for wait in (*_WAITS_S, None):
+    for wait in (0.05, 0.1, 0.2, 0.4, 0.8, 1.6, None):  # seconds, for what another program holds open
         try:
             action()
         except PermissionError as error:

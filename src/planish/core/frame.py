@@ -105,11 +105,6 @@ class Frame:
         return frame
 
 
-_PLANES = 24  # of the slices, which are read whole
-_PLACES = 200  # along either other axis
-_CLEAR = 0.3  # of the variance along the first axis: what the second may have
-
-
 def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
 
@@ -118,14 +113,16 @@ def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | Non
     """
     import numpy as np
 
-    numbers = np.unique(np.linspace(0, values.shape[0] - 1, _PLANES).astype(int))
-    steps = [max(1, n // _PLACES) for n in values.shape[1:]]
+    # 24 of the slices, which are read whole, and 200 places along either other axis.
+    numbers = np.unique(np.linspace(0, values.shape[0] - 1, 24).astype(int))
+    steps = [max(1, n // 200) for n in values.shape[1:]]
     planes = [np.asarray(values[int(k)])[:: steps[0], :: steps[1]] for k in numbers]
     sample: NDArray[np.float64] = np.stack(planes).astype(np.float64)
     sample[~np.isfinite(sample)] = np.nanmean(sample[np.isfinite(sample)]) if np.isfinite(sample).any() else 0.0
     spread = [float(sample.mean(axis=tuple({0, 1, 2} - {k})).var()) for k in range(3)]
     order = np.argsort(spread)[::-1]
-    if not spread[order[0]] > 0 or spread[order[1]] > _CLEAR * spread[order[0]]:
+    # The second axis may have this share of the variance along the first.
+    if not spread[order[0]] > 0 or spread[order[1]] > 0.3 * spread[order[0]]:
         return None
     return AXES[order[0]]
 

@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from planish.core.errors import SizeError, SurfaceError
 from planish.core.typing import Floats, Pair
 
-_ALL = slice(None)
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Grid:
@@ -46,7 +44,7 @@ class Grid:
         rows, cols = ("y", "x") if "y" in data.dims else ("v", "u")
         return cls(y_um=data[rows].values, x_um=data[cols].values)
 
-    def part(self, rows: slice, cols: slice = _ALL) -> Grid:
+    def part(self, rows: slice, cols: slice = slice(None)) -> Grid:
         """Some of its pixels, with its pitch."""
         return Grid(y_um=self.y_um[rows], x_um=self.x_um[cols], step_um=self.pixel_um)
 

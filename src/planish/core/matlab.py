@@ -18,7 +18,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 _HDF5 = b"\x89HDF\r\n\x1a\n"
-_HEADING = 128  # bytes of text, version and byte order before the first variable of version 5
 _HEAD = 2048  # bytes in which flags, shape, name and the tag of the values of any variable lie
 _MOST_AXES, _LONGEST_NAME = 32, 512
 _COMPRESSED, _MATRIX, _UINT32, _INT32, _INT8 = 15, 14, 6, 5, 1
@@ -134,7 +133,7 @@ def _variables_new(file: BinaryIO) -> Iterator[Variable]:
 def _variables_5(file: BinaryIO, mark: bytes) -> Iterator[Variable]:
     order = "<" if mark == b"IM" else ">"
     end = file.seek(0, 2)
-    offset = _HEADING
+    offset = 128  # bytes of text, version and byte order
     while offset + 8 <= end:
         file.seek(offset)
         kind, size = struct.unpack(f"{order}II", file.read(8))

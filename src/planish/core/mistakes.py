@@ -93,7 +93,6 @@ Place = Callable[[Key], tuple[Key, int | None]]
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ALIKE = 0.6  # of difflib: the share of letters that two names have in common
-_MOST_NAMES = 30
 
 _ADVICE = (
     (re.compile(r"^[^'#]*\"[^\"\n]*\\[^\"\n]*\"", re.MULTILINE), ("Unescaped", "Invalid hex", "escape"),
@@ -181,7 +180,7 @@ def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
     if owners:
         tables = " or ".join(f"[{'.'.join(place)}]" for place in owners)
         return f"unknown here; {name} belongs to {tables}"
-    return f"unknown; there {'is' if len(here) == 1 else 'are'} {', '.join(sorted(set(here))[:_MOST_NAMES])}"
+    return f"unknown; there {'is' if len(here) == 1 else 'are'} {', '.join(sorted(set(here))[:30])}"
 
 
 def models_in(annotation: Any) -> Sequence[type[BaseModel]]:

@@ -112,7 +112,7 @@ def by_field(model: type[Params], options: Mapping[str, Any]) -> dict[str, Any]:
     return {words.get(word, word): value for word, value in options.items()}
 
 
-def spoken(model: type[Params], *names: str) -> str:
+def option_names(model: type[Params], *names: str) -> str:
     """Name fields for a message: by their flag, or as keys of a study file where the command line has none."""
     flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
     return " or ".join(flags.get(name, f"{name} in a study file") for name in names)

@@ -94,6 +94,15 @@ class Specimen(Facts):
     )
     cells: tuple[Cell, ...] = Field(default=(), description="One for each quantity of the series.")
 
+    @property
+    def name(self) -> str:
+        """Name of the specimen."""
+        return self.member.name
+
+    def factor(self, name: str) -> str:
+        """Level of a factor; empty where the specimen has none."""
+        return self.member.factors.get(name, "")
+
 
 class VarianceFacts(Facts):
     """How much of the variance is between sheets."""

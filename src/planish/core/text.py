@@ -6,14 +6,12 @@ from collections.abc import Iterable
 from difflib import get_close_matches
 from unicodedata import category
 
-_UNFIT = ("Cc", "Cs")  # control characters; halves of pairs, which stand for bytes that are no UTF-8
-
 
 def printable(text: str) -> str:
     r"""Write what no terminal should act on, and bytes of names that are no text, as ``\x1b`` or ``\udcff``."""
-    return "".join(
-        c.encode("unicode_escape").decode() if category(c) in _UNFIT and c not in "\n\t" else c for c in text
-    )
+    # Control characters, and halves of pairs, which stand for bytes that are no UTF-8.
+    unfit = (c for c in text if category(c) in ("Cc", "Cs") and c not in "\n\t")
+    return text.translate({ord(c): c.encode("unicode_escape").decode() for c in unfit})
 
 
 def quoted(path: str) -> str:

@@ -20,8 +20,6 @@ from planish.core.threads import count_threads, thread_pool
 Job = TypeVar("Job")
 Result = NDArray[Any]
 
-_AHEAD = 2  # tiles that wait for their turn, beside those that are worked on
-
 
 class Tile(NamedTuple):
     """Rows ``r0`` to ``r1`` and columns ``c0`` to ``c1`` of a grid, the ends not included."""
@@ -127,7 +125,8 @@ class Engine:
                     place = self._place(step, tile)
                     stored = place is not None and place.is_file()
                     waiting.append((tile, np.load(place) if place and stored else pool.submit(work, job(tile), tile)))
-                    if len(waiting) >= self.at_once + _AHEAD:
+                    # Two wait for their turn, beside those that are worked on.
+                    if len(waiting) >= self.at_once + 2:
                         yield take()
                 while waiting:
                     yield take()

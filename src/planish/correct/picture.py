@@ -65,8 +65,8 @@ def write_picture(corrected: Corrected, before: xr.DataArray, path: Path) -> Non
             corner = (0.15 + k * (width + 0.25), 3.55) if tall else (0.75, 3.5 + k * (height + 0.4))
             axes = _add_axes(figure, total, *corner, width, height)
             if k == 2:
-                (largest,) = percentiles(np.abs(picture), 99.8)
-                limit = max(0.005 * contrast, largest)  # NaN, where the pictures share no voxel, is not the larger one
+                # NaN, where the pictures share no voxel, is not the larger one.
+                limit = max(0.005 * contrast, *percentiles(np.abs(picture), 99.8))
                 title += f": blue to red is -{limit:.3g} to {limit:.3g}, {100 * limit / contrast:.1f} % of the contrast"
                 _draw_slice(axes, picture, title, cols, "RdBu_r", (-limit, limit))
             else:

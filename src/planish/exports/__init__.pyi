@@ -1,13 +1,13 @@
 from .content import ExportHistory as ExportHistory
 from .content import Maps as Maps
-from .displacements import DirectedTransform as DirectedTransform
-from .displacements import TransformPair as TransformPair
 from .exporting import export as export
 from .formats import FORMATS as FORMATS
 from .formats import ExportFormat as ExportFormat
+from .formats import ExportParams as ExportParams
 from .formats import formats_table as formats_table
 from .formats import writer_of as writer_of
 from .meshes import SURFACES as SURFACES
 from .meshes import Surface as Surface
-from .params import ExportParams as ExportParams
 from .source import ExportSource as ExportSource
+from .transforms import DirectedTransform as DirectedTransform
+from .transforms import TransformPair as TransformPair

@@ -2,24 +2,267 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from contextlib import nullcontext
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from pydantic import ValidationError
 
 from planish.compute import Compute, Progress, silent
-from planish.core.errors import FileError, StudyError
+from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file, writing
+from planish.core.grid import Grid
 from planish.core.mistakes import mistakes
-from planish.core.options import by_field, spoken
+from planish.core.options import by_field, option_names
 from planish.core.threads import limit_threads
-from planish.exports.formats import FORMATS, formats_with, is_file, writer_of
-from planish.exports.output_files import ExportRequest, output_files
-from planish.exports.params import ExportParams
-from planish.exports.source import STRAIGHTENED, ExportSource
+from planish.exports.content import Maps
+from planish.exports.formats import FORMATS, ExportFormat, ExportParams, check_content, formats_with, is_file, writer_of
+from planish.exports.meshes import SURFACES, Surface, steps_of
+from planish.exports.source import IMAGE, STRAIGHTENED, ExportSource, checked_names
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
+from planish.io.store import write_store
+from planish.pipeline.compare import is_property
 from planish.pipeline.run import Run
+from planish.results import LayerFacts
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ExportRequest:
+    """An export that was asked for; ``single``: ``out`` is one file, and not a folder of files."""
+
+    source: ExportSource
+    params: ExportParams
+    compute: Compute
+    progress: Progress
+    out: Path
+    single: bool
+
+    @property
+    def form(self) -> ExportFormat:
+        """Row of its format."""
+        return FORMATS[self.params.to]
+
+    def write(self, content: object, path: Path) -> None:
+        """Write a content of the format."""
+        writer_of(self.params.to)(content, path, self.source.history, self.params)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutputFile:
+    """A part of an export.
+
+    Attributes
+    ----------
+    names : tuple of str
+        Names of its files in a folder.
+    write : callable
+        Writes them; it gets the path of the first one.
+    is_atomic : bool
+        Whether it makes its file whole or not at all by itself.
+    """
+
+    names: tuple[str, ...]
+    write: Callable[[Path], object]
+    is_atomic: bool = False
+
+
+def output_files(request: ExportRequest) -> list[OutputFile]:
+    """Give the parts of an export; one where it is a single file.
+
+    Raises
+    ------
+    InputError, StudyError, FileError, ResourceError
+        As :func:`planish.export`.
+    """
+    group, form = request.params.group, request.form
+    if "surface" in form.holds:
+        if group not in (None, "surfaces"):
+            raise InputError(f"{form.title} holds surfaces, and --group says {group}. Leave --group out.")
+        return _surfaces(request)
+    of_registration = "marks" in form.holds or "registration" in form.holds
+    if of_registration and not ("maps" in form.holds and group in request.source.groups):
+        return _registrations(request)
+    return _straightened(request) if group == STRAIGHTENED else _maps(request)
+
+
+def _check_size(request: ExportRequest, count: int, words: str, remedy: str) -> None:
+    """Raise ResourceError for what the format, or the memory, does not hold."""
+    form, allowed = request.form, request.compute.for_work
+    if form.most is not None and count > form.most:
+        raise ResourceError(
+            f"{form.title} is written of at most {form.most / 1e6:.0f} million {form.counts}; there are {words}. "
+            f"{remedy}"
+        )
+    if count * form.byte_cost > allowed:
+        raise ResourceError(
+            f"{form.title} of {words} takes {count * form.byte_cost / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB "
+            "are allowed. Allow more with --memory."
+        )
+
+
+# --- maps ----------------------------------------------------------------------------------------------------------
+
+
+def _maps(request: ExportRequest) -> list[OutputFile]:
+    source, form, out = request.source, request.form, request.out
+    group = source.map_group(request.params.group)
+    names = source.map_names(group, request.params.maps)
+    if group == "maps" and IMAGE in names:
+        height, width = Grid.of(source.group("linked", [IMAGE])).shape
+        needed, allowed = 8 * height * width, request.compute.for_work
+        if needed > allowed:
+            raise ResourceError(
+                f"The image on the flat sheet takes {needed / 1e9:.1f} GB of memory, {allowed / 1e9:.1f} GB are "
+                "allowed. Allow more with --memory, or choose other maps with --map."
+            )
+    levels = {name: source.levels(group, name) for name in names}
+    maps = Maps(data=source.maps(group, names), group=group, levels=levels)
+    rows, cols = maps.shape
+    _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
+    if form.apart and not request.single:
+        return [_file_of_maps(request, maps.only(name), name) for name in names]
+    if not form.stack and len(names) > 1:
+        raise StudyError(
+            f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or give a folder. The "
+            f"group {group} holds {', '.join(names)}."
+        )
+    return [_file_of_maps(request, maps, group.rsplit("/", 1)[-1])]
+
+
+def _file_of_maps(request: ExportRequest, maps: Maps, name: str) -> OutputFile:
+    source, form = request.source, request.form
+    if "point_um" in form.options and request.params.point_um is None:
+        params = request.params.model_copy(update={"point_um": source.study.correlate.point_um})
+        request = replace(request, params=params)
+    check_content(request.params.to, maps, request.params)
+
+    def write(path: Path) -> None:
+        request.progress("write", ", ".join(maps.names) if len(maps.names) < 5 else f"{len(maps.names)} maps")
+        scales = maps.scales
+        # A map of so few pixels is read once more for the limits between which it is shown first.
+        if form.shows_limits and maps.shape[0] * maps.shape[1] <= 2**22:
+            # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
+            group = source.group(maps.group).assign(maps.data.data_vars)
+            scales = {name: source.scale_of(group, name) for name in maps.names}
+        request.write(replace(maps, scales=scales), path)
+
+    return OutputFile(names=(f"{name}{form.suffixes[0]}",), write=write)
+
+
+# --- the straightened volume ---------------------------------------------------------------------------------------
+
+
+def _straightened(request: ExportRequest) -> list[OutputFile]:
+    params, form, history = request.params, request.form, request.source.history
+    if "volume" not in form.holds:
+        able = ", ".join(name for name, other in FORMATS.items() if "volume" in other.holds)
+        raise InputError(f"The straightened volume is written as {able}, not as {params.to}.")
+    if params.maps:
+        raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
+    volume = request.source.straightened(params.depth_um, request.compute, request.progress)
+    check_content(params.to, volume, params)
+    voxel_um = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
+
+    def write(path: Path) -> None:
+        request.progress("straighten", f"{' x '.join(map(str, volume.shape))} voxels of {voxel_um} um")
+        if form.is_folder:  # the working store of a volume
+            note = history.json(**{str(key): fact for key, fact in volume.attrs.items() if key != "voxel_um"})
+            write_store(volume.assign_attrs(history=note), path, memory_bytes=request.compute.block_bytes)
+        else:
+            request.write(volume, path)
+
+    return [OutputFile(names=(f"{STRAIGHTENED}{form.suffixes[0]}",), write=write, is_atomic=form.is_folder)]
+
+
+# --- surfaces ------------------------------------------------------------------------------------------------------
+
+
+def _surfaces(request: ExportRequest) -> list[OutputFile]:
+    source, params, out = request.source, request.params, request.out
+    facts = source.sheet
+    if facts is None:
+        raise InputError(
+            "The run holds no surfaces of one sheet. Give the run of the volume itself, in layers/NAME where several "
+            "were linked."
+        )
+    surfaces = source.group("surfaces")
+    planes = {str(k): plane for k, plane in surfaces.data_vars.items() if plane.ndim == 2}
+    measured = [name for name in SURFACES if name in surfaces and bool(np.isfinite(surfaces[name].values).any())]
+    asked = checked_names(params.maps, [k for k, plane in planes.items() if plane.dtype.kind in "fiub"], "surfaces")
+    chosen = [name for name in asked if name in SURFACES] or measured
+    # The properties where no map is named, the headline of the sheet first.
+    usual = [k for k, plane in surfaces.data_vars.items() if is_property(plane) and k not in SURFACES]
+    maps = tuple(name for name in asked if name not in SURFACES) or tuple(
+        sorted(map(str, usual), key=lambda name: (name != facts.headline, name))
+    )
+    if lacking := [name for name in chosen if name not in measured]:
+        raise InputError(f"The sheet has no {' and no '.join(lacking)}; it has {', '.join(measured)}.")
+    if request.single and len(chosen) > 1:
+        raise StudyError(
+            f"{out.name} holds one surface, and there are {len(chosen)}. Choose one of {', '.join(chosen)} with --map, "
+            "or give a folder."
+        )
+    exported = surfaces[[*chosen, *maps]]
+    (rows, cols), (down, across) = (exported.sizes["y"], exported.sizes["x"]), steps_of(exported, params.mesh_um)
+    count = -(-rows // down) * -(-cols // across)
+    _check_size(request, count, f"{count / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
+    scales = {name: source.scale_of(exported, name) for name in maps[:1]}
+
+    def file_of(surface: Surface) -> OutputFile:
+        def write(path: Path) -> None:
+            request.progress("write", surface.name)
+            request.write(surface, path)
+
+        return OutputFile(names=(f"{surface.name}{request.form.suffixes[0]}",), write=write)
+
+    return [file_of(Surface(data=exported, name=name, maps=maps, scales=scales)) for name in chosen]
+
+
+# --- registrations -------------------------------------------------------------------------------------------------
+
+
+def _registrations(request: ExportRequest) -> list[OutputFile]:
+    if request.params.maps:
+        raise StudyError(f"{request.form.title} holds a registration, and --map chooses maps. Leave --map out.")
+    layers = request.source.registered(request.params.group)
+    if request.single and len(layers) > 1:
+        names = ", ".join(layer.name for layer in layers)
+        raise StudyError(
+            f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of {names} with "
+            "--group, or give a folder."
+        )
+    return [_file_of_registration(request, layer) for layer in layers if layer.registration is not None]
+
+
+def _file_of_registration(request: ExportRequest, layer: LayerFacts) -> OutputFile:
+    assert layer.registration is not None
+    source, form, name, target = request.source, request.form, layer.name, layer.registration.to
+    directions = [f"{name}_to_{target}", f"{target}_to_{name}"]
+    if "marks" in form.holds:
+
+        def write_marks(path: Path) -> None:
+            request.write(source.landmarks(layer), path)
+
+        return OutputFile(names=(f"{directions[0]}{form.suffixes[0]}",), write=write_marks, is_atomic=True)
+
+    endings = form.endings_of(affine=source.is_affine(name))
+
+    def write(path: Path) -> None:
+        request.progress("write", f"{name} to {target}")
+        pair = source.transforms(layer)
+        if not form.apart:
+            request.write(pair, path)
+        elif request.single:
+            request.write(pair.forward, path)
+        else:
+            for transform in (pair.forward, pair.back):
+                request.write(transform, path.with_name(f"{transform.name}{endings[0]}"))
+
+    written = directions if form.apart else directions[:1]
+    return OutputFile(names=tuple(f"{name}{ending}" for name in written for ending in endings), write=write)
 
 
 def export(
@@ -63,7 +306,16 @@ def export(
     --------
     ``pl.export("run", "coating.tif", to="tiff", maps=["coating_top", "image"])``
     """
-    params = _checked(options)
+    try:
+        params = ExportParams.model_validate(by_field(ExportParams, options))
+    except ValidationError as error:
+        raise StudyError(f"{'; '.join(mistakes(error, ExportParams, lambda loc: (loc, None)))}.") from error
+    for name in dict.fromkeys(name for form in FORMATS.values() for name in form.options):
+        if name in params.model_fields_set and name not in FORMATS[params.to].options:
+            flag = option_names(ExportParams, name)
+            raise StudyError(f"{flag} is for {formats_with(name)}, and --to says {params.to}.")
+    if params.depth_um is not None and params.group != STRAIGHTENED:
+        raise StudyError(f"{option_names(ExportParams, 'depth_um')} is for --group {STRAIGHTENED}.")
     form, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
     single = is_file(params.to, out)
     refuse_existing(out)
@@ -76,7 +328,12 @@ def export(
             source=source, params=params, compute=compute, progress=progress, out=out, single=single
         )  # fmt: skip
         if "run" in form.holds:
-            _write_run(request)
+            if params.maps or params.group is not None:
+                raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
+            if source.folder is None:
+                raise FileError("The run stands in no folder. Save it first: give out to link or map_sheet.")
+            with new_folder(out) as path:
+                request.write(source.folder, path)
             return [out]
         files = output_files(request)
         if single:
@@ -91,28 +348,3 @@ def export(
             for file in files:
                 file.write(folder / file.names[0])
         return [out / name for file in files for name in file.names]
-
-
-def _checked(options: dict[str, Any]) -> ExportParams:
-    """Options of an export; StudyError where they are wrong, or mean nothing for its format."""
-    try:
-        params = ExportParams.model_validate(by_field(ExportParams, options))
-    except ValidationError as error:
-        raise StudyError(f"{'; '.join(mistakes(error, ExportParams, lambda loc: (loc, None)))}.") from error
-    of_some_formats = dict.fromkeys(name for form in FORMATS.values() for name in form.options)
-    for name in of_some_formats:
-        if name in params.model_fields_set and name not in FORMATS[params.to].options:
-            raise StudyError(f"{spoken(ExportParams, name)} is for {formats_with(name)}, and --to says {params.to}.")
-    if params.depth_um is not None and params.group != STRAIGHTENED:
-        raise StudyError(f"{spoken(ExportParams, 'depth_um')} is for --group {STRAIGHTENED}.")
-    return params
-
-
-def _write_run(request: ExportRequest) -> None:
-    """Write the whole run folder with its description."""
-    if request.params.maps or request.params.group is not None:
-        raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
-    if request.source.folder is None:
-        raise FileError("The run stands in no folder. Save it first: give out to link or map_sheet.")
-    with new_folder(request.out) as path:
-        request.write(request.source.folder, path)

@@ -9,7 +9,7 @@ Holds        Content                                                      From
 maps         :class:`~planish.exports.content.Maps`                       a group of maps on one grid, or of surfaces
 volume       ``DataArray (z, y, x)``                                      the straightened volume
 surface      :class:`~planish.exports.meshes.Surface`                     one surface with the maps that it carries
-registration :class:`~planish.exports.displacements.DirectedTransform`    one direction; where one file holds both,
+registration :class:`~planish.exports.transforms.DirectedTransform`       one direction; where one file holds both,
                                                                           ``TransformPair``
 marks        ``Dataset (mark)``                                           the marks of a registration
 run          ``Path``                                                     a run folder
@@ -26,9 +26,12 @@ import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any, Literal
+
+from pydantic import Field
 
 from planish.core.errors import FileError, InputError
+from planish.core.options import Params, option
 
 Holds = Literal["maps", "volume", "surface", "registration", "marks", "run"]
 
@@ -69,7 +72,7 @@ class ExportFormat:
     needs : str or None
         Library of the extra ``export``.
     options : tuple of str
-        Options of :class:`~planish.exports.params.ExportParams` that mean something for some formats, and for this one.
+        Options of :class:`ExportParams` that mean something for some formats, and for this one.
     note : str
         What has to be known when the files are used.
     """
@@ -132,7 +135,7 @@ FORMATS: dict[str, ExportFormat] = {
         opens="napari, MoBIE", missing="NaN",
     ),
     "netcdf": ExportFormat(
-        title="NetCDF", writer="netcdf:write", holds=("maps",), suffixes=(".nc",), stack=True, needs="h5netcdf",
+        title="NetCDF", writer="extras:write_netcdf", holds=("maps",), suffixes=(".nc",), stack=True, needs="h5netcdf",
         gives="NetCDF-4 by the CF conventions: maps in their own type, coordinates, units",
         opens="R, Python, MATLAB", missing="NaN as `_FillValue`",
     ),
@@ -143,7 +146,8 @@ FORMATS: dict[str, ExportFormat] = {
         opens="MATLAB, GNU Octave", missing="NaN",
     ),
     "gwy": ExportFormat(
-        title="Gwyddion", writer="gwyddion:write", holds=("maps",), suffixes=(".gwy",), stack=True, needs="gwyfile",
+        title="Gwyddion", writer="extras:write_gwyddion", holds=("maps",), suffixes=(".gwy",), stack=True,
+        needs="gwyfile",
         gives="a channel for each map, lengths in metres, with its mask; history under Metadata Browser",
         opens="Gwyddion", missing="the mask; below it the mean of the map", most=100_000_000, byte_cost=26,
     ),
@@ -209,7 +213,8 @@ FORMATS: dict[str, ExportFormat] = {
         "through the marks; that of planish leaves the residuals in marks.csv.",
     ),
     "nrrd": ExportFormat(
-        title="NRRD", writer="nrrd:write", holds=("registration", "maps"), suffixes=(".nrrd",), options=("unit",),
+        title="NRRD", writer="transforms:write_nrrd", holds=("registration", "maps"), suffixes=(".nrrd",),
+        options=("unit",),
         gives="the registration as displacement fields; with a group, its maps with size and place",
         opens="ITK, SimpleITK, elastix", missing="NaN",
         note="Of a registration: beside a field other programs take 0, so nothing moves there.",
@@ -220,7 +225,7 @@ FORMATS: dict[str, ExportFormat] = {
         gives="the registration as displacement fields to read with xarray", opens="Python", missing="–",
     ),
     "crate": ExportFormat(
-        title="RO-Crate", writer="crate:write", holds=("run",), suffixes=(), needs="rocrate",
+        title="RO-Crate", writer="extras:write_crate", holds=("run",), suffixes=(), needs="rocrate",
         gives="the whole run with `ro-crate-metadata.json`: what was made by which program from which files",
         opens="archives for research data", missing="as in the run",
     ),
@@ -295,3 +300,52 @@ def formats_table() -> str:
         largest = "any" if form.most is None else f"{form.most / 1e6:.0f} million {form.counts}"
         rows.append((f"`{name}`", ends, form.gives, form.opens, form.missing, largest))
     return "".join(f"| {' | '.join(row)} |\n" for row in rows)
+
+
+if TYPE_CHECKING:
+    FormatName = str
+else:
+    FormatName = Literal[tuple(FORMATS)]
+
+Length = Annotated[float, Field(ge=0)]
+
+
+class ExportParams(Params):
+    """Options of an export."""
+
+    to: FormatName = option(help="Format to write (docs/export.md).")
+    maps: tuple[str, ...] = option(
+        (), cli="--map", metavar="NAME",
+        help="Map to write; may be given again; all where not given. Of surfaces: a surface, or a map that it carries.",
+    )  # fmt: skip
+    group: str | None = option(
+        None, metavar="GROUP",
+        help="What of the run: linked, maps, surfaces, layers/NAME, or straightened, the volume along the normals. "
+        "Linked maps where there are any, otherwise maps; for a registration the name of its layer.",
+    )  # fmt: skip
+    point_um: Length | None = option(
+        None, metavar="UM",
+        help=f"{formats_with('point_um')}: edge of a point in um, 0 for every pixel; that of the run's correlations "
+        "where not given.",
+    )  # fmt: skip
+    mesh_um: float | None = option(
+        None, gt=0, help=f"{formats_with('mesh_um')}: distance of nodes in um; every measured column where not given."
+    )
+    as_seen: bool = option(
+        False,
+        help=f"{formats_with('as_seen')}: turn y around, so that programs whose y runs upwards show the sheet as "
+        "the maps do and not its mirror image. Otherwise places are those of the volume.",
+    )  # fmt: skip
+    depth_um: tuple[float, float] | None = option(
+        None, metavar="LOW,HIGH",
+        help="straightened: from where to where along the normals, in um from the centre surface, up to the top; from "
+        "below the lowest to above the highest face where not given.",
+    )  # fmt: skip
+    unit: Literal["um", "mm"] = option(
+        "um", help=f"{formats_with('unit')}: unit of the images as the other program has them."
+    )
+    mat_version: Literal["5", "7.3"] | None = option(
+        None,
+        help=f"{formats_with('mat_version')}: 5 holds less than 2 GB, 7.3 has no limit; 5 up to 200 MB where not "
+        "given.",
+    )

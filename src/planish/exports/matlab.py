@@ -14,7 +14,7 @@ from scipy import io
 from planish.core.errors import ResourceError
 from planish.core.threads import thread_pool
 from planish.exports.content import ExportHistory, Maps, plain_type
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 
 MOST_5 = 2**31 - 2**20
 """Bytes that the maps of a file of version 5 may take together."""
@@ -45,10 +45,16 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     }  # fmt: skip
     version = chosen_version(maps, params)
     if version == "5":
-        _write_5(maps, path, about)
+        whole = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}
+        pixels = {n: p.astype(np.bool_) if maps.data[n].dtype.kind == "b" else p for n, p in whole.items()}
+        io.savemat(str(path), pixels | about, appendmat=False, format="5", oned_as="row", long_field_names=True)
         version, ending = "5.0", b""
     else:
-        _write_73(maps, path, about)
+        with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
+            for name in maps.names:
+                _put_map(file, maps, name)
+            for name, variable in about.items():
+                _put(file, name, variable)
         ending = (b"\0" * 8 + b"\x00\x02IM").ljust(_HEAD - _TEXT, b"\0")
     heading = f"MATLAB {version} MAT-file, written by {history.program}".encode("ascii").ljust(_TEXT)[:_TEXT]
     with path.open("rb+") as file:
@@ -64,24 +70,6 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
             "choose fewer maps with --map, or give a folder for a file each."
         )
     return params.mat_version or ("5" if size <= _USUAL_5 else "7.3")
-
-
-def _write_5(maps: Maps, path: Path, about: dict[str, Any]) -> None:
-    variables: dict[str, Any] = {}
-    for name in maps.names:
-        pixels = np.concatenate([band for _, band in maps.bands(name)])
-        variables[name] = pixels.astype(np.bool_) if maps.data[name].dtype.kind == "b" else pixels
-    io.savemat(
-        str(path), variables | about, appendmat=False, format="5", oned_as="row", long_field_names=True
-    )  # fmt: skip
-
-
-def _write_73(maps: Maps, path: Path, about: dict[str, Any]) -> None:
-    with h5py.File(path, "w", userblock_size=_HEAD, libver="earliest") as file:
-        for name in maps.names:
-            _put_map(file, maps, name)
-        for name, variable in about.items():
-            _put(file, name, variable)
 
 
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:

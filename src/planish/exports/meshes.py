@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
 from planish.exports.content import ExportHistory, column_of, units_of
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
 
 SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
@@ -34,7 +34,6 @@ _STL_TRIANGLE = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour",
 _STL_COLOURED = 1 << 15
 
 _VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
-_VTK_QUAD = 9
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -60,7 +59,7 @@ class Surface:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Mesh:
+class SurfaceMesh:
     """A mesh.
 
     Attributes
@@ -171,7 +170,7 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
         file.write("</Points>\n<Cells>\n")
         _write_vtk_array(file, "connectivity", mesh.quads)
         _write_vtk_array(file, "offsets", 4 * np.arange(1, cells + 1, dtype=np.int64))
-        _write_vtk_array(file, "types", np.full(cells, _VTK_QUAD, np.uint8))
+        _write_vtk_array(file, "types", np.full(cells, 9, np.uint8))  # quadrilaterals
         file.write(f"</Cells>\n<PointData{first}>\n")
         for name, numbers in mesh.maps.items():
             _write_vtk_array(file, name, numbers)
@@ -188,7 +187,7 @@ def _write_vtk_array(file: IO[str], name: str, numbers: NDArray[Any]) -> None:
     file.write("\n</DataArray>\n")
 
 
-def mesh_of(surface: Surface, params: ExportParams) -> Mesh:
+def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     """Make the mesh of a surface; a cell is there where all four of its corners are.
 
     Raises
@@ -215,7 +214,11 @@ def mesh_of(surface: Surface, params: ExportParams) -> Mesh:
     points = np.stack([np.broadcast_to(axes[axis], is_node.shape)[is_node] for axis in "xyz"], axis=1)
     if params.as_seen:
         points[:, 1] *= -1
-    if _clockwise(frame, up=not surface.name.endswith("bottom"), mirrored=params.as_seen):
+    # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the sheet.
+    unit = {axis: np.eye(3)[k] for k, axis in enumerate("xyz")}
+    outside = unit[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
+    anticlockwise = float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0
+    if anticlockwise == params.as_seen:
         quads = quads[:, ::-1]
     maps = {column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32) for n in surface.maps}
     about = f"surface {surface.name}; um; "
@@ -223,10 +226,14 @@ def mesh_of(surface: Surface, params: ExportParams) -> Mesh:
     first = surface.maps[0] if surface.maps else None
     colours = None
     if first is not None and (scale := surface.scales.get(first)) is not None:
-        colours = _colours(nodes[first].values[is_node], scale)
+        from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
+
+        share = (nodes[first].values[is_node].astype(np.float64) - scale.low) / (scale.high - scale.low)
+        colours = colormap_of(scale)(np.clip(share, 0, 1), bytes=True)[:, :3]
+        colours = np.where(np.isfinite(share)[:, None], colours, _COLOURLESS).astype(np.uint8)
         units = units_of(nodes[first])
         about += f"; colour: {first} from {scale.low:.6g} to {scale.high:.6g}{f' {units}' if units != '1' else ''}"
-    return Mesh(
+    return SurfaceMesh(
         points=np.ascontiguousarray(points, np.float32), quads=np.ascontiguousarray(quads), maps=maps,
         colours=colours, about=about,
     )  # fmt: skip
@@ -240,19 +247,3 @@ def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
     if mesh_um < 0.999 * max(pitch):
         raise StudyError(f"--mesh-um {mesh_um:g} is less than a column of {max(pitch):g} um. Give a multiple of it.")
     return max(1, round(mesh_um / pitch[0])), max(1, round(mesh_um / pitch[1]))
-
-
-def _clockwise(frame: Frame, *, up: bool, mirrored: bool) -> bool:
-    """Tell whether cells of (row, col), (row, col + 1) ... run clockwise as seen from outside of the sheet."""
-    unit = {axis: np.eye(3)[k] for k, axis in enumerate("xyz")}
-    outside = unit[frame.through] * frame.sign * (1 if up else -1)
-    anticlockwise = float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0
-    return anticlockwise == mirrored
-
-
-def _colours(numbers: NDArray[np.floating], scale: Scale) -> NDArray[np.uint8]:
-    from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
-
-    share = (numbers.astype(np.float64) - scale.low) / (scale.high - scale.low)
-    colours = colormap_of(scale)(np.clip(share, 0, 1), bytes=True)[:, :3]
-    return np.where(np.isfinite(share)[:, None], colours, _COLOURLESS).astype(np.uint8)

@@ -17,7 +17,7 @@ from zarr.codecs import BloscCodec, Crc32cCodec
 from planish.core.area import count_of, halved_values
 from planish.core.threads import thread_pool
 from planish.exports.content import ExportHistory, Maps, percentile_limits
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 
 # As the large maps of a run are stored, so that their chunks are those of the image, too.
 _CHUNK = 512
@@ -29,11 +29,10 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
 
     An overview is the mean of the pixels that have a value. Scale and translation place the middle of each pixel in um.
     """
-    names, shape = maps.names, maps.shape
+    names, sizes = maps.names, [maps.shape]
     several = len(names) > 1
     group = zarr.open_group(path, mode="w-", zarr_format=3)
-    sizes = [shape]
-    for _ in range(count_of(shape)):
+    for _ in range(count_of(maps.shape)):
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
     channels = (len(names),) if several else ()
     arrays: list[Any] = [
@@ -54,9 +53,13 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
                     finest = _Level(array, channel, pool, finest)
                 assert finest is not None
                 for rows, band in maps.bands(name, np.float32):
-                    finest.add(band, last=rows.stop == shape[0])
+                    finest.add(band, last=rows.stop == maps.shape[0])
                 finest.finish()
-            windows.append(_window(np.asarray(arrays[-1][... if channel is None else channel])))
+            overview = np.asarray(arrays[-1][... if channel is None else channel])  # the coarsest
+            low, high = percentile_limits(overview)
+            values = overview[np.isfinite(overview)]
+            ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+            windows.append({"min": ends[0], "max": ends[1], "start": low, "end": high})
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
 
@@ -127,14 +130,6 @@ class _Level:
 
 
 # --- what is said of them --------------------------------------------------------------------------------------------
-
-
-def _window(overview: NDArray[np.float32]) -> dict[str, float]:
-    """Limits between which viewers show a map, from its coarsest overview."""
-    low, high = percentile_limits(overview)
-    measured = overview[np.isfinite(overview)]
-    least, most = (float(measured.min()), float(measured.max())) if measured.size else (0.0, 1.0)
-    return {"min": least, "max": most, "start": low, "end": high}
 
 
 def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:

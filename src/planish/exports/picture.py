@@ -21,14 +21,13 @@ from numpy.typing import NDArray
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 from planish.report.colours import MISSING, Scale
 from planish.report.text import unit
 
 MOST = 2000
 """Pixels of the longer side of a map in a picture; a larger one is brought to it by means over areas."""
 
-_LEAST = 1000  # pixels of the longer side: those of a smaller map are drawn larger, by a whole number
 _DPI = 200
 _LEFT, _TOP, _RIGHT, _BELOW = 180, 84, 260, 160  # pixels around the map
 _INK, _SOFT = "#22292f", "#66707a"
@@ -90,7 +89,8 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, scale: Scale)
     (down, across), (y0, x0) = maps.pixel_um, maps.origin_um
     rows, cols = pixels.shape
     tall = down / across
-    enlarged = max(1, math.ceil(_LEAST / max(rows * tall, cols)))
+    # A map whose longer side has fewer pixels is drawn larger, by a whole number.
+    enlarged = max(1, math.ceil(1000 / max(rows * tall, cols)))
     width, height = cols * enlarged, round(rows * tall * enlarged)
     whole = (_LEFT + max(width, 420) + _RIGHT, _TOP + max(height, 300) + _BELOW)
     figure = Figure(figsize=(whole[0] / _DPI, whole[1] / _DPI), dpi=_DPI, facecolor="white")

@@ -21,7 +21,7 @@ from planish.core.grid import Grid
 from planish.core.text import likely
 from planish.core.transform import Affine, Similarity
 from planish.exports.content import ExportHistory
-from planish.exports.displacements import DirectedTransform, TransformPair
+from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import group_names, read_group
@@ -43,8 +43,6 @@ STRAIGHTENED = "straightened"
 
 _GRIDS = ("linked", "maps", "refined", "surfaces", "flat")
 """Groups of maps on one grid, beside those of layers."""
-
-_BEYOND = 0.3  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -301,19 +299,15 @@ class ExportSource:
             target=(float(image[0]), float(image[1])),
         )  # fmt: skip
         exact = self.is_affine(layer.name)
-        grids = [
-            self.grid_of(name) or _grid_around(marks) for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
-        ]
-        return TransformPair(
-            forward=DirectedTransform(
-                source=layer.name, target=target, function=fit, grid=grids[0], affine=affine, exact=exact
-            ),
-            back=DirectedTransform(
-                source=target, target=layer.name, function=fit.inverse, grid=grids[1], affine=affine.inverse,
-                exact=exact,
-            ),
-            model=fit.model,
-        )  # fmt: skip
+        sides = ((layer.name, fit.moving), (target, fit.fixed))
+        moving, fixed = (self.grid_of(name) or _grid_around(marks) for name, marks in sides)
+        forward = DirectedTransform(
+            source=layer.name, target=target, function=fit, grid=moving, affine=affine, exact=exact
+        )
+        back = DirectedTransform(
+            source=target, target=layer.name, function=fit.inverse, grid=fixed, affine=affine.inverse, exact=exact
+        )
+        return TransformPair(forward=forward, back=back, model=fit.model)
 
     def landmarks(self, layer: LayerFacts) -> xr.Dataset:
         """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""
@@ -354,7 +348,7 @@ def _grid_around(marks: np.ndarray) -> Grid:
     """Pixels of a layer of which only the marks are known."""
     low, high = marks.min(axis=0), marks.max(axis=0)
     extent = float((high - low).max())
-    around = _BEYOND * extent
+    around = 0.3 * extent  # of the marks' extent: what a layer whose pixels are not known is taken to reach beyond them
     pixel = max(extent / 2000, 1e-6)
     cols, rows = (int(n) for n in np.ceil((high - low + 2 * around) / pixel).astype(int) + 1)
     return Grid.regular((rows, cols), pixel, (float(low[0] - around), float(low[1] - around)))

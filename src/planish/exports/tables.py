@@ -12,11 +12,9 @@ from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import StudyError
 from planish.exports.content import ExportHistory, Maps, column_of
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 
 Array = NDArray[np.float64]
-_TEXTS = 200_000  # numbers that are texts at a time
-_NUMBERS = 2_000_000  # numbers in memory
 _LEAST = 0.5  # share of a point that has to be valid: as in the correlations
 
 
@@ -36,7 +34,7 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"# {line}\n" for line in head)
         for _, band in maps.bands(name, np.float32):
-            step = max(1, _TEXTS // band.shape[1])
+            step = max(1, 200_000 // band.shape[1])  # numbers that are texts at a time
             for begin in range(0, len(band), step):
                 file.writelines("\t".join(row) + "\n" for row in _texts(band[begin : begin + step]))
 
@@ -74,7 +72,7 @@ def _pixels(maps: Maps, names: list[str]) -> Iterator[Array]:
     """Give the columns (x, y and every map; n) of the pixels that show anything, band by band."""
     y, x = maps.at_um
     rows, cols = maps.shape
-    step = max(1, _NUMBERS // (cols * len(names)))
+    step = max(1, 2_000_000 // (cols * len(names)))  # numbers in memory
     every = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
     for begin in range(0, rows, step):
         band = slice(begin, min(begin + step, rows))

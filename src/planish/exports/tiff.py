@@ -17,12 +17,11 @@ from numpy.typing import NDArray
 
 from planish.core.errors import ResourceError
 from planish.exports.content import ExportHistory, Maps
-from planish.exports.params import ExportParams
+from planish.exports.formats import ExportParams
 
 MOST = 2**32 - 2**20
 """Bytes of the values of a TIFF for ImageJ."""
 
-_FINEST = 10**6  # of a pixel size as a fraction
 _VOLUME_BYTES = 2**26  # of a volume that are in memory at a time
 
 
@@ -37,9 +36,7 @@ def check_imagej(content: Maps | xr.DataArray, _params: ExportParams) -> None:
         )
 
 
-def write_imagej(
-    content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams
-) -> None:  # fmt: skip
+def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write maps (channels), or a volume (z, y, x), in one file for ImageJ.
 
     Notes
@@ -51,12 +48,17 @@ def write_imagej(
     stack = _Stack.of(content)
     metadata: dict[str, Any] = {"axes": stack.axes, "unit": "um", "Info": history.json(**stack.facts)}
     if isinstance(content, Maps):
-        metadata |= _imagej_limits(content) | {"Labels": stack.labels}
+        if all(name in content.scales for name in content.names):  # limits between which maps are shown at first
+            limits = [limit for n in content.names for limit in (content.scales[n].low, content.scales[n].high)]
+            metadata |= {"min": limits[0], "max": limits[1]}
+            if len(content.names) > 1:  # ImageJ takes the ranges of up to seven channels; of more, one for all
+                metadata["Ranges"] = limits
+        metadata["Labels"] = stack.labels
         if len(stack.labels) > 1:
             metadata["mode"] = "grayscale"
     else:
         metadata["spacing"] = stack.pixel_um[0]
-    pixels = [Fraction(pitch).limit_denominator(_FINEST) for pitch in stack.pixel_um[:-3:-1]]
+    pixels = [Fraction(pitch).limit_denominator(10**6) for pitch in stack.pixel_um[:-3:-1]]
     resolution = tuple((pixel.denominator, pixel.numerator) for pixel in pixels)
     stack.write(path, history, imagej=True, ome=False, resolution=resolution, metadata=metadata)
 
@@ -113,7 +115,9 @@ class _Stack:
                 labels=[f"{name} ({content.units[name]})".removesuffix(" (1)") for name in names],
                 facts=content.facts() | {"maps": content.titles},
             )  # fmt: skip
-        pixel, first = zip(*(_axis(content, dim) for dim in content.dims), strict=True)
+        axes = [content[dim].values for dim in content.dims]
+        first = tuple(float(f"{um[0]:.12g}") for um in axes)
+        pixel = tuple(float(f"{(um[-1] - um[0]) / max(um.size - 1, 1):.12g}") for um in axes)
         facts = {str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"}
         facts |= {"axes": "".join(map(str, content.dims)), "voxel_um": list(pixel), "first_voxel_um": list(first)}
         return cls(
@@ -155,19 +159,3 @@ class _Stack:
             for plane, row, part in self.parts():
                 file.seek(begin + (plane * self.shape[-2] + row) * width)
                 file.write(np.ascontiguousarray(part, self.dtype.newbyteorder("<")).data)
-
-
-def _imagej_limits(maps: Maps) -> dict[str, Any]:
-    """Limits between which ImageJ shows maps at first, where those of all of them are chosen."""
-    scales = [maps.scales[name] for name in maps.names if name in maps.scales]
-    if len(scales) < len(maps.names):
-        return {}
-    limits = [limit for scale in scales for limit in (scale.low, scale.high)]
-    # ImageJ takes the ranges of up to seven channels; of more, one range for all.
-    return {"min": limits[0], "max": limits[1]} | ({"Ranges": limits} if len(scales) > 1 else {})
-
-
-def _axis(volume: xr.DataArray, dim: Any) -> tuple[float, float]:
-    """Pitch and first place along an axis of a volume."""
-    places = volume[dim].values
-    return float(f"{(places[-1] - places[0]) / max(places.size - 1, 1):.12g}"), float(f"{places[0]:.12g}")

@@ -1,19 +1,165 @@
-"""A registration in the files of ITK, elastix, BigWarp, and as zarr to read with xarray."""
+"""A registration as other programs take it, affine map and field: ITK, elastix, BigWarp, NRRD and zarr."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import xarray as xr
 import zarr
+from numpy.typing import NDArray
 
-from planish.exports.content import ExportHistory
-from planish.exports.displacements import DirectedTransform, TransformPair, before_affine, displacement
-from planish.exports.params import ExportParams
+from planish.core.grid import Grid
+from planish.core.transform import Affine
+from planish.exports.content import ExportHistory, Maps, plain_type
+from planish.exports.formats import ExportParams
 from planish.marks.files import write_any
+
+Array = NDArray[np.float64]
+
+_COARSEST = 64  # pixels of the layer between nodes of a field
+_WRONG = 1 / 400  # of a pixel: what a field may err by in the middle between nodes
+_CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols in (slice(None, -1), slice(1, None))]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DirectedTransform:
+    """A transformation from one layer to another.
+
+    Attributes
+    ----------
+    source, target : str
+        Names of the layers.
+    function : callable
+        Takes points (..., 2), (x, y) in um, of the source to the target; NaN where it has none.
+    grid : Grid
+        Pixels of the source.
+    affine : Affine
+        The affine map that is closest at the middle of the marks.
+    exact : bool
+        Whether the affine map is all of it.
+    """
+
+    source: str
+    target: str
+    function: Callable[[Array], Array]
+    grid: Grid
+    affine: Affine
+    exact: bool
+
+    @property
+    def name(self) -> str:
+        """Name of its files: ``sheet_to_image``."""
+        return f"{self.source}_to_{self.target}"
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TransformPair:
+    """A registration in both directions, and its model."""
+
+    forward: DirectedTransform
+    back: DirectedTransform
+    model: str
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class DisplacementField:
+    """Displacements on a regular grid, between whose nodes they are linear.
+
+    Attributes
+    ----------
+    vectors : (rows, cols, 2)
+        Displacement along x and y in um.
+    origin_um, pitch_um : (float, float)
+        Place of the first node and distance of nodes, (x, y).
+    error_um : float
+        Largest error in the middle of a cell, over the source layer.
+    filled : int
+        Nodes at which the transformation has no value, so that the affine map stands there.
+    """
+
+    vectors: Array
+    origin_um: tuple[float, float]
+    pitch_um: tuple[float, float]
+    error_um: float
+    filled: int
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of nodes."""
+        return self.vectors.shape[0], self.vectors.shape[1]
+
+    def facts(self) -> dict[str, float]:
+        """Errors of the field, for the history."""
+        return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.filled}
+
+    @property
+    def y_um(self) -> Array:
+        """Rows."""
+        return self.origin_um[1] + self.pitch_um[1] * np.arange(self.shape[0], dtype=np.float64)
+
+    @property
+    def x_um(self) -> Array:
+        """Columns."""
+        return self.origin_um[0] + self.pitch_um[0] * np.arange(self.shape[1], dtype=np.float64)
+
+
+def displacement(transform: DirectedTransform) -> DisplacementField:
+    """Sample what has to be added to a point of the source to get its image, over the source and a tenth around it."""
+    return _sampled(transform, lambda points: points, np.eye(2))
+
+
+def before_affine(transform: DirectedTransform) -> DisplacementField:
+    """Sample what has to be added to a point of the source before the affine map is applied.
+
+    Beside the field, where programs take 0, the affine map holds alone.
+    """
+    return _sampled(transform, transform.affine, transform.affine.inverse.matrix())
+
+
+def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], factor: Array) -> DisplacementField:
+    """Sample ``factor @ (function - near)`` as coarsely as it may be."""
+    pixel = np.array(transform.grid.pixel_um[::-1])
+    size = np.array(transform.grid.shape[::-1]) * pixel
+    around = 0.1 * float(size.max())  # of the layer's longer side: the field reaches so far beyond it
+    low = np.array(transform.grid.origin_um) - 0.5 * pixel - around
+    length = size + 2 * around
+    pitch = _COARSEST * float(np.sqrt(pixel.prod()))
+
+    def nodes(shift: float, counts: NDArray[np.intp]) -> Array:
+        axes = [low[k] + pitch * (np.arange(counts[k] - (shift > 0)) + shift) for k in (0, 1)]
+        return np.stack(np.meshgrid(*axes), axis=-1)
+
+    def offsets(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+        images = transform.function(points)
+        has_image = np.asarray(np.isfinite(images).all(axis=-1))
+        images[~has_image] = transform.affine(points[~has_image])
+        return images - near(points), has_image
+
+    while True:
+        counts = np.ceil(length / pitch).astype(np.intp) + 1
+        middles = nodes(0.5, counts)
+        vectors, has_image = offsets(nodes(0.0, counts))
+        exact, counted = offsets(middles)
+        interpolated = np.zeros_like(exact)
+        for corner in _CORNERS:
+            interpolated += 0.25 * vectors[corner]
+            counted &= has_image[corner]
+        counted &= ((middles >= low + around) & (middles <= low + length - around)).all(axis=-1)
+        errors = np.linalg.norm(interpolated - exact, axis=-1)[counted]
+        error = float(errors.max()) if errors.size else 0.0
+        # A map that is affine needs no finer grid, however large its pixels are.
+        if error <= _WRONG * pixel.min() or 2 * vectors.size > 2_000_000:  # nodes
+            break
+        pitch /= 2
+    return DisplacementField(
+        vectors=vectors @ factor.T, origin_um=(float(low[0]), float(low[1])), pitch_um=(pitch, pitch), error_um=error,
+        filled=int(np.count_nonzero(~has_image)),
+    )  # fmt: skip
+
 
 UNITS = {"um": 1.0, "mm": 1e-3}
 
@@ -42,10 +188,11 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
         local = ("DisplacementFieldTransform_double_2_2", (field.vectors * scale).ravel(), layout)
         parts = [("CompositeTransform_double_2_2", [], []), *parts, local]
     lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**facts)}"]
-    for k, (kind, parameters, fixed) in enumerate(parts):
+    for k, (kind, *numbers) in enumerate(parts):
         lines += [f"#Transform {k}", f"Transform: {kind}"]
         if not kind.startswith("Composite"):
-            lines += [f"Parameters: {_numbers(parameters)}", f"FixedParameters: {_numbers(fixed)}"]
+            texts = (" ".join(f"{float(v):.12g}" for v in values) for values in numbers)
+            lines += [f"{name}: {text}" for name, text in zip(("Parameters", "FixedParameters"), texts, strict=True)]
     _write_lines(path, lines)
 
 
@@ -140,9 +287,46 @@ def _write_elastix_file(path: Path, note: str, parameters: Mapping[str, Sequence
     _write_lines(path, lines)
 
 
-def _numbers(numbers: Iterable[float]) -> str:
-    return " ".join(f"{float(v):.12g}" for v in numbers)
-
-
 def _write_lines(path: Path, lines: Iterable[str]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
+
+
+_TYPES = {
+    "float32": "float", "float64": "double", "uint8": "uint8", "int8": "int8", "uint16": "uint16", "int16": "int16",
+    "int32": "int32", "int64": "int64",
+}  # fmt: skip
+
+
+def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Write the displacement (x, y) of every node of a field, or one map.
+
+    Beside the field there is no displacement, so other programs take 0 there.
+    """
+    unit = params.unit
+    if isinstance(content, DirectedTransform):
+        field = displacement(content)
+        title = f"displacement of points of {content.source} to {content.target}"
+        dtype, components, shape = field.vectors.dtype, ["vector"], field.shape
+        (x, y), (across, down) = field.origin_um, field.pitch_um
+        about = {"value_unit": unit, "planish": history.json(**field.facts())}
+        parts: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
+    else:
+        (name,) = content.names
+        title, dtype, components, shape = content.titles[name], plain_type(content.data[name].dtype), [], content.shape
+        (y, x), (down, across) = content.origin_um, content.pixel_um
+        about = {"value_unit": content.units[name], "planish": history.json(**content.facts())}
+        parts = (band for _, band in content.bands(name))
+    x, y, across, down = (f"{v * UNITS[unit]:.12g}" for v in (x, y, across, down))
+    sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
+    head = [
+        "NRRD0005", f"content: {title}", f"type: {_TYPES[dtype.name]}", f"dimension: {len(sizes)}",
+        "space dimension: 2", f"sizes: {' '.join(sizes)}",
+        f"space directions: {'none ' * len(components)}({across},0) (0,{down})",
+        f"kinds: {' '.join([*components, 'domain', 'domain'])}", "endian: little", "encoding: raw",
+        f'space units: "{unit}" "{unit}"', f"space origin: ({x},{y})",
+        *(f"{key}:={text}" for key, text in about.items()),
+    ]  # fmt: skip
+    with path.open("wb") as file:
+        file.write(("\n".join(head) + "\n\n").encode())
+        for part in parts:
+            file.write(np.ascontiguousarray(part, part.dtype.newbyteorder("<")).data)

@@ -92,7 +92,6 @@ def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[
 
 HEADER_BYTES = 1024
 IMOD_STAMP, IMOD_AT = 1146047817, 40  # where it stands in extra2, the next number says whether bytes are signed
-DEFAULT_NOTE = "1 Angstrom is what programs write when they do not know"
 
 
 def _load_mrc(path: Path) -> LoadedVolume:
@@ -144,5 +143,6 @@ def _stated(keys: Any, order: tuple[int, ...]) -> Stated:
         number = int(keys[count]) if count else 0
         lengths.append(float(keys["cella"][along]) / number if number > 0 else None)
     if all(v in (0.0, 1.0) for v in lengths):
-        return Stated(source="the MRC cell", um=(None, None, None), note=DEFAULT_NOTE if lengths[0] else "it is 0")
+        note = "1 Angstrom is what programs write when they do not know" if lengths[0] else "it is 0"
+        return Stated(source="the MRC cell", um=(None, None, None), note=note)
     return stated_in("the MRC cell", lengths, ["angstrom"] * 3, order)

@@ -31,7 +31,6 @@ from planish.io.tiff import size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
 
-MOST_VOXELS = 2**50  # no scan has more; a larger number is damage
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
 COLOURS = {"red": 0, "green": 1, "blue": 2}
 CHANNELS = ("luminance", *COLOURS)
@@ -194,7 +193,8 @@ def full_scale(dtype: np.dtype[Any], bits: int) -> int | None:
 def checked_volume(volume: LoadedVolume, path: Path, *, memory_bytes: int | None) -> LoadedVolume:
     """Check shape and type, and read what is small."""
     shape = volume.values.shape
-    if 0 in shape or math.prod(shape) > MOST_VOXELS:
+    # No scan has more; a larger number is damage.
+    if 0 in shape or math.prod(shape) > 2**50:
         raise FileError(
             f"{path.name} declares {size_words(shape)} voxels, which no volume has. It is damaged: copy or export it "
             "again."

@@ -15,7 +15,6 @@ from typing import Any
 from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.threads import control_groups
 
-MEMORY_SHARE = 0.75  # part of the available memory that one file may fill; the rest is for the work on it
 MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
 BLOWN_UP_RATIO = 2000
 """Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below."""
@@ -115,7 +114,8 @@ def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> N
 
 def default_memory_limit() -> int:
     """Bytes that one file may fill: three quarters of the memory that is available now."""
-    return int(MEMORY_SHARE * min(_available_memory_bytes(), _control_group_limit_bytes()))
+    # The rest is for the work on it.
+    return int(0.75 * min(_available_memory_bytes(), _control_group_limit_bytes()))
 
 
 def _available_memory_bytes() -> int:

@@ -29,7 +29,6 @@ from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
 
 MOST_LINKS = 32  # links that one path may pass; more is a circle
-MOST_OBJECTS = 20_000
 
 
 @contextmanager
@@ -129,7 +128,7 @@ def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
             shape = tuple(int(n) for n in member.shape or ())
             if sum(n > 1 for n in shape) == 3:
                 volumes.append((f"/{name}", shape, str(member.dtype)))
-        return True if next(visits) > MOST_OBJECTS else None
+        return True if next(visits) > 20_000 else None
 
     with opened(path) as file:
         file.visititems(note)
@@ -148,9 +147,6 @@ def describe_volumes(path: Path) -> str:
 
 SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution", "voxel_um")
 """Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside."""
-
-LONGEST_AXIS = 10_000_000
-EVEN = 0.01  # share by which the steps of an axis may differ
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
@@ -279,13 +275,14 @@ def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -
     for axis in order if names else ():
         values: Any = _child(dataset.parent, names[axis])
         n = dataset.shape[axis]
-        if not isinstance(values, h5py.Dataset) or values.shape != (n,) or n > LONGEST_AXIS:
+        if not isinstance(values, h5py.Dataset) or values.shape != (n,) or n > 10_000_000:
             continue
         if values.dtype.kind not in "uif" or values.is_virtual or values.external:
             continue
         differences = np.abs(np.diff(np.asarray(values[()], np.float64)))
         step = float(np.median(differences))
-        if not np.isfinite(differences).all() or step <= 0 or np.any(np.abs(differences - step) > EVEN * step):
+        # The steps of an axis may differ by 1 %.
+        if not np.isfinite(differences).all() or step <= 0 or np.any(np.abs(differences - step) > 0.01 * step):
             notes.append(f"{names[axis]} is not evenly spaced")
         else:
             steps[axis], units[axis] = step, _attribute(values, "units")

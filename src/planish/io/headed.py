@@ -22,7 +22,6 @@ from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
 READ_BYTES = 4 * 2**20
-UNPACKED_BYTES = 64 * 2**20
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -112,7 +111,7 @@ def unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
                 packed = file.read(READ_BYTES)
                 if not packed:
                     break
-            part = unpacker.decompress(packed, min(needed - filled + 1, UNPACKED_BYTES))
+            part = unpacker.decompress(packed, min(needed - filled + 1, 64 * 2**20))
             packed = b"" if bzip2 else unpacker.unconsumed_tail
             filled += len(part)
             if 0 < filled <= needed:

@@ -47,7 +47,6 @@ TYPES = {
     "float64": "double, MET_DOUBLE",
 }
 PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz2": "bzip2"}
-SPATIAL = frozenset({"domain", "space", "???", "none", ""})
 
 
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
@@ -100,7 +99,8 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     kinds = keys.get("kinds") or [""] * len(sizes)
     if not sizes or len(sizes) != keys.get("dimension") or len(kinds) != len(sizes):
         raise damaged(path, f"its sizes are {keys.get('sizes')}, its dimension is {keys.get('dimension')}")
-    several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in SPATIAL]
+    spatial = ("domain", "space", "???", "none", "")
+    several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in spatial]
     order = axes_of(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
     dtype = _type_of(str(keys.get("type", "")).strip(), path)
     if dtype.itemsize > 1 and keys.get("endian") not in ("little", "big"):

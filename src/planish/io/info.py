@@ -31,15 +31,12 @@ from planish.io.volume import declared_volume, load_volume
 USUAL_VOXEL_UM = (0.3, 20.0)
 """Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
 
-MOST_UNEQUAL = 5.0  # longest over shortest edge of a voxel; beyond, one of them is probably wrong
 # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
-PIXEL_SECONDS = 2.5e-6
 
 LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
-LOOK_PIXELS = 4_000_000  # of a larger image, some rows and columns are looked at
 
 Size = Callable[[], tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
 
@@ -200,7 +197,8 @@ def _describe_image(
     is_decoded = picture is not None
     picture = picture or load_picture(path, decode=False)
     whole, shape = picture.values, picture.values.shape[:2]
-    step = max(1, math.ceil(math.sqrt(math.prod(shape) / LOOK_PIXELS)))
+    # Of a larger image, some rows and columns are looked at.
+    step = max(1, math.ceil(math.sqrt(math.prod(shape) / 4_000_000)))
     picture = replace(picture, values=whole[::step, ::step])
     try:
         values, _ = pick_channel(picture, "luminance", file_name=path.name)
@@ -231,7 +229,7 @@ def _describe_image(
         "colour": picture.colour,
         "channels": picture.values.shape[2] if picture.values.ndim == 3 else 1,
         "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
-        "link_seconds": PIXEL_SECONDS * math.prod(shape),
+        "link_seconds": 2.5e-6 * math.prod(shape),
         **size,
         "warnings": warnings,
     }
@@ -264,7 +262,8 @@ def _size_facts(
                 f"{elements} of {' x '.join(f'{v:g}' for v in size)} um are unusual for paper ({low:g} to {high:g} "
                 "um). Is the unit right?"
             )
-        if most > MOST_UNEQUAL * least:
+        # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
+        if most > 5.0 * least:
             edge = "z size" if elements == "Voxels" else "size"
             warnings.append(
                 f"The edges of {elements.lower()} differ by a factor of {most / least:.3g}. Is the {edge} right?"

@@ -19,15 +19,7 @@ from planish.io.slice_volume import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 
-SAMPLE_VALUES = 4_000_000  # values from which percentiles are taken where counting every grey level is not possible
 SAMPLE_BYTES = 256 * 2**20  # what is read of a volume that is too large to be read for a look
-
-LEAST_PLANES = 8
-
-SATURATED_SHARE = 0.001  # above this share of values at the end of the range, grey levels were lost
-FEW_LEVELS = 16
-
-TELLING_PIXELS = 1000  # slices with fewer pixels may well be alike, or of one grey
 
 
 @dataclass(kw_only=True)
@@ -62,7 +54,8 @@ class Statistics:
         if sampled:
             part = plane[(slice(None, None, self.stride),) * plane.ndim].ravel()
             self.sample.append(part[np.isfinite(part)] if part.dtype.kind == "f" else part)
-        if plane.ndim == 2 and plane.size >= TELLING_PIXELS:
+        # Slices with fewer pixels may well be alike, or of one grey.
+        if plane.ndim == 2 and plane.size >= 1000:
             if not numbers.size or low == high:
                 self.constant.append(number)
                 return
@@ -79,10 +72,11 @@ def inspect_values(
     total = values.shape[0]
     numbers = [*range(total)]
     if values.ndim > 2 and values.nbytes > EAGER_BYTES:  # evenly spread ones, where reading all would take long
-        count = max(LEAST_PLANES, SAMPLE_BYTES // (values.nbytes // total))
+        count = max(8, SAMPLE_BYTES // (values.nbytes // total))
         numbers = numbers if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
     share = len(numbers) / total
-    stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
+    # Percentiles are taken from four million values.
+    stride = max(1, math.ceil((math.prod(values.shape) * share / 4_000_000) ** (1 / values.ndim)))
     statistics = Statistics(full_scale=full_scale, stride=stride)
     for index, number in enumerate(numbers):
         statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)
@@ -101,11 +95,12 @@ def inspect_values(
         percentiles = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
         if low == high:
             warnings.append(f"All values are {low:g}.")
-        elif values.dtype.kind in "ui" and 0 < levels < FEW_LEVELS:
+        elif values.dtype.kind in "ui" and 0 < levels < 16:
             warnings.append(f"It has {levels} grey levels only. Is it a segmentation? planish needs the grey values.")
     if nan_share > 0:
         warnings.append(f"{100 * nan_share:.3g} % of the values are missing (NaN or infinite).")
-    if saturated_share > SATURATED_SHARE and low != high:
+    # Above this share of values at the end of the range, grey levels were lost.
+    if saturated_share > 0.001 and low != high:
         warnings.append(
             f"{100 * saturated_share:.3g} % of the values are at {full_scale}, the largest the file can store: "
             "grey levels were cut there."
@@ -146,7 +141,6 @@ def facts_without_values(values: Values, warnings: list[str], *, dims: tuple[str
 
 
 _SIDE = 480  # pixels along the longer side of a section
-_SLICES = 96  # that are read of a file for the two sections across them
 _GAP = 8
 _SHADES = " ░▒▓█"
 _HIGH_AS_WIDE = 2.1  # height of a letter in widths
@@ -171,7 +165,7 @@ def middle_sections(values: Values) -> list[Section]:
     if len(values.shape) == 2:
         return [_section("y", "x", np.asarray(values), (1, 1))]
     depth, rows, cols = values.shape
-    every = -(-depth // _SLICES)
+    every = -(-depth // 96)
     planes = (np.asarray(values[k]) for k in range(0, depth, every))
     along_x, along_y = zip(*((p[rows // 2].copy(), p[:, cols // 2].copy()) for p in planes), strict=True)
     return [

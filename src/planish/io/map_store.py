@@ -31,13 +31,11 @@ CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
 """Maps hold noise: with their bytes sorted by weight they take a fifth less room than by zstd, in a fifth of the time.
 The sum tells a damaged chunk."""
 
-_MOST_WORDS = 160  # letters of a reason: some hold the whole file
-_TILE = (1024, 2048)  # whole chunks, also of the first overview
-
 
 def map_tiles(shape: tuple[int, int]) -> list[Tile]:
     """The tiles in which maps of a grid are made and written."""
-    return tiles_of(shape, _TILE)
+    # Whole chunks, also of the first overview.
+    return tiles_of(shape, (1024, 2048))
 
 
 class HeldMaps:
@@ -226,7 +224,8 @@ def readable(path: Path) -> Generator[None]:
     except (PlanishError, MemoryError):
         raise
     except Exception as error:  # damaged metadata make zarr raise almost every type there is
-        reason = " ".join(str(error).split())[:_MOST_WORDS] or type(error).__name__
+        # Some reasons hold the whole file.
+        reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
 
 

@@ -37,11 +37,8 @@ UNITS_UM = {
 }  # fmt: skip
 """Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu."""
 
-WEB_DPI = (72.0, 96.0)  # what programs write when they do not know the resolution
 OVERRIDE = "--override-size"
-UNUSUAL = "--unusual-size"
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
-RESOLUTION_UNITS = {2: "inch", 3: "cm"}
 UNKNOWN_NOTE = "missing, or a default such as 72 dpi"
 
 
@@ -109,8 +106,8 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
     if per_unit is None or length is None or not math.isfinite(per_unit) or per_unit <= 0 or per_unit == 1:
         return None
     um = length / per_unit
-    # Within the rounding of whole pixels per cm.
-    return None if any(abs(25400.0 / um - dpi) <= 1.0 for dpi in WEB_DPI) else um
+    # What programs write when they do not know the resolution, within the rounding of whole pixels per cm.
+    return None if any(abs(25400.0 / um - dpi) <= 1.0 for dpi in (72.0, 96.0)) else um
 
 
 def agreed_size(
@@ -207,7 +204,7 @@ def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual
                 guess = f"It looks like {unit} given as um ({value:g} {unit} is {value * factor:g} um)"
                 break
         range_words = f"usual are {low:g} to {high:g} um" if possible else f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
-        meant = f" If it is meant, add {UNUSUAL}." if possible else ""
+        meant = " If it is meant, add --unusual-size." if possible else ""
         raise SizeError(
             f"{file_name}: the {asked.name} size along {axis} is {value:g} um, {range_words}. {guess}. Give the right "
             f"one with {asked.option}, in um{more}.{meant}"
@@ -245,7 +242,7 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
             return (*stated, _stated_by_imagej(imagej, density))
         # The resolution tags, with their unit, never state z.
         code: Any = page.tags.valueof(296)
-        unit = RESOLUTION_UNITS.get(code, "") if isinstance(code, int) else ""
+        unit = {2: "inch", 3: "cm"}.get(code, "") if isinstance(code, int) else ""
         across = [from_density(per_unit, unit) for per_unit in density]
         return *stated, Stated(
             source="the TIFF resolution", um=(None, *across), note=UNKNOWN_NOTE if None in across else ""

@@ -36,7 +36,6 @@ EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 """Files with other extensions (logs, licences, thumbnails of the system) are no slices."""
 
 MOST_NAMES = 8  # names or numbers written out in a message
-LARGEST_LOG = 10_000_000
 
 DETAIL_KEYS = {
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
@@ -142,7 +141,7 @@ class Scan:
 def _read_log(path: Path) -> dict[str, dict[str, str]]:
     """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
     with reading(path):
-        if path.stat().st_size > LARGEST_LOG:
+        if path.stat().st_size > 10_000_000:
             raise FileError(f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere.")
         raw = path.read_bytes()
     try:

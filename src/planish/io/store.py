@@ -39,8 +39,6 @@ CHUNK = (64, 96, 96)
 SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
 _LOCK = "lock"
-_SMALLEST = 256  # voxels along the longest axis of the last level
-_LEAST_DEPTH = 16
 _AT_WORK = 2  # blocks: one is read while the other is compressed
 
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
@@ -239,7 +237,8 @@ def _halved(where: Where, times: int) -> Where:
 def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
     """Make or open the arrays of all levels, and write what is known of the volume."""
     shapes = [tuple(volume.shape)]
-    while max(shapes[-1]) > _SMALLEST and min(shapes[-1]) >= 2 * _LEAST_DEPTH:
+    # The last level has up to 256 voxels along its longest axis, and none is thinner than 16.
+    while max(shapes[-1]) > 256 and min(shapes[-1]) >= 32:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
     first = [float(volume[axis].values[0]) for axis in "zyx"]

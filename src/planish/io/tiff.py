@@ -31,7 +31,6 @@ LAYOUT_NUMBERS = (
 """Attributes of a page on which the position and meaning of every pixel depend."""
 
 MOST_PAGES = 100_000  # no scan has more slices; a chain this long is damage
-MOST_TAGS = 4096
 
 TYPE_BYTES = {
     1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 6: 1, 7: 1, 8: 2, 9: 4, 10: 8, 11: 4, 12: 8, 13: 4, 16: 8, 17: 8, 18: 8,
@@ -108,7 +107,7 @@ def _count_pages(path: Path) -> int:
                 raise damaged(path, f"page {len(offsets)} should begin at byte {offset}, the file has {size}")
             file.seek(offset)
             tags = count.unpack(file.read(count.size))[0]
-            if not 0 < tags <= MOST_TAGS:
+            if not 0 < tags <= 4096:
                 raise damaged(path, f"page {len(offsets)} claims {tags} tags")
             table = file.read(tags * (tag.size + pointer.size) + pointer.size)
             if len(table) != tags * (tag.size + pointer.size) + pointer.size:

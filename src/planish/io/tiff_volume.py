@@ -34,7 +34,6 @@ from planish.io.tiff import (
 )
 
 SLICE_AXES = "ZIQ"  # letters for an axis of slices: declared as such, or pages without a declared meaning
-MANY_CHANNELS = 16
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
@@ -107,7 +106,7 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     if len(grey) == 3 and grey[0] in SLICE_AXES and grey[1:] == "YX" and (axes == grey or is_rgb):
         return axes
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
-    if axes == "CYX" and sizes["C"] >= MANY_CHANNELS:
+    if axes == "CYX" and sizes["C"] >= 16:
         return axes
     further = {a: n for a, n in sizes.items() if n > 1 and a in MEANINGS}
     if further:

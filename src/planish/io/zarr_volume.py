@@ -26,7 +26,6 @@ from planish.io.tiff import size_words
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
 """Files of a zarr store that are no chunks."""
 
-LARGEST_METADATA = 50_000_000
 
 Keys = Mapping[str, Any]
 
@@ -99,7 +98,7 @@ def _open_node(path: Path, name: str) -> Any:
         raise FileError(
             f"{path.name} has nothing at {name or 'its root'}: no zarr.json, .zarray or .zgroup. Check the name."
         )
-    if any((place / file).stat().st_size > LARGEST_METADATA for file in metadata):
+    if any((place / file).stat().st_size > 50_000_000 for file in metadata):
         raise FileError(f"{path.name}: the metadata of {name or 'its root'} are larger than 50 MB. Export it again.")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.

@@ -4,7 +4,6 @@ from .design import design_pattern as design_pattern
 from .design import own_pattern as own_pattern
 from .files.csv_marks import write_marks as write_marks
 from .find import Polarity as Polarity
-from .find import check_holes as check_holes
 from .find import find_holes as find_holes
 from .hole_files import holes_from_json as holes_from_json
 from .hole_files import holes_to_json as holes_to_json

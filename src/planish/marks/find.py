@@ -10,7 +10,6 @@ import xarray as xr
 from numpy.typing import ArrayLike
 from scipy.spatial import KDTree
 
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check
 from planish.core.errors import MarkError, SizeError
 from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _measure_kernels as k
@@ -30,9 +29,6 @@ REASONS = {
     "no_rim": "without a sharp rim",
     "unlike": "unlike the other holes",
 }
-
-# Of all openings: so many that are not round are no single holes that are half closed.
-MANY_OPENINGS = 0.25
 
 
 def count_rejected(
@@ -55,31 +51,6 @@ def count_rejected(
     return counts
 
 
-def check_holes(holes: xr.Dataset) -> Check:
-    """Check how many holes were found and what was rejected; a look where places were not measured.
-
-    Parameters
-    ----------
-    holes : Dataset, dims (mark)
-        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
-    """
-    counts: dict[str, int] = holes.attrs.get("not_taken", {})
-    listed = [f"{counts[name]} {words}" for name, words in REASONS.items() if counts.get(name)]
-    count = holes.sizes["mark"]
-    sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
-    sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
-    dropped, openings = counts.get("not_measured", 0), int(holes.attrs.get("openings", 0))
-    advice = "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um)."
-    many = openings if openings > max(1, MANY_OPENINGS * (count + openings)) else 0
-    if openings:
-        subject = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
-        sentence += f" {subject} not round enough for one."
-    if many:
-        advice = "Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
-    figures = (POSITION, PROPERTIES, CORRELATION) if many else (POSITION,)
-    return Check.at_most("holes", dropped + many, look=0, sentence=sentence, figures=figures, advice=advice)
-
-
 Polarity = Literal["auto", "dark", "bright"]
 """Whether holes are darker or brighter than the sheet."""
 
@@ -91,9 +62,6 @@ USUAL_UM = 173.2
 
 # Share of the least contrast from which on a mark is measured.
 SEEN = 0.6
-
-# Beyond a rim this much may be burnt.
-CHAR_UM = 60.0
 
 
 def find_holes(
@@ -245,7 +213,8 @@ def _detections(fine: Raster, low: float, high: float, signs: tuple[float, ...])
         measured[:, k.STANDING] = standing
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
         holes = measured[criteria.is_hole(measured, fine.pixel_um, low, high)]
-        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse_origin).T, holes[:, k.RADIUS] + CHAR_UM], axis=1)
+        # Beyond a rim this much may be burnt.
+        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse_origin).T, holes[:, k.RADIUS] + 60.0], axis=1)
         texture = candidates.texture(coarse, coarse_size, 2 * high, square, circles)
         measured = measured[np.isfinite(measured[:, k.RADIUS])]
         _raise_texture(measured, texture)

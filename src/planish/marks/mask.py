@@ -89,12 +89,6 @@ def _border_circles(is_beyond: Bools, grid: Grid, radius: Floats) -> list[tuple[
     return circles
 
 
-_ACROSS = 40.0  # pixels over the smallest hole where dots are distinguished from holes
-_EDGE = 2  # such pixels around a dot that are not yet as bright as paper
-_REGROWTH = 1.5  # such pixels by which a hole grows back beyond the discs in it: its rim stays as it is
-_BINS = 256
-
-
 def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -> NDArray[np.float32]:
     """Make bright what is dark and too narrow for the smallest hole.
 
@@ -122,13 +116,14 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     Otsu (1979), IEEE Trans. Syst. Man Cybern. 9, 62, doi:10.1109/TSMC.1979.4310076.
     """
     whole = np.asarray(image, dtype=np.float32)
-    small, size, _ = reduce_to(whole, pixel_um, least_um / _ACROSS)
+    # Dots are distinguished from holes with 40 pixels over the smallest hole.
+    small, size, _ = reduce_to(whole, pixel_um, least_um / 40.0)
     has_data = np.isfinite(small)
     if not has_data.any():
         return whole
     smooth = ndimage.gaussian_filter(np.where(has_data, small, np.median(small[has_data])), 1.0)
     # The grey that parts two classes so that the variance between them is largest.
-    count, edges = np.histogram(smooth[has_data], _BINS)
+    count, edges = np.histogram(smooth[has_data], 256)
     below, total = np.cumsum(count), np.cumsum(count * (0.5 * (edges[1:] + edges[:-1])))
     weight = below[:-1] * (below[-1] - below[:-1])
     between = (total[-1] * below[:-1] / below[-1] - total[:-1]) ** 2 / np.maximum(weight, 1)
@@ -138,11 +133,13 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
     depth = np.asarray(ndimage.distance_transform_edt(np.pad(dark | ~has_data, 1, constant_values=True), sampling=size))
     middle = dark & (depth[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(size))
-    reach = least_um / 2 + _REGROWTH * max(size)
+    # A hole grows back beyond the discs in it: its rim stays as it is.
+    reach = least_um / 2 + 1.5 * max(size)
     hole = np.zeros_like(dark)
     if middle.any():
         hole = np.asarray(ndimage.distance_transform_edt(~middle, sampling=size)) < reach
-    dots = ndimage.binary_dilation(dark & ~hole, iterations=_EDGE) & ~hole
+    # Two pixels around a dot are not yet as bright as paper.
+    dots = ndimage.binary_dilation(dark & ~hole, iterations=2) & ~hole
     factors = [round(a / b) for a, b in zip(size, pixel_um, strict=True)]
     rows, cols = (
         np.minimum(np.arange(n) // k, m - 1) for n, k, m in zip(whole.shape, factors, dots.shape, strict=True)

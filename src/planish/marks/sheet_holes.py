@@ -21,14 +21,11 @@ from planish.marks.params import HoleParams
 
 MAPS = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
 PLACES = {"top": "below the top face", "centre": "at the centre surface", "bottom": "above the bottom face"}
-OF_A_LAYER = ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter")
 THROUGH, CLOSED, UNCLEAR = 0, 1, 2
 OTHER_SIDE = {THROUGH: "through", CLOSED: "closed", UNCLEAR: "unclear"}
 
 # A tapered hole is narrower, or wider, on the other side than what was asked for.
 OTHER_DIAMETER = 1.4
-# What is as large as a circle of this share of the holes' diameter is an opening that should be one.
-OPENING = 0.6
 # From one layer to another a hole moves by less than this share of its diameter: one that is more oblique is not round.
 REACH = 0.5
 # The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
@@ -128,7 +125,8 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
         out[f"offset_{axis}"] = ("mark", offset, text)
     flags = {"flag_values": list(OTHER_SIDE), "flag_meanings": " ".join(OTHER_SIDE.values())}
     out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"} | flags)
-    least_um = OPENING * float(np.median(diameters if len(centres) else [low]))
+    # What is as large as a circle of this share of the holes' diameter is an opening that should be one.
+    least_um = 0.6 * float(np.median(diameters if len(centres) else [low]))
     out.attrs |= {
         "side": side,
         "layers": list(layers),
@@ -247,7 +245,7 @@ def _by_layer(holes: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset
     template = next(iter(holes.values()))
     for layer, place in PLACES.items():
         is_present = rows[layer] >= 0
-        for name in OF_A_LAYER:
+        for name in ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter"):
             column = np.full(is_present.shape, np.nan)
             if is_present.any():
                 column[is_present] = holes[layer][name].values[rows[layer][is_present]]

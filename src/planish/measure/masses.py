@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Literal
 import numpy as np
 
 from planish.core.errors import CannotMeasure
-from planish.core.options import Params, option, spoken
+from planish.core.options import Params, option, option_names
 from planish.measure.lengths import smoothed
 from planish.measure.registry import FWHM, SIDES, Greys, Measured, Sheet, Side, ray_property, sheet_property
 
@@ -57,7 +57,7 @@ class Densities(Params):
                 return number
         lacking = "neither is" if len(names) > 1 else "that is not"
         raise CannotMeasure(
-            f"{quantity} in grams needs {spoken(Densities, *names)}, and {lacking} given. Give it, or leave "
+            f"{quantity} in grams needs {option_names(Densities, *names)}, and {lacking} given. Give it, or leave "
             f"{quantity.lower()} out."
         )
 

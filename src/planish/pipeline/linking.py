@@ -16,7 +16,17 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish import __version__
-from planish.checks import exposure_check
+from planish.checks import (
+    DetectedHoles,
+    HolesOnSheet,
+    RegisteredLayer,
+    RegisteredSheet,
+    SheetImage,
+    TextureChecks,
+    apply_checks,
+    for_layers,
+    run_checks,
+)
 from planish.compute import Compute, Progress
 from planish.core.bands import thinned
 from planish.core.checks import Check
@@ -26,9 +36,7 @@ from planish.core.transform import Similarity
 from planish.io import read_image
 from planish.io.map_store import HeldMaps, map_tiles
 from planish.io.params import HOW_IMAGES_ARE_READ
-from planish.marks import check_holes
 from planish.marks.regions import Regions
-from planish.pipeline.checks import about, alone_check, area_check, field_check, registration_checks, with_trust
 from planish.pipeline.compare import comparison_rows, correlate_layers
 from planish.pipeline.compared import compared_image, reach_um
 from planish.pipeline.evidence import evidence_of
@@ -43,8 +51,6 @@ from planish.pipeline.registration import Registration, check_marks, register_la
 from planish.pipeline.run import Run, open_sheet
 from planish.pipeline.sheet import changed, map_layer
 from planish.pipeline.texture import texture_of
-from planish.pipeline.through_scale import NAME as THROUGH_SCALE
-from planish.pipeline.through_scale import marks_scale_check
 from planish.register import Chain
 from planish.resample import SheetOnto
 from planish.results import LayerFacts, Results
@@ -192,14 +198,14 @@ def _gathered(
     checks = [check for layer, own in zip(layers, facts, strict=True) for check in _checks(layer, own, links, study)]
     for name, one in links.items():
         if one.path[0].kind == "sheet" and one.path[1] is reference and one.registration.source == "found":
-            alone = alone_check(maps[name], one.registration.marks, name, reference.name)
-            checks += about([alone], name, reference.name)
+            moved = HolesOnSheet(sheet=maps[name], marks=one.registration.marks, layer=name, reference=reference.name)
+            checks += run_checks(moved, name, reference.name)
     if any(layer.kind == "sheet" for layer in layers):
         images = [layer.name for layer in layers if layer.kind == "image"]
-        checks += [check for name in images for check in about([_exposure(name, maps)], name)]
+        checks += [check for name in images for check in run_checks(_greys_of(name, maps), name)]
     for (a, b), found in textures.items():
         # Where two layers lie is judged where one of them is the reference.
-        checks += about(found.checks if b == reference.name else found.checks[:1], a, b)
+        checks += run_checks(TextureChecks(*(found.checks if b == reference.name else found.checks[:1])), a, b)
     groups = {f"layers/{name}": data for name, data in maps.items()}
     declared = study.correlate.headline is not None
     columns, md_deg = _columns(layers, links), _machine_direction(reference, facts)
@@ -219,7 +225,7 @@ def _gathered(
         linked = sink.group(LINKED)
         groups = sheet.groups | {LINKED: linked}
         more["linked"] = linked_area(linked, away)
-        checks += about([area_check(more["linked"])], sheet.name, reference.name)
+        checks += run_checks(more["linked"], sheet.name, reference.name)
         more["comparison"] = tuple(
             comparison_rows(
                 linked, sheet.groups, link.registration.fit, name=facts[0].headline, point_um=point_um, away=away
@@ -244,7 +250,7 @@ def _gathered(
         correlations=tuple(rows), checks=tuple(checks), parameters=parameters(study), **more,
     )  # fmt: skip
     return Run(
-        study=study, results=with_trust(results), groups=groups,
+        study=study, results=apply_checks(results), groups=groups,
         registrations={name: link.registration for name, link in links.items()}, regions=away.regions,
         unchanged=layers[0].unchanged if study.is_sheet_on_image else {},
         sheets={} if study.is_sheet_on_image else {
@@ -284,33 +290,31 @@ def _side_given(a: Layer, b: Layer) -> bool:
     return all(layer.side_given is not None for layer in (a, b) if layer.kind == "image")
 
 
-def _exposure(image: str, maps: Mapping[str, xr.Dataset]) -> Check:
-    """Whether the greys of an image are cut off where all layers are valid."""
+def _greys_of(image: str, maps: Mapping[str, xr.Dataset]) -> SheetImage:
+    """A sample of the greys of an image where all layers are valid."""
     _, (grey, *valid) = thinned(maps[image]["image"], *(data["valid"] for data in maps.values()))
-    return exposure_check(grey[np.logical_and.reduce(valid)])
+    return SheetImage(grey[np.logical_and.reduce(valid)])
 
 
 def _checks(layer: Layer, facts: LayerFacts, links: dict[str, Link], study: Study) -> Iterator[Check]:
     """Checks of one layer, and of its registration."""
     scaled = list(_scale_checks(layer, links))
-    yield from about((check for check in layer.checks if not scaled or check.name != THROUGH_SCALE), layer.name)
+    names = {check.name for check in scaled}
+    yield from for_layers((check for check in layer.checks if check.name not in names), layer.name)
     yield from scaled
     if facts.registration is None:
         return
     link = links[layer.name]
     to = link.path[1]
-    found = registration_checks(
-        facts.registration, link.registration.fit, agreement=link.registration.agreement(), layer=layer.name,
+    registered = RegisteredLayer(
+        layer=layer.name, facts=facts.registration, fit=link.registration.fit, agreement=link.registration.agreement(),
         hole_um=sum(study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *to.grid.pixel_um),
     )  # fmt: skip
-    yield from about(found, layer.name, to.name)
+    yield from run_checks(registered, layer.name, to.name)
     if link.registration.source == "found":
-        holes = ((one.name, check_holes(found)) for one in (layer, to) for found in one.holes_found)
-        yield from about(
-            (check.model_copy(update={"name": f"holes in {name}"}) for name, check in holes), layer.name, to.name
-        )
-    reference = facts.registration.path[-1]
-    yield from about([field_check(facts.share_of_reference or 0.0, layer.name, reference)], layer.name, reference)
+        for holes in (DetectedHoles(side.name, holes) for side in (layer, to) for holes in side.holes_found):
+            yield from run_checks(holes, layer.name, to.name)
+    yield from run_checks(facts, layer.name, facts.registration.path[-1])
 
 
 def _scale_checks(layer: Layer, links: dict[str, Link]) -> Iterator[Check]:
@@ -320,8 +324,9 @@ def _scale_checks(layer: Layer, links: dict[str, Link]) -> Iterator[Check]:
     for name, link in links.items():
         one, to = link.path[:2]
         if layer.name == name or (layer.name == to.name and layer.name not in links):
-            found = marks_scale_check(
-                layer, link.registration.fit, fixed=layer.name == to.name, both=one.kind == to.kind == "sheet"
-            )
-            yield from about([found], one.name, to.name)
+            sheet = RegisteredSheet(
+                measured=layer.groups["surfaces"], flat=layer.groups["flat"], fit=link.registration.fit,
+                is_fixed=layer.name == to.name, either=one.kind == to.kind == "sheet",
+            )  # fmt: skip
+            yield from run_checks(sheet, one.name, to.name)
             return

@@ -10,22 +10,19 @@ errors, of which the alignment sees most, and a slow wander that it leaves alone
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.bands import rms_of
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, filled, pitch
+from planish.core.typing import Floats
 from planish.flatten import flat_moves
 from planish.register import Chain
 from planish.resample import Lattice, covering_grid, find_places, resample
 from planish.results import ErrorShares
-
-Array = NDArray[np.float64]
 
 # Root mean square over stiffness ratios coating/base drawn evenly from 0 to 3 of the neutral surface's distance from
 # the one that was flattened, in distances of the two: e(r) = r sum(t z) / (b + r sum(t)), e(0) = 0, e(1) = 1; with a
@@ -36,17 +33,14 @@ NEUTRAL = {"base": 1.25, "faces": 0.55}
 # shift of 1: microtomes of the field jitter by 1-2 um and wander by 0.1-0.2 um a section.
 _SHARED, _WANDER = 1.3, 0.1
 _UNSEEN = 0.01  # of the thickness: how far the neutral surface lies off where no coating is seen
-_TITLES = {
-    "marks": "marks and model",
-    "neutral": "the surface that is taken to stay unstrained",
-    "smoothing": "smoothing of the centre surface",
-    "sections": "poses of the sections",
-}
-_LOWER = {
-    "marks": "more marks, spread over the field",
-    "neutral": "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
-    "smoothing": "a shorter --cutoff-um, or fewer holes with narrower rims",
-    "sections": "a volume in place of sections, or sections with more in common",
+_SHARES = {  # their words, and what would lower them
+    "marks": ("marks and model", "more marks, spread over the field"),
+    "neutral": (
+        "the surface that is taken to stay unstrained",
+        "a flatter specimen, or the surface that stays unstrained known from elsewhere (--neutral)",
+    ),
+    "smoothing": ("smoothing of the centre surface", "a shorter --cutoff-um, or fewer holes with narrower rims"),
+    "sections": ("poses of the sections", "a volume in place of sections, or sections with more in common"),
 }
 
 
@@ -75,13 +69,13 @@ class PositionErrors:
         if poses is not None:
             self._shares["sections"] = np.full(places.shape[:2], poses * chain.similarity.scale)
 
-    def on(self, part: Grid, known: Array) -> dict[str, xr.DataArray]:
+    def on(self, part: Grid, shown: Floats) -> dict[str, xr.DataArray]:
         """All shares and their sum for some pixels of the reference.
 
         Parameters
         ----------
         part : Grid
-        known : (y, x)
+        shown : (y, x)
             Finite where a pixel shows the layer.
 
         Returns
@@ -90,81 +84,74 @@ class PositionErrors:
             ``expected_error``, and of a sheet ``error_marks``, ``error_neutral``, ``error_smoothing``,
             ``error_sections`` where they exist; root mean square, of the distance.
         """
-        inside = np.isfinite(known)
-        shares = {k: np.where(inside, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}
+        is_shown = np.isfinite(shown)
+        shares = {k: np.where(is_shown, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}
         total = np.sqrt(np.sum([share**2 for share in shares.values()], axis=0))
-        found = {"expected_error": (total, "Expected error of the place, rms")}
+        maps = {"expected_error": (total, "Expected error of the place, rms")}
         if not self._whole:
-            found |= {f"error_{k}": (share, f"Expected error by {_TITLES[k]}") for k, share in shares.items()}
+            maps |= {f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}") for k, share in shares.items()}
         return {
             name: xr.DataArray(values.astype(np.float32), part.coords, ("y", "x"), attrs={
                 "long_name": title, "units": "um"
-            }) for name, (values, title) in found.items()
+            }) for name, (values, title) in maps.items()
         }  # fmt: skip
 
 
 def error_shares(maps: xr.Dataset) -> ErrorShares | None:
     """Root mean square of each share over the pixels, which is the largest, and what would lower it."""
-    rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _TITLES if f"error_{k}" in maps}
+    rms = {k: rms_of(maps[f"error_{k}"]) or 0.0 for k in _SHARES if f"error_{k}" in maps}
     if not rms:
         return None
     whole, largest = float(np.sqrt(sum(v**2 for v in rms.values()))), max(rms, key=lambda name: rms[name])
-    parts = ", ".join(f"{_TITLES[name]} {value:.2g}" for name, value in rms.items())
+    parts = ", ".join(f"{_SHARES[name][0]} {value:.2g}" for name, value in rms.items())
     sentence = f"Expected error {whole:.2g} um rms over the map: {parts} um. "
     if whole > 0:
-        share = 100 * (rms[largest] / whole) ** 2
-        sentence += f"{share:.0f} % of its square is {_TITLES[largest]}; {_LOWER[largest]} would lower it. "
+        words, cure = _SHARES[largest]
+        sentence += f"{100 * (rms[largest] / whole) ** 2:.0f} % of its square is {words}; {cure} would lower it. "
     sentence += "A shift that all marks share is not in it: no mark can show that, only the maps themselves."
-    shares = {f"{name}_um": value for name, value in rms.items()}
-    return ErrorShares.model_validate({**shares, "rms_um": whole, "largest": largest, "sentence": sentence})
+    return ErrorShares.model_validate(
+        {f"{name}_um": value for name, value in rms.items()}
+        | {"rms_um": whole, "largest": largest, "sentence": sentence}
+    )
 
 
-def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Array) -> dict[str, Array]:
+def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dict[str, Floats]:
     """What other surfaces move at places (rows, cols, 2) of the reference, registered to the same marks; um."""
     surfaces, attrs = sheet["surfaces"], sheet["flat"].attrs
     if "centre_shorter" not in surfaces or "neutral" not in attrs:
         return {}  # of a run that does not say what was flattened
     main, zero = str(attrs["neutral"]), np.zeros(surfaces["centre"].shape)
     base = surfaces["base_middle"].values.astype(np.float64) if "base_middle" in surfaces else None
-    own = base if main == "base" and base is not None else zero
+    neutral = base if main == "base" and base is not None else zero
     other, factor = zero if main == "base" else base, NEUTRAL[main]
     if other is None:
         other, factor = zero + _UNSEEN * float(surfaces.attrs["thickness_um"]), 1.0
-    shorter = own + surfaces["centre_shorter"].values
-    moves = flat_moves(surfaces, {"neutral": other, "smoothing": shorter}, neutral=own, rest=attrs["rest"])
-    fit, uv = chain.fits[0], chain.inverse(places)
-    found: dict[str, Array] = {}
+    shorter = neutral + surfaces["centre_shorter"].values
+    moves = flat_moves(surfaces, {"neutral": other, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
+    fit, uv, moves_of = chain.fits[0], chain.inverse(places), _moves_in_map(moves, sheet["flat"])
+    errors: dict[str, Floats] = {}
     for name, by in (("neutral", factor), ("smoothing", 1.0)):
-        field = _MovesOfMap.of(moves, name, sheet["flat"])
-        again = fit.refitted(fit.moving + field(fit.moving))
-        at = again(uv + field(uv))
+        shifted = fit.refitted(fit.moving + moves_of(name, fit.moving))(uv + moves_of(name, uv))
         for link in chain.fits[1:]:
-            at = link(at)
-        found[name] = by * filled(np.linalg.norm(at - chain(uv), axis=-1))
-    return found
+            shifted = link(shifted)
+        errors[name] = by * filled(np.linalg.norm(shifted - chain(uv), axis=-1))
+    return errors
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class _MovesOfMap:
-    """Moves (u, v) of places in the flat map, from those of columns of the volume."""
+def _moves_in_map(moves: xr.Dataset, flat: xr.Dataset) -> Callable[[str, Floats], Floats]:
+    """Moves of places (u, v) of the flat map, from those of the nodes of their mesh; carried on beyond the sheet."""
+    nodes = flat[["u", "v"]].sel(y=moves["y"], x=moves["x"])
+    uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
+    grid = covering_grid(uv, min(pitch(moves)))
+    places = find_places(uv, grid)
+    fields = {str(name): filled(resample(moves[name].values, places)) for name in moves}
+    (x, y), (down, across), (rows, cols) = grid.origin_um, grid.pixel_um, grid.shape
 
-    grid: Grid
-    moves: Array
-
-    @classmethod
-    def of(cls, moves: xr.Dataset, name: str, flat: xr.Dataset) -> _MovesOfMap:
-        """Carry them from the nodes of their mesh to the pixels of a map, and beyond the sheet."""
-        nodes = flat[["u", "v"]].sel(y=moves["y"], x=moves["x"])
-        uv = np.stack([nodes[axis].values for axis in "uv"], axis=-1)
-        grid = covering_grid(uv, min(pitch(moves)))
-        places = find_places(uv, grid)
-        found = [filled(resample(moves[f"{name}_{axis}"].values, places)) for axis in "uv"]
-        return cls(grid=grid, moves=np.stack(found, axis=-1))
-
-    def __call__(self, uv: Array) -> Array:
-        (x, y), (down, across), (rows, cols) = self.grid.origin_um, self.grid.pixel_um, self.grid.shape
+    def moves_of(name: str, uv: Floats) -> Floats:
         row, col = np.clip((uv[..., 1] - y) / down, 0, rows - 1), np.clip((uv[..., 0] - x) / across, 0, cols - 1)
-        return np.stack([bilinear(self.moves[..., k], row, col) for k in range(2)], axis=-1)
+        return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
+
+    return moves_of
 
 
 def _poses_um(sheet: Mapping[str, xr.Dataset], marks: int) -> float | None:
@@ -178,10 +165,10 @@ def _poses_um(sheet: Mapping[str, xr.Dataset], marks: int) -> float | None:
     sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
     between = sections.sizes["section"] / np.sqrt(max(marks, 1))
     squares = 0.0
-    for axis, name, left in zip("yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True):
+    for axis, name, jitter_um in zip("yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True):
         if axis == through:
             continue
-        squares += (_SHARED * float(left)) ** 2
+        squares += (_SHARED * float(jitter_um)) ** 2
         if name not in sections.attrs.get("fixed", ()):
             squares += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * between / 6
     return float(np.sqrt(squares))

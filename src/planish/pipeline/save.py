@@ -11,6 +11,7 @@ from pathlib import Path
 import xarray as xr
 
 from planish import __version__
+from planish.checks import apply_checks, for_layers
 from planish.compute import Compute, Progress, return_memory, run_key, silent
 from planish.core.area import overviews
 from planish.core.errors import CannotRegister, MarkError, PlanishError
@@ -22,7 +23,6 @@ from planish.io import fingerprint
 from planish.io.map_store import OVERVIEWS, HeldMaps, StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
-from planish.pipeline.checks import about, with_trust
 from planish.pipeline.corrections import CORRECTIONS, write_corrections
 from planish.pipeline.facts import parameters, versions
 from planish.pipeline.figures import figures_text
@@ -175,9 +175,9 @@ def _run_of_sheet(sheet: Layer, study: Study) -> Run:
     facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
     results = Results(
         planish=__version__, code=hash_sources(), versions=versions(), layers=(facts,),
-        checks=tuple(about(sheet.checks, sheet.name)), parameters=parameters(study),
+        checks=tuple(for_layers(sheet.checks, sheet.name)), parameters=parameters(study),
     )  # fmt: skip
-    return Run(study=study, results=with_trust(results), groups=sheet.groups, unchanged=sheet.unchanged)
+    return Run(study=study, results=apply_checks(results), groups=sheet.groups, unchanged=sheet.unchanged)
 
 
 def _size(run: Run) -> int:

@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 import numpy as np
 import xarray as xr
 
-from planish.checks import check_scan
+from planish.checks import MeasuredSheet, check_scan, run_checks
 from planish.compute import Compute, Progress, column_step, engine, silent
 from planish.core.errors import CannotMeasure
 from planish.core.frame import Frame, other_axis
@@ -18,16 +18,14 @@ from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
 from planish.io import find_place
 from planish.measure import measure_properties, sheet_numbers, surfaces_of
-from planish.pipeline.checks import hand_check, sheet_checks
 from planish.pipeline.corrections import asked_corrections, made_corrections
 from planish.pipeline.facts import input_file, property_facts, section_facts, surface_facts
 from planish.pipeline.layers import Layer
-from planish.pipeline.through_scale import thickness_scale_check
 from planish.pipeline.volume import read_sheet_volume, some_slices
 from planish.resample import resample_maps
 from planish.results import SheetFacts
 from planish.study import LayerParams
-from planish.surface import Corrections, correct_surfaces, correction_check, cutoff_check, find_surfaces
+from planish.surface import Corrections, correct_surfaces, find_surfaces
 
 P = TypeVar("P", bound=Params)
 
@@ -96,13 +94,13 @@ def map_layer(
             name: seen["properties"][name] for name in before.facts.properties
         }  # a store has no order
         facts = SheetFacts(numbers=before.facts.numbers, **seen)
-        own = (*sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured))
-        names = {check.name for check in own}
+        checks = run_checks(MeasuredSheet(facts, measured))
+        names = {check.name for check in checks}
         same = {k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")}
         return Layer(
             params=params, source=before.source, groups=groups | {"slices": before.groups["slices"]}, facts=facts,
             unchanged=same,
-            checks=(*own, *(check for check in before.checks if check.name not in names)), md_deg=md_deg,
+            checks=(*checks, *(check for check in before.checks if check.name not in names)), md_deg=md_deg,
         )  # fmt: skip
     frame = Frame(through=v.through, top=v.top)
     step = column_step(volume, frame, v.column_um, compute)
@@ -117,11 +115,7 @@ def map_layer(
     facts = SheetFacts(numbers=numbers, **seen)
     return Layer(
         params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups, facts=facts,
-        checks=(
-            *sheet_checks(facts), cutoff_check(measured), thickness_scale_check(measured),
-            *filter(None, [correction_check(measured)]), *hand_check(volume), *scan,
-        ),
-        md_deg=md_deg,
+        checks=(*run_checks(MeasuredSheet(facts, measured)), *scan), md_deg=md_deg,
     )  # fmt: skip
 
 

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass
-from typing import ClassVar
+from dataclasses import dataclass, fields
+from typing import Any, ClassVar, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,11 +22,6 @@ Kernel = Callable[[Floats], Floats]
 
 # Points at once, times nodes: what keeps the distances in the cache.
 _AT_ONCE = 1 << 18
-_FEW = 4  # parts of so many points: below that, starting threads takes longer than the work
-_STEPS = 60
-# The inverse begins at the nearest image of a grid that reaches this many extents of the marks beyond them.
-_AROUND = 1.0
-_GRID = 49
 
 
 class Bent(NearSimilarity):
@@ -49,6 +44,11 @@ class Bent(NearSimilarity):
     everywhere: ClassVar[bool]
     """True where the local changes end beside the marks, so that the inverse has a meaning far from them."""
 
+    def __post_init__(self) -> None:
+        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
+        for name in (f.name for f in fields(cast("Any", self)) if isinstance(getattr(self, f.name), np.ndarray)):
+            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
+
     @abstractmethod
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
         """``U`` of squared distances, its derivative by half of them, and the coefficients (n, 2) in um of each."""
@@ -64,7 +64,8 @@ class Bent(NearSimilarity):
         def add(part: slice) -> None:
             self.add_bends(scaled[part], out[part])
 
-        if len(parts) < _FEW:
+        # With fewer parts, starting threads takes longer than the work.
+        if len(parts) < 4:
             for part in parts:
                 add(part)
         else:
@@ -110,9 +111,10 @@ class _Inverse:
 
         nodes = bent.nodes * bent.size + np.array(bent.source)
         low, high = nodes.min(axis=0), nodes.max(axis=0)
-        self.bent, self.around = bent, _AROUND * float(np.max(high - low))
+        self.bent, self.around = bent, float(np.max(high - low))
         self.low, self.high = low - self.around, high + self.around
-        axes = [np.linspace(a, b, _GRID) for a, b in zip(self.low, self.high, strict=True)]
+        # The inverse begins at the nearest image of a grid that reaches one extent of the marks beyond them.
+        axes = [np.linspace(a, b, 49) for a, b in zip(self.low, self.high, strict=True)]
         self.grid = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
         self.images, self.slopes = bent(self.grid), bent.jacobian(self.grid)
         self.tree, self.largest = KDTree(self.images), float(np.abs(self.images).max())
@@ -138,7 +140,7 @@ class _Inverse:
         # What rounding leaves of the sum of kernels.
         tolerance = 4e-15 * (self.largest + np.abs(targets).max())
         active = np.arange(len(targets))
-        for _ in range(_STEPS):
+        for _ in range(60):
             current = sources[active]
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
                 step = _solve(bent.jacobian(current), error[active])
@@ -179,7 +181,6 @@ def _solve(jacobian: Floats, error: Floats) -> Floats:
 
 # Local strain from which on a fit warns.
 NOTABLE = 0.01
-_STRAIN_GRID = 65
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -234,7 +235,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     )
 
 
-def inside(marks: Floats, steps: int = _STRAIN_GRID) -> Floats:
+def inside(marks: Floats, steps: int = 65) -> Floats:
     """The marks, and points of a grid of ``steps x steps`` over their extent that lie in their hull: (k, 2) in um."""
     from scipy.spatial import Delaunay, QhullError
 

@@ -21,7 +21,7 @@ from typing import Any
 import numpy as np
 
 from planish.core.typing import Floats, Ints
-from planish.register.pairs import COINCIDENT, Pairs, inverse_of
+from planish.register.pairs import COINCIDENT, Pairs, inverse_of, whitened
 
 # Gaussian and Matern 3/2 covariances, each with its length over the rms distance of the marks from their middle.
 KERNELS = (
@@ -31,8 +31,6 @@ KERNELS = (
 # Variance of the affine deviation at that distance, and of the field, over that of a mark; 0 is as likely as not.
 _AFFINE = np.array([0.0, 3.0, 30.0, 300.0])
 _FIELD = np.array([0.0, *np.logspace(-1, 4, 6)])
-# Kernels that are less likely count for nothing.
-_LEAST = 1e-3
 _AT_ONCE = 1 << 18
 # Of more marks, those that lie together are one with their mean: the field is smooth, and the time grows with the cube.
 MOST = 256
@@ -91,8 +89,8 @@ class DeviationField:
         self._unit = float(np.median(pairs.weights))
         self._whitening = pairs.whitening() / np.sqrt(self._unit)
         design = self._columns(self.nodes)
-        target = self._whitened(pairs.fixed.reshape(-1, 1))[:, 0]
-        columns = self._whitened(design.reshape(-1, 6))
+        target = whitened(self._whitening, pairs.fixed.reshape(-1, 1))[:, 0]
+        columns = whitened(self._whitening, design.reshape(-1, 6))
         # All else is small beside this similarity.
         self._first = np.zeros(6)
         self._first[:4] = np.linalg.lstsq(columns[:, :4], target, rcond=None)[0]
@@ -115,10 +113,6 @@ class DeviationField:
         rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
-    def _whitened(self, rows: Floats) -> Floats:
-        """Multiply the 2 x 2 blocks of the whitening to rows (2n, k)."""
-        return (self._whitening @ rows.reshape(len(self._pairs), 2, -1)).reshape(rows.shape)
-
     def _fit(self, kernel: tuple[str, float], squares: Floats, columns: Floats, y: Floats, floor: float) -> _KernelFit:
         between = covariance(kernel, squares)
         if self._pairs.isotropic:
@@ -127,8 +121,8 @@ class DeviationField:
             eigenvalues: Floats = np.repeat(spectrum[0], 2)
             turn = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
         else:
-            rows = np.asarray(np.kron(between, np.eye(2)), dtype=np.float64)
-            eigenvalues, turn = (np.asarray(v) for v in np.linalg.eigh(self._whitened(self._whitened(rows).T)))
+            rows = whitened(self._whitening, np.asarray(np.kron(between, np.eye(2)), dtype=np.float64))
+            eigenvalues, turn = (np.asarray(v) for v in np.linalg.eigh(whitened(self._whitening, rows.T)))
         eigenvalues = np.maximum(eigenvalues, 0.0)
         columns, y = turn.T @ columns, turn.T @ y
         shrink = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)
@@ -323,5 +317,5 @@ def _log_prior(ratios: Floats) -> Floats:
 def _shares(logs: Floats) -> Floats:
     """Probabilities (kernels, affine ratios, field ratios) from logarithms, none for kernels that are unlikely."""
     shares = np.exp(logs - logs.max())
-    shares[shares.sum(axis=(1, 2)) < _LEAST * shares.sum()] = 0.0
+    shares[shares.sum(axis=(1, 2)) < 1e-3 * shares.sum()] = 0.0
     return shares / shares.sum()

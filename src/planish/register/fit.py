@@ -24,21 +24,10 @@ from planish.register.pairs import (
 )
 from planish.register.result import FittedTransform
 
-_FEW = 6
-_AVERAGED = 6
 _SCALES = (0.8, 1.25)
-# A model is warned of where it is off by this many times what the likely map is known to.
-_STRUCTURE = 2.0
-_STEPS = 17
-# Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
-_DISAGREE = 0.05
 # A right mark is left out in this share of sets of marks.
 _CHANCE = 0.01
 _LEAST_JUDGED = 4
-# So many wrong marks may hide each other.
-_HIDDEN = 3
-# Right ones that may be taken out before them.
-_MORE = 2
 _MANY = 150
 AVERAGED = AveragedModel()
 
@@ -136,7 +125,7 @@ def fit_transform(
     weighted = pairs.times(share)
     fitted_pairs = weighted.take(weighted.weights > 0)
     if model == "auto":
-        model = AVERAGED.name if len(fitted_pairs) >= _AVERAGED else "similarity" if len(fitted_pairs) >= 3 else lowest
+        model = AVERAGED.name if len(fitted_pairs) >= 6 else "similarity" if len(fitted_pairs) >= 3 else lowest
     transform: Transform = MODELS[model].fit(fitted_pairs, mirrored) if field is None or model != AVERAGED.name else (
         AVERAGED.of(field)
     )  # fmt: skip
@@ -174,7 +163,8 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     field = best = DeviationField(pairs, mirrored)
     keep = np.ones(n, dtype=np.bool_)
     order, wrong = [], 0
-    more, hidden = (_MORE, _HIDDEN) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
+    # Three wrong marks may hide each other, and two right ones may be taken out before them.
+    more, hidden = (2, 3) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
     while n >= _LEAST_JUDGED and len(order) < max(1, n // 4) + more and len(order) - wrong < hidden + more:
         remaining, chance = np.flatnonzero(keep), field.left_out()[1]
         # The more marks were taken out without need, the more choices there were.
@@ -218,7 +208,7 @@ def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: Ints) -> list
             f"{'others' if plural else 'another one'} exactly and count{'s' * (not plural)} once."
         )
     used = int(np.count_nonzero(fit.weights > 0))
-    if used < _FEW:
+    if used < 6:
         warnings.append(
             f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
         )
@@ -229,11 +219,12 @@ def _warn_of_structure(fit: FittedTransform) -> list[str]:
     """A model that does not follow what the marks show."""
     if fit.model == AVERAGED.name or not fit.field.freedom > 0:
         return []
-    points = inside(fit.moving[fit.weights > 0], _STEPS)
+    points = inside(fit.moving[fit.weights > 0], 17)
     likely = AVERAGED.of(fit.field)(points)
     off = np.linalg.norm(fit(points) - likely, axis=1)
     error_um, difference_um = np.sqrt(np.mean(fit.field.expected_square(points, likely))), np.sqrt(np.mean(off**2))
-    if not difference_um > _STRUCTURE * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
+    # A model is warned of where it is off by twice what the likely map is known to.
+    if not difference_um > 2.0 * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
         return []
     return [
         f"The {fit.model} model leaves structure: the marks show a map that differs from it by {difference_um:.3g} um "
@@ -245,7 +236,8 @@ def _warn_of_size(fit: FittedTransform) -> list[str]:
     """Pairs, scales and strains that no sheet has."""
     warnings: list[str] = []
     rms, spread = fit.rms_um, fit.transform.scale * fit.field.size
-    if rms > _DISAGREE * spread:
+    # Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
+    if rms > 0.05 * spread:
         warnings.append(
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
             "are wrong. Check that every row pairs the same hole on both sides."

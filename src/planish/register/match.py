@@ -27,10 +27,6 @@ from planish.register.similarity import SimilarityModel
 _ACCEPTED_LOG_CHANCE = -3.0
 # A different arrangement has to be this much likelier to be chance, as log10.
 _MARGIN = 3.0
-# A stretch that is reported.
-_NOTABLE_STRETCH = 0.001
-# From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
-_ENOUGH_SHARED = 4
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -173,7 +169,7 @@ def _reservations(choice: BestMatch, smaller: int) -> str:
     """Sentences on a match that is stretched, or of three marks only."""
     sentence = ""
     stretch = 2.0 * abs(choice.arrangements.gamma[choice.best]) / abs(choice.arrangements.alpha[choice.best])
-    if stretch >= _NOTABLE_STRETCH and len(choice.pairs) >= 6:
+    if stretch >= 0.001 and len(choice.pairs) >= 6:
         sentence += (
             f" One direction is stretched by {100 * stretch:.1f} % against the other: an affine fit may be better."
         )
@@ -265,7 +261,8 @@ def match_by_design(
     order = np.argsort(pairs[:, 0])
     pairs = np.ascontiguousarray(pairs[order])
     mirrored = first.mirrored != second.mirrored
-    if len(pairs) >= _ENOUGH_SHARED:
+    # From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
+    if len(pairs) >= 4:
         transform, rms = _fit_similarity(sides[0][pairs[:, 0]], sides[1][pairs[:, 1]], mirrored)
         basis = f"residual {rms:.1f} um rms"
     else:

@@ -11,11 +11,6 @@ from planish.core.typing import Bools, Floats, Ints
 from planish.register.match_search import REACH, Arrangements, Complexes, chance_without, extents, search, share_within
 from planish.register.pairs import as_complex
 
-# Of the marks of the smaller side that lie in the field of the other, this share has to agree.
-_LEAST_SHARE = 0.35
-# A pair this many times further apart than the others are is not one, however wide the tolerance.
-_OUTLYING = 5.0
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BestMatch:
@@ -47,7 +42,8 @@ class BestMatch:
         if len(self.small) == 3:
             return 3
         in_common_field = np.count_nonzero(_inside(self.arrangements.landed[self.best], self.large, 0.05))
-        return max(4, int(np.ceil(_LEAST_SHARE * in_common_field)))
+        # Of the marks of the smaller side that lie in the field of the other, this share has to agree.
+        return max(4, int(np.ceil(0.35 * in_common_field)))
 
     def together(self) -> tuple[Complexes, tuple[int, int]]:
         """All marks of the field that both sides show, first the pairs; and how many each side alone shows."""
@@ -79,7 +75,8 @@ def choose(
     agreeing = squares[squares <= tolerance_um * tolerance_um]
     spare = max(len(agreeing) - float(arrangements.freedom[best]), 1.0)
     scatter = np.sqrt(np.median(agreeing) * len(agreeing) / spare) / 1.18
-    rows = np.flatnonzero(squares <= float(min(tolerance_um, _OUTLYING * scatter + 0.1 * tolerance_um)) ** 2)
+    # A pair this many times further apart than the others are is not one, however wide the tolerance.
+    rows = np.flatnonzero(squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2)
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
     pairs = pairs[:, ::-1] if swapped else pairs
     return BestMatch(
@@ -121,8 +118,6 @@ def _inside(points: Complexes, around: Complexes, border: float) -> Bools:
     return inside_x & (points.imag >= y0 - extra) & (points.imag <= y1 + extra)
 
 
-# Scales under which a pattern may repeat itself.
-_SCALE = 0.01
 # log10 of how much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are
 # rare among those that people burn, but a wrong match is worse than none.
 _LOG_DOUBT = -2.0
@@ -136,7 +131,6 @@ _NOT_BURNT = 0.05
 _LOST_OF_ALONE = 0.75
 # Marks on one line meet by chance so often that what is plausible alone decides.
 _LOG_DOUBT_ON_A_LINE = -8.0
-_MOST_TRIED = 25_000
 
 
 def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
@@ -149,9 +143,10 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     count, sure = len(points), len(points) - sum(alone)
     if count < 4:
         return None
+    # Scales up to 1 % off: under those a pattern may repeat itself.
     arrangements = search(
-        points, points, _SCALE, tolerance_um, hands=(False, True) if mirror else (False,), least_share=0.3,
-        most_tried=_MOST_TRIED,
+        points, points, 0.01, tolerance_um, hands=(False, True) if mirror else (False,), least_share=0.3,
+        most_tried=25_000,
     )  # fmt: skip
     if arrangements is None:
         return None

@@ -21,18 +21,11 @@ from planish.register.pairs import Complexes
 REACH = 1.6
 # Largest difference of stretch between two directions that the search follows: humidity, a lens.
 STRETCH = 0.005
-# Largest stretch that an arrangement may have; a wrong one often needs more.
-_MOST_STRETCH = 0.012
 # Scales so far outside the tolerance are still followed: they are named, and they stop worse ones being taken.
 SCALE_SPARE = 0.01
-# Localisation error that the stretch is weighed against, as a share of the tolerance.
-_ERROR_SHARE = 0.16
 # Hypotheses tried, hypotheses refined, cells of the raster.
 _MOST_TRIED = 40_000
 _MOST_REFINED = 400
-_MOST_CELLS = 1_500_000
-# Only hypotheses with this share of the best count are refined.
-_SHARE = 0.6
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -87,11 +80,13 @@ def search(
     wide = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
     raster, cells = _raster(b, wide), _cells(b, wide)
     reaches = np.array([wide, 0.5 * (wide + reach), reach, reach, reach])
-    ridge = (_ERROR_SHARE * tolerance_um / (0.5 * STRETCH)) ** 2
+    # Localisation error that the stretch is weighed against, as a share of the tolerance.
+    ridge = (0.16 * tolerance_um / (0.5 * STRETCH)) ** 2
     parts: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
-        share = _SHARE if least_share is None else 0.0
+        # Only hypotheses with this share of the best count are refined.
+        share = 0.6 if least_share is None else 0.0
         counts = _kernels.count_near(points, b, pairs.base, pairs.first, pairs.start, pairs.target, raster, share)
         enough = max(3, int(share * counts.max()), int((least_share or 0.0) * len(a)))
         if a is b and not hand:
@@ -129,7 +124,8 @@ def _arrangements(
     scale = np.abs(alpha)
     count = np.count_nonzero(partner >= 0, axis=1)
     is_possible = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (count >= 3)
-    is_possible &= np.abs(gamma) <= 0.5 * _MOST_STRETCH * scale
+    # Largest stretch that an arrangement may have; a wrong one often needs more.
+    is_possible &= np.abs(gamma) <= 0.5 * 0.012 * scale
     _, once = np.unique(partner[is_possible], axis=0, return_index=True)
     rows = np.flatnonzero(is_possible)[once]
     if len(rows) == 0:
@@ -224,7 +220,7 @@ def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np
     """Raster of the cells within ``reach`` of a mark, roughly: ``x0, y0, size, near``; its border is 0."""
     x0, x1 = b.real.min() - reach, b.real.max() + reach
     y0, y1 = b.imag.min() - reach, b.imag.max() + reach
-    size = float(max(reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / _MOST_CELLS), max(x1 - x0, y1 - y0) / 20000.0))
+    size = float(max(reach / 3.0, np.sqrt((x1 - x0) * (y1 - y0) / 1_500_000), max(x1 - x0, y1 - y0) / 20000.0))
     x0, y0 = float(x0 - 2.0 * size), float(y0 - 2.0 * size)
     near = np.zeros((int((y1 - y0) / size) + 3, int((x1 - x0) / size) + 3), np.uint8)
     steps = np.arange(-int(reach / size) - 2, int(reach / size) + 3)

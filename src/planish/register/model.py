@@ -19,11 +19,6 @@ from planish.register.pairs import COINCIDENT, Pairs, inverse_of
 
 Frame = tuple[Floats, float]
 
-# Marks whose spread across a line is below this share of that along it fix nothing across it.
-_LINE = 0.01
-# Condition number of the scaled equations beyond which marks do not fix the parameters.
-_RANK = 1e-8
-
 
 class Model(ABC):
     """A kind of transformation. A new one is a subclass and an entry in :mod:`planish.register.models`.
@@ -114,7 +109,8 @@ def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, F
     rows = (whitening @ design).reshape(-1, design.shape[-1])
     q, r = np.linalg.qr(rows)
     sizes = np.linalg.svd(r / np.maximum(np.linalg.norm(r, axis=0), 1e-300), compute_uv=False)
-    if len(rows) < design.shape[-1] or not sizes[-1] > _RANK * sizes[0]:
+    # Condition number of the scaled equations beyond which marks do not fix the parameters.
+    if len(rows) < design.shape[-1] or not sizes[-1] > 1e-8 * sizes[0]:
         raise CannotRegister(
             f"The marks do not fix one {name} transformation: their arrangement leaves at least one parameter free. "
             "Add marks away from the lines that the others lie on, or choose a model with fewer parameters."
@@ -128,7 +124,8 @@ def refuse_line(pairs: Pairs, name: str) -> None:
     for side, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
         away = np.sqrt(share)[:, None] * (points - share @ points)
         long, across = np.linalg.svd(away, compute_uv=False)[:2]
-        if across < _LINE * long:
+        # Marks whose spread across a line is below this share of that along it fix nothing across it.
+        if across < 0.01 * long:
             raise CannotRegister(
                 f"The {side} marks lie on one line (they spread {long:.4g} um rms along it and {across:.2g} um across "
                 f"it); a model of type {name} needs marks away from it. Add some, or fit a similarity."

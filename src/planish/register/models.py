@@ -37,11 +37,6 @@ class Averaged(Bent):
     gauss: Floats  # lengths, scaled
     matern: Floats
 
-    def __post_init__(self) -> None:
-        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
-        for name in ("nodes", "affine", "bend", "gauss", "matern"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
-
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
         """Gaussian and Matern kernels."""
         kernels = [("gauss", float(v)) for v in self.gauss] + [("matern", float(v)) for v in self.matern]

@@ -15,9 +15,6 @@ Complexes = NDArray[np.complex128]
 
 # Marks closer together than this share of their distance from the origin cannot be distinguished in float64.
 COINCIDENT = 1e-9
-# The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
-_OTHER_HAND = 0.2
-_FAR_OFF = 0.05
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -67,6 +64,11 @@ class Pairs:
         share = self.weights / np.sum(self.weights)
         middle = share @ self.moving
         return middle, float(np.sqrt(share @ np.sum((self.moving - middle) ** 2, axis=1)))
+
+
+def whitened(whitening: Floats, rows: Floats) -> Floats:
+    """Multiply the 2 x 2 blocks (n, 2, 2) of a whitening to rows (2n, k)."""
+    return (whitening @ rows.reshape(len(whitening), 2, -1)).reshape(rows.shape)
 
 
 def inverse_of(blocks: Floats) -> Floats:
@@ -210,7 +212,8 @@ def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
     mine, other = missed[mirrored], missed[not mirrored]
     away = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
     spread = np.sqrt(np.average(np.sum(away**2, axis=1), weights=pairs.weights))
-    if mine < _FAR_OFF * spread or other > _OTHER_HAND * mine:
+    # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
+    if mine < 0.05 * spread or other > 0.2 * mine:
         return
     # Exchanged columns are a mirror image that is turned by -90 degrees.
     turn = turns[not mirrored] / abs(turns[not mirrored])

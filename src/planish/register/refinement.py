@@ -22,11 +22,8 @@ from planish.register.result import FittedTransform
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
 
-_MOST_PIXELS = 60_000
 _LEAST_PIXELS = 400
-_BINS = 32
 _STEPS = 100
-_PLACES = 65  # along either axis, where displacement and derivatives are looked at
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -230,7 +227,8 @@ def refine(
     maps, masks, pixel_um, first_um = _prepared(linked, image, valid, pixel_um, options.grid_um)
     transform = _searched(itk, maps, masks, pixel_um, first_um, options)
     is_shared = masks[0] & masks[1]
-    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, _PLACES)).round().astype(np.int64)) for n in is_shared.shape)
+    # 65 places along either axis, where displacement and derivatives are looked at.
+    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in is_shared.shape)
     y, x = np.meshgrid(rows, cols, indexing="ij")
     is_used = is_shared[y, x]
     points = np.stack([x[is_used], y[is_used]], axis=-1) * np.array(pixel_um)[::-1] + first_um
@@ -305,7 +303,7 @@ def _searched(
     if options.metric == "correlation":
         search.SetMetricAsCorrelation()
     else:
-        search.SetMetricAsMattesMutualInformation(_BINS)
+        search.SetMetricAsMattesMutualInformation(32)
     search.SetMetricFixedMask(images[2])
     search.SetMetricMovingMask(images[3])
     search.SetMetricSamplingStrategy(search.NONE)
@@ -367,7 +365,7 @@ def _prepared(
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
     allowed = np.ones(linked.shape, dtype=bool) if valid is None else valid
     maps = [np.where(np.isfinite(m) & allowed, m, np.nan).astype(np.float64) for m in (linked, image)]
-    factor = math.ceil(math.sqrt(linked.size / _MOST_PIXELS))
+    factor = math.ceil(math.sqrt(linked.size / 60_000))
     first = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
     if factor > 1:
         maps = [area_mean(m, (factor, factor)) for m in maps]

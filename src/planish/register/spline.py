@@ -19,7 +19,7 @@ from planish.register._bent_kernels import add_thin_plate
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField
 from planish.register.model import Model, refuse_line
-from planish.register.pairs import Pairs, inverse_of
+from planish.register.pairs import Pairs, inverse_of, whitened
 
 _LEAST = 6
 _TRIALS = 33
@@ -55,11 +55,6 @@ class ThinPlate(Bent):
     # The parameter lambda of the spline in um**2: 0 goes through all marks, infinity is affine. It is what
     # ``scipy.interpolate.RBFInterpolator`` calls ``smoothing``.
     smoothing_um2: float
-
-    def __post_init__(self) -> None:
-        """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
-        for name in ("nodes", "affine", "bend"):
-            object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
 
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
         """One kernel."""
@@ -115,26 +110,20 @@ class Smoothing:
         self.middle, self.size = pairs.frame()
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
-        self.kernel = self.covariance(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
-        affine = self._whitened(_on_both_axes(np.column_stack([np.ones(n), self.nodes])))
+        # Whitened covariance (2n, 2n) of both coordinates.
+        bends = _on_both_axes(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
+        self.kernel = whitened(self.whitening, whitened(self.whitening, bends).T)
+        affine = whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes])))
         full, triangle = qr(affine)
         self.span, self.complement, self.triangle = full[:, :6], full[:, 6:], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
-        self.y = self._whitened((pairs.fixed - self.target).reshape(-1, 1))[:, 0]
+        self.y = whitened(self.whitening, (pairs.fixed - self.target).reshape(-1, 1))[:, 0]
         inner = self.complement.T @ self.kernel @ self.complement
         values, vectors = eigh(0.5 * (inner + inner.T))
         self.eigenvalues = np.maximum(values, 0.0)
         self.vectors = self.complement @ vectors
         self.z = self.vectors.T @ self.y
         self.freedom = 2 * n - 6
-
-    def _whitened(self, rows: Floats) -> Floats:
-        """Multiply the 2 x 2 blocks of the whitening to rows (2n, k)."""
-        return (self.whitening @ rows.reshape(len(self.pairs), 2, -1)).reshape(rows.shape)
-
-    def covariance(self, values: Floats) -> Floats:
-        """Whitened covariance (2n, 2n) of both coordinates from that of one, (n, n)."""
-        return self._whitened(self._whitened(_on_both_axes(values)).T)
 
     def missed(self, smoothing_um2: float) -> tuple[Floats, Floats]:
         """Errors (n, 2) of the marks left out at a fixed smoothing, whitened, and their expected covariance (n, 2, 2).

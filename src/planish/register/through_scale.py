@@ -16,11 +16,8 @@ from planish.register.similarity import affine_columns, similarity_columns
 CHANCE = 0.0027  # that right marks exclude a scale of 1: three errors
 _LEAST = 4  # marks
 _MOST = 80  # marks: evenly spaced ones of more; the scale is certain long before
-_STRAIN = 0.0005  # standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms
 _FIELD_REACH = (0.5, 1.0)  # of smooth displacements, over the spread of the marks
 _FIELD_SHARE = (1.0, 10.0, 100.0, 1000.0)  # their variance over that of a mark
-_LINE = 0.01  # of their spread: marks nearer to a line than that say nothing
-_NOTHING_UM = 1e-6
 _STEPS, _VARIANCES = 181, 16
 
 
@@ -97,7 +94,8 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     used_pairs = pairs.take(rows)
     target = used_pairs.fixed - used_pairs.fixed.mean(axis=0)
     long, across = np.linalg.svd(target, compute_uv=False)
-    if not across > _LINE * long:
+    # Marks nearer to a line than 1 % of their spread say nothing.
+    if not across > 0.01 * long:
         return None
     spread = float(np.sqrt(np.mean(np.sum(target**2, axis=1))))
     # Lengths go with the square of the slope.
@@ -172,7 +170,8 @@ def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) ->
     noise[each, :, each, :], precision[each, :, each, :] = inverse_of(information), information
     noise, precision = (k.reshape(2 * n, 2 * n) for k in (noise, precision))
     free, misfit = _free_columns(designs, target, precision)
-    shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * _STRAIN
+    # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
+    shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
     kinds = [*product(_FIELD_REACH, _FIELD_SHARE)]
     fields = [(1 / len(kinds), share * np.exp(-squares / (2 * reach**2))) for reach, share in kinds]
@@ -205,7 +204,7 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
     change = change - designs[best] @ _solved(designs[[best]], change, precision)[0][0]
     length = float(np.linalg.norm(change))
     free = designs[best]
-    if length > _NOTHING_UM:
+    if length > 1e-6:
         free = np.concatenate([free, change[..., None] / length], axis=-1)
     return free, float(misfit[best])
 

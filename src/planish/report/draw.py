@@ -406,7 +406,7 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    finite = np.isfinite(tenths).all(axis=1)
+    finite = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1])
     out: list[str] = []
     for run in np.split(np.arange(finite.size), np.flatnonzero(finite[1:] != finite[:-1]) + 1):
         if len(run) > 1 and finite[run[0]]:

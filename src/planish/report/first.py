@@ -100,7 +100,7 @@ def advised(results: Results) -> list[Check]:
 def _surer(results: Results) -> list[tuple[str, Check | None]]:
     found: list[tuple[str, Check | None]] = [
         (f"{capital(check.name)}: {capital(typeset(check.advice))}", check)
-        for check in (*results.spoken("fail"), *results.spoken("look")) if check.advice
+        for check in (*results.checks_in("fail"), *results.checks_in("look")) if check.advice
     ]  # fmt: skip
     rows = lead_pair(results)
     found += [(text, None) for text in (_of_field(rows), _of_place(results), _of_study(results)) if text]

@@ -36,7 +36,7 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
     )
     spoken = "".join(
         f"<li><b>{check.state}</b> {escape(check.name)}: {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
-        for check in results.spoken("fail", "look", "unknown")
+        for check in results.checks_in("fail", "look", "unknown")
     )
     return (
         f'<div style="max-width:72ch"><p>{escape(sentence)}</p><table>{rows}</table>'

@@ -28,6 +28,7 @@ from planish.report import (
     relation,
     scale,
     slices,
+    statement,
     summary,
     tables,
     text,
@@ -161,7 +162,7 @@ def _render(
     shown = _Shown()
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
-        summary=summary, text=text, first=first, shown=shown, sheets=sheets, leading=leading,
+        summary=summary, statement=statement, text=text, first=first, shown=shown, sheets=sheets, leading=leading,
         blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
         pairs=_draw_pairs(pairs, results, data.titles), scales=_scales(results, data.titles), scale=scale,
         lights=[d for e in results.evidence if (d := _light(e, results, data.titles, pairs))],
@@ -233,10 +234,9 @@ def _block(
         shared = bool(rows) and rows[0].same_quantity
         pair = _valid(data, layer.headline), _valid(reference, base.headline)
         shown = [maps.draw_side_by_side(pair, names=(layer.name, base.name), shared=shared, without=without)]
-    name = "image-based check" if len(results.layers) == 2 else f"image-based check of {layer.name}"
     return _Block(
         layer=layer, marks=marks if marks is not None and marks.sizes["mark"] else None,
-        check=summary.lag_verdict(r.lag, first=first, second=second, name=name),
+        check=summary.lag_verdict(r.lag, first=first, second=second),
         pictures=_registration(r, data, other, marks, results, words=(layer.name, first, second)), linked=shown,
         outlined=outlined,
     )  # fmt: skip

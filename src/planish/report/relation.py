@@ -14,20 +14,8 @@ from planish.core.bands import band_of, bands, thinned
 from planish.core.facts import is_known
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
-from planish.report.text import (
-    HOLES,
-    REGISTERED,
-    by_spread,
-    capital,
-    count,
-    in_words,
-    number,
-    plain,
-    r_interval_text,
-    r_text,
-    unit,
-    unit_of,
-)
+from planish.report.statement import r_interval_text, r_text
+from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
 from planish.results import CorrelationRow
 
 Points = tuple[Array, Array]
@@ -221,7 +209,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
-    return tuple(by_spread(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
+    return tuple(beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
 
 
 def _points(canvas: Canvas, a: Array, b: Array) -> Axes:

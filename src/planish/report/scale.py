@@ -8,7 +8,8 @@ from collections.abc import Iterable, Mapping
 from planish.analyze import Partial
 from planish.core.facts import is_known
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
-from planish.report.text import REGISTERED, capital, count, decimals_of_r, fixed, left_out, number, percent, plain
+from planish.report.statement import decimals_of_r
+from planish.report.text import REGISTERED, capital, count, fixed, left_out, number, percent, plain
 from planish.results import EvidenceFacts, MapReliability
 
 _TOP, _HIGH, _WIDE = 40.0, 250.0, 400.0

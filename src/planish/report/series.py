@@ -17,7 +17,7 @@ import xarray as xr
 
 from planish.core.series_results import SeriesResults, Specimen
 from planish.report import series_words as words
-from planish.report import text
+from planish.report import statement, text
 from planish.report.colours import Array, image_uri, limits
 from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, reduced, round_step
 
@@ -80,7 +80,7 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     drawn = ((k, draw_groups(results, k)) for k in columns)
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
     page = text.template("planish.report", "series.html.j2").render(
-        results=results, words=words, text=text, sources=_SOURCES, factors=factors,
+        results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
         columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
         orders=_orders(results, factors), pictures=[(k, picture) for k, picture in drawn if picture is not None],
         tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state in _OUT],
@@ -98,7 +98,7 @@ def _line(specimen: Specimen, factors: Sequence[str], columns: Sequence[int], re
         doubt = cell.why_not if is_apart else "" if cell.trust == "ok" else cell.trust
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
-    return SpecimenLine(specimen, link, [specimen.member.factors.get(name, "") for name in factors], cells)
+    return SpecimenLine(specimen, link, [specimen.factor(name) for name in factors], cells)
 
 
 def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrder]:
@@ -115,10 +115,10 @@ def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrde
         v = specimen.cells[k].value if specimen.cells else None
         return (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
 
-    by("name", lambda s: (natural(s.member.name),))
+    by("name", lambda s: (natural(s.name),))
     by("state", lambda s: (s.member.state != "whole", s.member.state, s.light or ""))
     for name in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
-        by(name, lambda s, name=name: (not s.member.factors.get(name), natural(s.member.factors.get(name, ""))))
+        by(name, lambda s, name=name: (not s.factor(name), natural(s.factor(name))))
     for k, q in enumerate(results.quantities):
         title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
         if q.map == results.quantities[0].map:
@@ -203,7 +203,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     fields = [  # sheet and value of every specimen of a group that counts
         [
             (s.sheet, float(s.cells[k].value or 0.0)) for s in results.specimens
-            if s.cells and s.cells[k].counts and all(s.member.factors.get(f, "") == v for f, v in g.group.items())
+            if s.cells and s.cells[k].counts and all(s.factor(f) == v for f, v in g.group.items())
         ]
         for g in groups
     ]  # fmt: skip

@@ -7,8 +7,9 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from planish.core.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
+from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
-from planish.report.text import NONE, by_spread, capital, count, decimals_of_r, fixed, number, p_text, typeset, unit
+from planish.report.text import NONE, beside, capital, count, fixed, number, typeset, unit
 
 _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
@@ -71,11 +72,11 @@ def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = Non
         return NONE
     spread = None if limits is None else (limits[1] - limits[0]) / 2
     if q.what == "thin_share":
-        return number(100 * v, 2) if spread is None else by_spread(100 * v, 100 * spread)
+        return number(100 * v, 2) if spread is None else beside(100 * v, 100 * spread)
     if q.what == "r":
         ends = None if spread is None else (v - spread, v + spread)
         return fixed(v, _OF_CLOSE if abs(v) > _CLOSE and spread is None else decimals_of_r(ends))
-    return number(v) if spread is None else by_spread(v, spread)
+    return number(v) if spread is None else beside(v, spread)
 
 
 def units(q: Quantity) -> str:

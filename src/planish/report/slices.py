@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.report.colours import GREYS, Array, Scale, limits
-from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, ShownMap, pitch, pixel_of, reduced
+from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, pitch, pixel_of, reduced
 from planish.report.text import count, length, number, plain
 
 # Colours that do not need red and green to be distinguished, and stand out from grey.
@@ -55,13 +55,6 @@ class Slice:
         """Lowest and highest height."""
         return float(self.heights[-1]), float(self.heights[0])
 
-    def cut(self, window: Window, width: float) -> ShownMap:
-        """Return the grey values of a window, for axes so many pixels wide."""
-        left, right, low, high = window
-        cols = (self.x >= left - 1e-6) & (self.x <= right + 1e-6)
-        rows = (self.heights >= low - 1e-6) & (self.heights <= high + 1e-6)
-        return reduced(self.grey[np.ix_(rows, cols)], self.heights[rows], self.x[cols], width=width)
-
 
 def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each."""
@@ -105,9 +98,12 @@ def _draw(
     canvas: Canvas, cut: Slice, window: Window, corner: tuple[float, float], zoom: float, scale: Scale, width: float
 ) -> Axes:
     """Draw a window of a slice with its surfaces."""
-    wide, high = (window[1] - window[0]) * zoom, (window[3] - window[2]) * zoom
-    axes = canvas.axes(*corner, wide, high, window)
-    axes.image(cut.cut(window, wide), scale)
+    left, right, low, high = window
+    wide = (right - left) * zoom
+    axes = canvas.axes(*corner, wide, (high - low) * zoom, window)
+    cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
+    rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
+    axes.image(reduced(cut.grey[np.ix_(rows, cols)], cut.heights[rows], cut.x[cols], width=wide), scale)
     every = slice(None, None, max(1, cut.x.size // _POINTS))
     for name, _, colour, dash in LINES:
         line = np.stack([cut.x, cut.lines[name]], axis=1)

@@ -10,6 +10,7 @@ from planish.analyze import LagNumbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
 from planish.report.relation import largest, written_difference
+from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
 from planish.report.text import (
     NONE,
     REGISTERED,
@@ -21,10 +22,6 @@ from planish.report.text import (
     number,
     percent,
     plain,
-    r2_interval_text,
-    r2_text,
-    r_interval_text,
-    r_text,
     typeset,
     unit,
     with_article,
@@ -48,11 +45,9 @@ class KeyFigure(NamedTuple):
 
 
 class LagVerdict(NamedTuple):
-    """Result of the image-based check: its light, also as a word, its sentence, and what that means."""
+    """Result of the image-based check: its light, its sentence, and what that means."""
 
     state: Literal["agrees", "amber", "grey"]
-    word: str
-    name: str
     sentence: str
     meaning: str
 
@@ -66,7 +61,7 @@ def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
 
 def check_summary(results: Results) -> str:
     """State what the checks say, the worst first."""
-    fail, look, unknown = (len(results.spoken(state)) for state in ("fail", "look", "unknown"))
+    fail, look, unknown = (len(results.checks_in(state)) for state in ("fail", "look", "unknown"))
     total = len(results.checks)
     if not fail and not look and not unknown:
         return f"All {total} checks are passed." if total != 1 else "The check is passed."
@@ -82,7 +77,7 @@ def check_summary(results: Results) -> str:
 def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
     """Say why a figure of some layers is kept out of the headline."""
     state: State = "fail" if trust == "withheld" else "look"
-    names = [c.name for c in results.spoken(state) if c.figures and (not c.layers or set(c.layers) & set(layers))]
+    names = [c.name for c in results.checks_in(state) if c.figures and (not c.layers or set(c.layers) & set(layers))]
     return f"is {trust} ({', '.join(dict.fromkeys(names))})"
 
 
@@ -290,13 +285,13 @@ def _figure_of_r(row: CorrelationRow | None, label: str) -> KeyFigure:
     return KeyFigure(r_text(row), "", label, f"{interval}{square if is_known(row.r2) else ''}{points}; {REGISTERED}")
 
 
-def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -> LagVerdict | None:
+def lag_verdict(lag: LagNumbers | None, *, first: str, second: str) -> LagVerdict | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
-    width, state, word = math.hypot(*lag.se_um), "agrees", " agrees"
+    width, state = math.hypot(*lag.se_um), "agrees"
     if lag.agrees is None:
-        state, word = "grey", " inconclusive"
+        state = "grey"
         end = (
             "The marks give no expected error to compare the result with."
             if is_known(lag.length_um)
@@ -304,7 +299,7 @@ def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -
             "from the marks alone."
         )
     elif not lag.agrees:
-        state, word = "amber", " to be inspected"
+        state = "amber"
         end = (
             "They do not coincide within the expected error. Until the cause is known, a position is known to about "
             f"{length(lag.length_um, 2)} and no better."
@@ -317,4 +312,4 @@ def lag_verdict(lag: LagNumbers | None, *, first: str, second: str, name: str) -
     else:
         end = "They coincide within the error expected from the marks."
     meaning = f"The fine textures of {first} and {second} were aligned without using the marks. {end}"
-    return LagVerdict(state, word, name, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)
+    return LagVerdict(state, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)

@@ -8,8 +8,9 @@ from typing import Any, NamedTuple, cast
 from planish.core.facts import is_known
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
+from planish.report.statement import limits_text, r_text
 from planish.report.summary import Titles, by_pair, headline_pair, titles_of
-from planish.report.text import NONE, capital, fixed, in_words, limits_text, number, plain, r_text, unit
+from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
 from planish.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 
 Facts = list[tuple[str, str]]

@@ -1,10 +1,10 @@
-"""How numbers, units and correlations are written: digits that mean something, real minus signs, typeset units."""
+"""How numbers and units are written: digits that mean something, real minus signs, typeset units."""
 
 from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from planish.core.facts import is_known
 
@@ -12,19 +12,14 @@ if TYPE_CHECKING:
     import xarray as xr
     from jinja2 import Template
 
-    from planish.results import ComparisonRow, CorrelationRow
-
-    Row = ComparisonRow | CorrelationRow
-
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 REGISTERED = "registration: marks only"
+
 """Stands beside every correlation: how its maps were registered."""
 HOLES = "holes and rims"
 """What the mask of valid pixels leaves out where no regions were declared."""
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
-_NARROW = 0.02  # width of an interval of r, below which two decimals hide it
-_MOST_DECIMALS = 5
 _MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
 
 
@@ -44,8 +39,8 @@ def number(value: float | None, digits: int = 3) -> str:
         return "0"
     size = math.floor(math.log10(abs(value)))
     if size < -4:
-        power = str(size).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
-        return _signed(f"{value / 10.0**size:.{max(digits - 1, 0)}f}·10") + power
+        mantissa = f"{value / 10.0**size:.{max(digits - 1, 0)}f}"
+        return _signed(f"{mantissa}·10") + _superscript(size)
     # Rounding may add a digit: 0.9996 to three digits is 1.00.
     rounded = round(value, max(digits - 1 - size, 0))
     size = math.floor(math.log10(abs(rounded))) if rounded else size
@@ -59,12 +54,12 @@ def fixed(value: float | None, decimals: int) -> str:
     return _signed(f"{round(value, decimals) + 0.0:,.{decimals}f}")  # no minus sign on a zero
 
 
-def by_spread(value: float | None, spread: float | None) -> str:
+def beside(value: float | None, spread: float | None) -> str:
     r"""Write a number with the decimals that two significant digits of its spread have.
 
     Examples
     --------
-    >>> by_spread(2.49817, 0.0722), by_spread(1234.5, 87.0), by_spread(1.5, None)
+    >>> beside(2.49817, 0.0722), beside(1234.5, 87.0), beside(1.5, None)
     ('2.498', '1\u202f234', '1.50')
     """
     if not spread or not math.isfinite(spread):
@@ -143,6 +138,24 @@ def with_article(layer: str) -> str:
     return f"the {layer}" if layer in ("volume", "image", "sheet") else layer
 
 
+def template(package: str, name: str) -> Template:
+    """Return a template of a package, which may use those of the report and its filters."""
+    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
+
+    loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
+    environment = Environment(
+        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
+    )
+    environment.filters.update(_FILTERS)
+    return environment.get_template(name)
+
+
+_FILTERS: dict[str, Any] = {"is_known": is_known, "length_um": length, "limit": with_unit} | {
+    f.__name__: f for f in (capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
+}
+"""How templates write numbers and words."""
+
+
 def left_out(regions: object) -> str:
     """Name what the mask of valid pixels leaves out; ``regions`` is empty where none were declared."""
     return "holes, rims and declared regions" if regions else HOLES
@@ -164,87 +177,9 @@ def label_of(data: xr.DataArray) -> str:
     return f"{title_of(data)} / {units}" if units else title_of(data)
 
 
-def template(package: str, name: str) -> Template:
-    """Return a template of a package, which may use those of the report and its filters."""
-    from jinja2 import ChoiceLoader, Environment, PackageLoader, StrictUndefined
-
-    loader = ChoiceLoader([PackageLoader(package), PackageLoader("planish.report")])
-    environment = Environment(
-        loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
-    )
-    environment.filters |= {"is_known": is_known, "length_um": length, "limit": with_unit}
-    environment.filters |= {f.__name__: f for f in _FILTERS}
-    return environment.get_template(name)
-
-
-_FILTERS = (capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
-"""How templates write numbers and words, beside the three that have other names there."""
-
-
-# --- correlations ----------------------------------------------------------------------------------------------------
-
-
-def decimals(row: Row) -> int:
-    """Decimals of r² that its interval allows: those of one significant digit of half its width."""
-    limits = r2_limits(row)
-    half = (limits[1] - limits[0]) / 2 if limits else 0.0
-    return min(max(-math.floor(math.log10(half)), 1), _MOST_DECIMALS) if half > 0 else 2
-
-
-def r2_limits(row: Row) -> tuple[float, float] | None:
-    """Limits of r²; from 0 on where r may have either sign."""
-    if not is_known(row.interval):
-        return None
-    low, high = sorted(v * v for v in row.interval)
-    return (low if row.direction else 0.0, high)
-
-
-def r2_text(row: Row | None) -> str:
-    """Write r² as far as it is known."""
-    return NONE if row is None else fixed(row.r2, decimals(row))
-
-
-def limits_text(limits: tuple[float, float] | None, digits: int = 2) -> str:
-    """Write an interval; a dash where there is none."""
-    if limits is None or not is_known(limits):
-        return NONE
-    return f"{fixed(limits[0], digits)} to {fixed(limits[1], digits)}"
-
-
-def r2_interval_text(row: Row | None) -> str:
-    """Write the interval of r²."""
-    return NONE if row is None else limits_text(r2_limits(row), decimals(row))
-
-
-def r_text(row: Row | None) -> str:
-    """Write r with two decimals, three where the interval is narrow."""
-    return NONE if row is None else fixed(row.r, decimals_of_r(row.interval))
-
-
-def r_interval_text(row: Row | None) -> str:
-    """Write the interval of r."""
-    return NONE if row is None else limits_text(row.interval, decimals_of_r(row.interval))
-
-
-def p_text(p: float | None) -> str:
-    """Write a p with two digits, and small ones as a bound."""
-    if p is None or not is_known(p):
-        return NONE
-    return "< 0.0001" if p < 1e-4 else number(p, 2) if p < 0.0995 else fixed(p, 2)
-
-
-def points_text(row: Row | None) -> str:
-    """Write the points, and how many of them are independent."""
-    if row is None:
-        return NONE
-    return count(row.n) if not is_known(row.n_eff) else f"{count(row.n)}\n{count(round(row.n_eff))}"
-
-
-def decimals_of_r(limits: tuple[float, float] | None) -> int:
-    """Decimals of an r within limits: two, and more where they are close to each other."""
-    wide = 1.0 if limits is None or not is_known(limits) else limits[1] - limits[0]
-    return min(max(2, 1 - math.floor(math.log10(wide))), _MOST_DECIMALS) if 0 < wide < _NARROW else 2
-
-
 def _signed(text: str) -> str:
     return text.replace(",", _SPACE).replace("-", "−")
+
+
+def _superscript(value: int) -> str:
+    return str(value).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

@@ -2,7 +2,6 @@ from .declared import Declared as Declared
 from .declared import declared_of as declared_of
 from .gather import FigureRow as FigureRow
 from .gather import Gathered as Gathered
-from .gather import RunSummary as RunSummary
 from .gather import gather as gather
 from .gather import rows_of as rows_of
 from .jobs import SeriesState as SeriesState

@@ -30,7 +30,7 @@ def cautions_of(
                  "volumes", "layers": "links of several layers"}  # fmt: skip
         numbers = ", ".join(f"{n} {words[str(kind)]}" for kind, n in kinds.items())
         yield f"The runs are of different kinds ({numbers}): only figures that are of the same maps meet."
-    sizes = [um for specimen in counted if (um := gathered.runs[specimen.member.name].column_um) is not None]
+    sizes = [um for specimen in counted if (um := gathered.runs[specimen.name].column_um) is not None]
     if sizes and max(sizes) > _UNLIKE * min(sizes) and any(q.what in ("sd", "thin_share") for q in quantities):
         yield (
             f"Columns are {min(sizes):.3g} to {max(sizes):.3g} um wide. Standard deviations and thin shares depend on "
@@ -40,10 +40,10 @@ def cautions_of(
 
 def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> Iterator[str]:
     def named(is_meant: Callable[[Cell], bool]) -> list[str]:
-        return [specimen.member.name for specimen in counted if any(map(is_meant, specimen.cells))]
+        return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
     for word, meaning in (("withheld", "a check failed"), ("doubtful", "a check asks for a look")):
-        numbers = {s.member.name: sum(cell.why_not.startswith(word) for cell in s.cells) for s in counted}
+        numbers = {s.name: sum(cell.why_not.startswith(word) for cell in s.cells) for s in counted}
         if names := [name for name, number in numbers.items() if number]:
             is_all = all(number in (0, len(quantities)) for number in numbers.values())
             figures = "all figures" if is_all else "some figures (marked in the table)"
@@ -73,20 +73,20 @@ def _sheets(gathered: Gathered, counted: Sequence[Specimen]) -> Iterator[str]:
         )
     shared: dict[tuple[str, ...], list[Specimen]] = {}
     for specimen in counted:
-        shared.setdefault(gathered.runs[specimen.member.name].volumes, []).append(specimen)
+        shared.setdefault(gathered.runs[specimen.name].volumes, []).append(specimen)
     for same in shared.values():
-        names = listed([specimen.member.name for specimen in same])
+        names = listed([specimen.name for specimen in same])
         if len({specimen.sheet for specimen in same}) > 1:
             yield (
                 f"{names} are of the same volume, byte by byte, and yet count as different sheets. Correct the "
                 "column sheet."
             )
-        elif len(same) > 1 and not same[0].member.factors.get("sheet"):
+        elif len(same) > 1 and not same[0].factor("sheet"):
             yield f"{names} are of the same volume and count as one sheet."
     fields: dict[tuple[str, ...], list[str]] = {}
     for specimen in counted:
-        if specimen.member.factors.get("field"):
-            fields.setdefault((specimen.sheet, *specimen.member.factors.values()), []).append(specimen.member.name)
+        if specimen.factor("field"):
+            fields.setdefault((specimen.sheet, *specimen.member.factors.values()), []).append(specimen.name)
     for names in fields.values():
         if len(names) > 1:
             yield f"{listed(names)} have the same factors, sheet and field; they count as fields of one sheet."
@@ -96,7 +96,7 @@ def _factors(
     counted: Sequence[Specimen], grouped_by: Sequence[str], compared_by: str | None, most_levels: int
 ) -> Iterator[str]:
     factors = dict.fromkeys(name for specimen in counted for name in specimen.member.factors)
-    levels = {f: dict.fromkeys(v for s in counted if (v := s.member.factors.get(f, ""))) for f in factors}
+    levels = {f: dict.fromkeys(v for s in counted if (v := s.factor(f))) for f in factors}
     for name, spellings in levels.items():
         alike = [v for v in spellings if sum(v.casefold() == w.casefold() for w in spellings) > 1]
         if alike:
@@ -115,7 +115,7 @@ def _factors(
         # Sheets that pair by a factor of which the program cannot know whether it is done to a sheet, or tells sheets.
         of_sheets: dict[str, set[str]] = {}
         for specimen in counted:
-            if specimen.member.factors.get("sheet") and (level := specimen.member.factors.get(compared_by, "")):
+            if specimen.factor("sheet") and (level := specimen.factor(compared_by)):
                 of_sheets.setdefault(specimen.sheet, set()).add(level)
         if paired := [sheet for sheet, of_sheet in of_sheets.items() if len(of_sheet) > 1]:
             yield (
@@ -133,7 +133,7 @@ def _factors(
 
 
 def _without(factor: str, counted: Sequence[Specimen]) -> list[str]:
-    return [specimen.member.name for specimen in counted if not specimen.member.factors.get(factor)]
+    return [specimen.name for specimen in counted if not specimen.factor(factor)]
 
 
 def listed(names: Sequence[str]) -> str:

@@ -69,34 +69,16 @@ class FigureRow:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RunSummary:
-    """What a series keeps of a run beside its rows.
+    """What a series keeps of a run beside its rows."""
 
-    Attributes
-    ----------
-    specimen : Specimen
-        As its page names it, without sheet and figures.
-    sheets, images : tuple of str
-        Names of the layers of either kind.
-    headlines : tuple of str
-        Maps that stand for its sheets.
-    volumes : tuple of str
-        Hashes of the volumes.
-    thin_um : float or None
-        Limit of the study for thin regions.
-    column_um : float or None
-        Width of a column, where thin shares state it; of a voxel otherwise.
-    instruments : tuple of InstrumentFacts
-        Of two volumes.
-    """
-
-    specimen: Specimen
-    sheets: tuple[str, ...]
+    specimen: Specimen  # as the page names it, without sheet and figures
+    sheets: tuple[str, ...]  # names of the layers of either kind
     images: tuple[str, ...]
-    headlines: tuple[str, ...]
-    volumes: tuple[str, ...]
-    thin_um: float | None
-    column_um: float | None
-    instruments: tuple[InstrumentFacts, ...]
+    headlines: tuple[str, ...]  # maps that stand for its sheets
+    volumes: tuple[str, ...]  # hashes of the volumes
+    thin_um: float | None  # limit of the study for thin regions
+    column_um: float | None  # width of a column, where thin shares state it; of a voxel otherwise
+    instruments: tuple[InstrumentFacts, ...]  # of two volumes
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -164,7 +146,7 @@ def as_judged(member: Member, results: Results) -> Member:
     """A member with the state of its run, and what the failed checks say where it says nothing yet."""
     if results.passed:
         return member.model_copy(update={"state": "whole"})
-    failed = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.spoken("fail")]
+    failed = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.checks_in("fail")]
     return member.model_copy(update={"state": "withheld", "message": member.message or " ".join(failed)})
 
 
@@ -181,7 +163,7 @@ def _summary(member: Member, results: Results) -> RunSummary:
     return RunSummary(
         specimen=Specimen(
             member=member, kind=kind, light=results.state,
-            spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.spoken(s))},
+            spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.checks_in(s))},
             marks_used=min((r.matched for r in registered), default=None),
             leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registered]), expected_error_um=_largest(errors),
         ),
@@ -251,7 +233,7 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
         figures += _of_registration(layer, results)
     figures += _of_pairs(results)
     for state in ("fail", "look", "unknown", "pass"):
-        figures.append({"quantity": f"checks_{state}", "value": float(len(results.spoken(state)))})
+        figures.append({"quantity": f"checks_{state}", "value": float(len(results.checks_in(state)))})
     return [FigureRow(specimen=member.name, factors=member.factors, **figure) for figure in figures]
 
 

@@ -35,10 +35,6 @@ RUNS = "runs"
 
 NOTES = ".series"
 """Hidden folder of what is remembered of each specimen."""
-_KILLED = (
-    "Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a limit "
-    "(--memory), and give the same command again."
-)
 
 # Measured on two cores: links of 11 to 160 million voxels to .2 to 160 million pixels.
 _START_S, _PER_VOXEL_S, _PER_PIXEL_S = 4.0, 0.2e-6, 2.5e-6
@@ -243,7 +239,11 @@ def do(job: Job) -> JobOutcome:
 
 def killed() -> JobOutcome:
     """Outcome of a job whose process ended again and again."""
-    return JobOutcome(state="damaged", message=_KILLED)
+    message = (
+        "Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a limit "
+        "(--memory), and give the same command again."
+    )
+    return JobOutcome(state="damaged", message=message)
 
 
 def _outcome_of(error: PlanishError) -> JobOutcome:

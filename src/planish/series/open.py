@@ -70,7 +70,7 @@ def open_study(path: str | Path) -> xr.Dataset:
               "high", "trust")  # fmt: skip
     table = parse_table(text, VALUES, needed=needed, error=FileError)
     of_quantity: dict[str, list[dict[str, str]]] = {}
-    names = [specimen.member.name for specimen in results.specimens]
+    names = [specimen.name for specimen in results.specimens]
     for line in table.rows:
         row = dict(zip(table.header, line.cells, strict=True))
         of_quantity.setdefault(row["quantity"], []).append(row)
@@ -87,7 +87,7 @@ def open_study(path: str | Path) -> xr.Dataset:
     study = xr.Dataset(arrays).assign_coords(specimen=("specimen", np.array(names, dtype=object)))
     reserved = {"state", *map(str, study.dims), *map(str, study.data_vars)}
     for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
-        levels = [specimen.member.factors.get(name, "") for specimen in results.specimens]
+        levels = [specimen.factor(name) for specimen in results.specimens]
         study = study.assign_coords({f"factor_{name}" if column in reserved else column: ("specimen", levels)})
     study = study.assign_coords(state=("specimen", [specimen.member.state for specimen in results.specimens]))
     return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")

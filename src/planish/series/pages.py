@@ -112,7 +112,7 @@ def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
             data = _read_map(folder / MAPS, specimen.kind, lead)
         except (PlanishError, OSError, KeyError):
             data = None
-        maps.append(small_map(specimen.member.name, data, pixels=pixels))
+        maps.append(small_map(specimen.name, data, pixels=pixels))
     return maps
 
 

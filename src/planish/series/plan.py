@@ -22,8 +22,7 @@ from planish.pipeline.build import study_of
 from planish.series.declared import Declared
 from planish.study import Study, as_study, in_study_words, with_paths, with_values
 
-_FILES = ("volume", "image", "layers")
-_NO_FACTORS = ("name", *_FILES, "set")
+_NO_FACTORS = ("name", "volume", "image", "layers", "set")
 _NEEDED = "It needs a column volume, or layers with a semicolon between them"
 _NO_NAME = re.compile(r'[/\\<>:"|?*\x00-\x1f]')
 _LONGEST_NAME = 80

@@ -14,6 +14,7 @@ from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
@@ -80,43 +81,27 @@ def run_series(
                 members[specimen.name] = job
                 tell(job, None)
 
-    for job, outcome in outcomes(opened(), compute, jobs):
+    for job, outcome in _outcomes(opened(), compute, jobs):
         members[job.name] = state.close(specimens[job.name], job, outcome)
         tell(members[job.name], outcome.seconds)
 
 
-def outcomes(jobs: Iterable[Job | None], compute: Compute, at_once: int) -> Generator[tuple[Job, JobOutcome]]:
-    """Give each job with its outcome as it is done.
-
-    Parameters
-    ----------
-    jobs : iterable of Job or None
-        Taken one by one as there is room, so they may come in while others are worked on; None for none as yet.
-    compute : Compute
-        With a ``scheduler``, whole jobs go to its workers, which need to see the same folders; else to processes.
-    at_once : int
-        Processes of this computer.
-
-    Raises
-    ------
-    InputError, ResourceError
-        If no scheduler answers, or it is lost.
-    """
-    waiting = iter(jobs)
+def _outcomes(jobs: Iterator[Job | None], compute: Compute, at_once: int) -> Generator[tuple[Job, JobOutcome]]:
+    """Give each job with its outcome as it is done, by the workers of a scheduler or by processes of this computer."""
     if compute.scheduler is not None:
         with engine(compute) as cluster:
             assert cluster.executor is not None
-            yield from _run_jobs(waiting, _Cluster(cluster.executor, cluster.at_once))
+            yield from _run_jobs(jobs, _Cluster(cluster.executor, cluster.at_once))
         return
     processes = _Processes(at_once)
     try:
-        yield from _run_jobs(waiting, processes)
+        yield from _run_jobs(jobs, processes)
     finally:
         processes.stop()
 
 
 def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, JobOutcome]]:
-    """Keep all workers busy; give outcomes in the order in which they come."""
+    """Keep all workers busy with jobs, taken as there is room (None: none as yet); give outcomes as they come."""
     busy: dict[Future[JobOutcome], Job] = {}
     tries: Counter[str] = Counter()
     again: deque[Job] = deque()
@@ -177,21 +162,15 @@ class _Processes:
         self._used: dict[Future[JobOutcome], ProcessPoolExecutor] = {}
 
     def start(self, job: Job) -> Future[JobOutcome]:
-        done = [future for future in self._used if future.done()]
-        self._free += [self._used.pop(future) for future in done]
-        while self._free:
-            pool = self._free.pop()
-            try:
-                future = pool.submit(do, job)
-            except BrokenProcessPool:  # it ended while it had nothing to do
-                continue
-            self._used[future] = pool
-            return future
+        self._free += [self._used.pop(future) for future in [*self._used] if future.done()]
         # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
-        pool = ProcessPoolExecutor(1, mp_context=multiprocessing.get_context("spawn"), initializer=_begin)
-        future = pool.submit(do, job)
-        self._used[future] = pool
-        return future
+        spawn = multiprocessing.get_context("spawn")
+        while True:
+            pool = self._free.pop() if self._free else ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin)
+            with suppress(BrokenProcessPool):  # it ended while it had nothing to do
+                future = pool.submit(do, job)
+                self._used[future] = pool
+                return future
 
     def forget(self, future: Future[JobOutcome]) -> None:
         self._used.pop(future).shutdown(wait=False)

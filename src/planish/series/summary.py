@@ -85,7 +85,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     return SeriesResults(
         planish=planish.__version__, declared=declared.model_dump(mode="json"), quantities=quantities,
         headline_declared=bool(declared.headline), factors=factors, grouped_by=grouped_by, compared_by=compared_by,
-        sheets_given=bool(counted) and all(specimen.member.factors.get("sheet") for specimen in counted),
+        sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
         specimens=tuple(specimens), groups=tuple(groups),
         differences=tuple(
             _difference(about, change, margin_of(quantities[about["quantity"]], declared))
@@ -153,14 +153,14 @@ def _specimens(
 
 
 def _levels_of(specimen: Specimen, factors: Sequence[str]) -> tuple[str, ...]:
-    return tuple(specimen.member.factors.get(name, "") for name in factors)
+    return tuple(specimen.factor(name) for name in factors)
 
 
 def _fields(specimens: Sequence[Specimen], k: int, *, with_names: bool = False) -> Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
-    values = [cell.value if cell.counts and cell.value is not None else math.nan for cell in cells]
-    names = [specimen.member.factors.get("field", "") for specimen in specimens] if with_names else []
+    values = [_nan(cell.value) if cell.counts else math.nan for cell in cells]
+    names = [specimen.factor("field") for specimen in specimens] if with_names else []
     return Fields(values, [specimen.sheet for specimen in specimens], names)
 
 
@@ -168,24 +168,25 @@ def _group(specimens: Sequence[Specimen], k: int, quantity: Quantity, group: Map
     """State one quantity over the sheets of one group."""
     members = [specimen for specimen in specimens if _levels_of(specimen, [*group]) == tuple(group.values())]
     fields = _fields(members, k)
-    about: dict[str, Any] = {"quantity": k, "group": dict(group), "left_out": _left_out(members, k)}
     if quantity.what == "r":
-        n_eff = [math.nan if (n := specimen.cells[k].n_eff_interval) is None else n for specimen in members]
-        pooled = pooled_r(fields, n_eff)
-        return GroupFacts(
-            **about, sheets=pooled.sheets, fields=pooled.fields, mean=pooled.r, interval=pooled.interval,
-            reason=pooled.reason, between_sheets=_heterogeneity(pooled.between_sheets),
-            between_fields=_heterogeneity(pooled.between_fields),
+        mean = pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
+        figures: dict[str, Any] = {"mean": mean.r, "between_sheets": _heterogeneity(mean.between_sheets)}
+        figures["between_fields"] = _heterogeneity(mean.between_fields)
+    else:
+        mean, v = over_sheets(fields), variances_of(fields)
+        variances = VarianceFacts(
+            sd_between=v.sd_between, sd_within=v.sd_within, share=v.share, share_interval=v.share_interval, p=v.p,
+            reason=v.reason,
         )  # fmt: skip
-    mean, variances = over_sheets(fields), variances_of(fields)
+        figures = {"mean": mean.mean, "sd": mean.sd, "variances": variances}
     return GroupFacts(
-        **about, sheets=mean.sheets, fields=mean.fields, mean=mean.mean, sd=mean.sd, interval=mean.interval,
-        reason=mean.reason,
-        variances=VarianceFacts(
-            sd_between=variances.sd_between, sd_within=variances.sd_within, share=variances.share,
-            share_interval=variances.share_interval, p=variances.p, reason=variances.reason,
-        ),
+        quantity=k, group=dict(group), sheets=mean.sheets, fields=mean.fields, left_out=_left_out(members, k),
+        interval=mean.interval, reason=mean.reason, **figures,
     )  # fmt: skip
+
+
+def _nan(value: float | None) -> float:
+    return math.nan if value is None else value
 
 
 def _heterogeneity(effects: RandomEffects | None) -> HeterogeneityFacts | None:
@@ -197,7 +198,7 @@ def _heterogeneity(effects: RandomEffects | None) -> HeterogeneityFacts | None:
 
 
 def _left_out(specimens: Sequence[Specimen], k: int) -> tuple[str, ...]:
-    return tuple(specimen.member.name for specimen in specimens if not specimen.cells[k].counts)
+    return tuple(specimen.name for specimen in specimens if not specimen.cells[k].counts)
 
 
 def _pairs(
@@ -205,13 +206,13 @@ def _pairs(
 ) -> Iterator[tuple[dict[str, Any], SheetDifference]]:
     """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
     other_factors = [name for name in grouped_by if name != factor]
-    levels = _in_order(specimen.member.factors.get(factor, "") for specimen in specimens)
+    levels = _in_order(specimen.factor(factor) for specimen in specimens)
     if not 2 <= len(levels) <= _MOST_LEVELS:
         return
     strata = dict[tuple[str, ...], dict[str, list[Specimen]]]()
     for specimen in specimens:
         of_levels = strata.setdefault(_levels_of(specimen, other_factors), {})
-        of_levels.setdefault(specimen.member.factors.get(factor, ""), []).append(specimen)
+        of_levels.setdefault(specimen.factor(factor), []).append(specimen)
     for k, quantity in enumerate(quantities):
         for of_others, of_levels in strata.items():
             for first, second in combinations((level for level in levels if level in of_levels), 2):
@@ -225,7 +226,7 @@ def _pairs(
 def _compare(first: Sequence[Specimen], second: Sequence[Specimen], k: int, quantity: Quantity) -> SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = bool({specimen.sheet for specimen in first} & {specimen.sheet for specimen in second})
-    keys = [[(s.sheet, s.member.factors.get("field", "")) for s in specimens] for specimens in (first, second)]
+    keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
     named = paired and all(all(field for _, field in of_set) and len({*of_set}) == len(of_set) for of_set in keys)
     fields = [_fields(specimens, k, with_names=named) for specimens in (first, second)]
     if quantity.what == "r":

@@ -1,6 +1,4 @@
-from .assemble import cutoff_check as cutoff_check
 from .corrected import correct_surfaces as correct_surfaces
-from .corrected import correction_check as correction_check
 from .corrected import preview_faces as preview_faces
 from .corrected import uncorrected as uncorrected
 from .find import find_surfaces as find_surfaces

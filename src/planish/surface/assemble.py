@@ -9,7 +9,6 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core._envelope_kernels import rolled
-from planish.core.checks import POSITION, Check
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.grid import filled
@@ -88,8 +87,9 @@ def assemble(
         ],
         **({} if params.method == "profile" else {"method": params.method}),
     }  # fmt: skip
-    coords = {axis: ((axis,), um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}
-    return xr.Dataset(variables, coords=coords, attrs=attrs)
+    return xr.Dataset(
+        variables, {axis: ((axis,), um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
+    )
 
 
 class _Oriented(NamedTuple):
@@ -143,19 +143,6 @@ def _face_variables(
 
 def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs: object) -> Variable:
     return ("y", "x"), field, {"units": units, "long_name": title, **attrs}
-
-
-def cutoff_check(surfaces: xr.Dataset) -> Check:
-    """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
-    share, cutoff = float(surfaces.attrs.get("bridged_off_rims_share", 0.0)), float(surfaces.attrs["cutoff_um"])
-    return Check.at_most(
-        "cut-off", share, look=0.02,  # of the columns away from holes and rims
-        sentence=f"The centre surface has the stated cut-off of {cutoff:g} um in {100 * (1 - share):.1f} % of the "
-        "columns away from holes and rims"
-        + (", and twice or four times as much in the alternatives." if share > 0 else "."),
-        advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.",
-        figures=(POSITION,),
-    )  # fmt: skip
 
 
 def _status(centre: Floats, sheet: Bools, rim: Bools, f: _Oriented) -> NDArray[np.int64]:

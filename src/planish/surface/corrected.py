@@ -8,7 +8,6 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.checks import PROPERTIES, Check
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
@@ -17,7 +16,7 @@ from planish.core.tiles import Engine
 from planish.core.typing import Floats
 from planish.surface.assemble import centre_surface
 from planish.surface.columns import Columns
-from planish.surface.draw import IMAGE, INTERPOLATED, RING_UM, Drawing, draw_faces
+from planish.surface.draw import RING_UM, Drawing, draw_faces
 from planish.surface.params import FACES, Corrections, Face, Stretch, SurfaceParams
 
 _REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
@@ -157,24 +156,6 @@ def columns_step(surfaces: xr.Dataset) -> int:
     frame, steps = Frame.of(surfaces), pitch(surfaces)
     voxel = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
     return max(1, round(float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))))
-
-
-def correction_check(surfaces: xr.Dataset) -> Check | None:
-    """Judge how much of the sheet was corrected by hand; None where nothing was."""
-    if "corrections" not in surfaces.attrs:
-        return None
-    stretches = Corrections.model_validate_json(surfaces.attrs["corrections"]).stretches
-    points = sum(len(stretch.points) for stretch in stretches)
-    how = np.maximum(*(surfaces[f"correction_{face}"].values for face in FACES))
-    sheet = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
-    drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (IMAGE, INTERPOLATED))
-    return Check.at_most(
-        "corrections", drawn / sheet, look=0.1,  # of the sheet
-        sentence=f"Faces of {drawn} columns ({100 * drawn / sheet:.2g} % of the sheet) were drawn to {points} points "
-        f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
-        advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
-        figures=(PROPERTIES,),
-    )  # fmt: skip
 
 
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:

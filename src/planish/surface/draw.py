@@ -337,8 +337,8 @@ def krige(
         plane = np.linalg.lstsq(np.column_stack([np.ones(n), places - middle]), heights, rcond=1e-6)[0]
     residuals = heights - plane[0] - (places - middle) @ plane[1:]
 
-    def between(others: Floats) -> Floats:
-        return slope * np.hypot(*(others[:, None, k] - places[None, :, k] for k in (0, 1)))
+    def between(ends: Floats) -> Floats:
+        return slope * np.hypot(*(ends[:, None, k] - places[None, :, k] for k in (0, 1)))
 
     system = np.ones((n + 1, n + 1))
     system[:n, :n] = -between(places) + np.diag(variances)

@@ -1,4 +1,3 @@
-from .draws import draw_params as draw_params
 from .files import InstrumentFiles as InstrumentFiles
 from .files import write_image as write_image
 from .files import write_instruments as write_instruments
@@ -13,6 +12,8 @@ from .params import PrintParams as PrintParams
 from .params import ScannerParams as ScannerParams
 from .params import SectionsParams as SectionsParams
 from .params import SpecimenParams as SpecimenParams
+from .params import Warp as Warp
+from .params import draw_params as draw_params
 from .presets import DEMO as DEMO
 from .presets import MICRO_CT as MICRO_CT
 from .presets import NUISANCES as NUISANCES
@@ -24,4 +25,3 @@ from .presets import without as without
 from .sheet import Sheet as Sheet
 from .specimen import Specimen as Specimen
 from .specimen import make_specimen as make_specimen
-from .warp import Warp as Warp

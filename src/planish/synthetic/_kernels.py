@@ -1,7 +1,7 @@
 # pyright: standard
 """Compiled inner loops of the synthetic specimen: the warp and its inverse, voxels, fibres.
 
-A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.warp.Warp.packed`):
+A warp travels as one flat array ``w`` and one table ``curve`` (see :meth:`planish.synthetic.params.Warp.packed`):
 ``w = [cos a, sin a, psi, k, phase, p0, dp, x0, y0, z0, bump, bump_u, bump_v, bump_r, tilt]`` and
 ``curve[i] = (X, Z, X', Z')`` of the profile curve at arc length ``p0 + i * dp``.
 """

@@ -7,11 +7,155 @@ Numbers without another source are those of Hirn et al. (2009) or usual ones of 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, fields, is_dataclass, replace
+from functools import lru_cache
+from typing import Any, ClassVar, Literal
+from zlib import crc32
 
-from planish.synthetic.draws import Strict, drawn
-from planish.synthetic.warp import Warp
+import numpy as np
+
+from planish.core.typing import Floats
+
+
+def stream(seed: int, *names: str) -> np.random.SeedSequence:
+    """Random numbers of their own for every name: a nuisance that is switched off does not change the others."""
+    return np.random.SeedSequence(seed, spawn_key=tuple(crc32(name.encode()) for name in names))
+
+
+def generator(seed: int, *names: str) -> np.random.Generator:
+    """Return the generator of a :func:`stream`."""
+    return np.random.default_rng(stream(seed, *names))
+
+
+class Strict:
+    """A table in a scenario file with a key that is no field is refused."""
+
+    __slots__ = ()
+    __pydantic_config__: ClassVar = {"extra": "forbid"}
+
+
+def drawn(default: Any, low: float = 0.0, high: float = 0.0, *, of: tuple[Any, ...] = ()) -> Any:
+    """Make a dataclass field with a range: evenly between two numbers (whole ones where both are), or one ``of``."""
+    return field(default=default, metadata={"range": of or (low, high), "choice": bool(of)})
+
+
+def draw_params(params: Any) -> Any:
+    """Draw every field with a range by the seed of ``params``; all others stay."""
+    return _draw(params, generator(params.seed, "draws"))
+
+
+def _draw(params: Any, rng: np.random.Generator) -> Any:
+    changes: dict[str, Any] = {}
+    for parameter in fields(params):
+        if is_dataclass(getattr(params, parameter.name)):
+            changes[parameter.name] = _draw(getattr(params, parameter.name), rng)
+        elif "range" in parameter.metadata:
+            limits = parameter.metadata["range"]
+            if parameter.metadata["choice"]:
+                changes[parameter.name] = limits[int(rng.integers(len(limits)))]
+            elif all(isinstance(limit, int) for limit in limits):
+                changes[parameter.name] = int(rng.integers(limits[0], limits[1] + 1))
+            else:
+                changes[parameter.name] = float(rng.uniform(*limits))
+    return replace(params, **changes)
+
+
+_STEP_UM = 2.0
+_GAUSS_X, _GAUSS_W = np.polynomial.legendre.leggauss(5)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Warp(Strict):
+    """Centre surface ``m(u, v)`` of a bent sheet.
+
+    The sheet is rolled along the direction ``ruling_deg`` from the u axis: its profile curve turns by
+    ``psi(p) = tilt + atan(slope) sin(2 pi p / wavelength + phase)`` at arc length ``p``, so that lengths in the sheet
+    are exactly those in ``(u, v)``. The bump is added in height and stretches the sheet.
+
+    Attributes
+    ----------
+    slope : float
+        Steepest slope of the profile against its mean plane (tangent of the angle).
+    tilt_deg : float
+        Tilt of the whole sheet along the profile.
+    wavelength_um, phase_rad, ruling_deg : float
+        Of the profile curve; the rulings stand perpendicular to ``ruling_deg``.
+    bump_um, bump_u_um, bump_v_um, bump_radius_um : float
+        Height, centre and Gaussian radius of the bump.
+    shift_um : (float, float, float)
+        Added to (x, y, z).
+    reach_um : float
+        Largest ``|u|`` and ``|v|`` that are asked for.
+    """
+
+    slope: float = drawn(0.5, 0.0, 0.42)
+    tilt_deg: float = drawn(0.0, -7.0, 7.0)
+    wavelength_um: float = drawn(3000.0, 2500.0, 15000.0)
+    phase_rad: float = drawn(0.6, 0.0, 6.28)
+    ruling_deg: float = drawn(20.0, -90.0, 90.0)
+    bump_um: float = drawn(0.0, of=(0.0, 0.0, 50.0, 100.0, 150.0))
+    bump_u_um: float = 0.0
+    bump_v_um: float = 0.0
+    bump_radius_um: float = drawn(800.0, 1500.0, 3000.0)
+    shift_um: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    reach_um: float = 8000.0
+
+    def packed(self) -> tuple[Floats, Floats]:
+        """Return the parameters and the profile curve as the kernels take them."""
+        return _packed(self)
+
+    @property
+    def steepest(self) -> float:
+        """Steepest slope of the profile, with the tilt."""
+        return float(np.tan(abs(np.deg2rad(self.tilt_deg)) + np.arctan(abs(self.slope))))
+
+    def points(self, u: Floats, v: Floats) -> Floats:
+        """Return ``m(u, v)`` as (..., 3) in the order x, y, z, in um."""
+        return self._frames(u, v)[0]
+
+    def normals(self, u: Floats, v: Floats) -> Floats:
+        """Return unit normals (..., 3), pointing to the top side (+z)."""
+        return self._frames(u, v)[1]
+
+    def material(self, points: Floats) -> Floats:
+        """Return ``(u, v, s)`` of points ``(..., 3)`` given as x, y, z: the exact inverse of ``m + s n``."""
+        from planish.synthetic import _kernels
+
+        flat = np.ascontiguousarray(points, dtype=np.float64).reshape(-1, 3)
+        return _kernels.materials(*self.packed(), flat).reshape(points.shape)
+
+    def columns(self, y_um: Floats, x_um: Floats) -> Floats:
+        """Return ``(u, v, z)`` of the centre surface at the columns (y, x), shape (len(y), len(x), 3)."""
+        from planish.synthetic import _kernels
+
+        return _kernels.columns(*self.packed(), np.asarray(y_um, float), np.asarray(x_um, float))
+
+    def _frames(self, u: Floats, v: Floats) -> tuple[Floats, Floats]:
+        from planish.synthetic import _kernels
+
+        u, v = np.broadcast_arrays(u, v)
+        points, normals = _kernels.frames(*self.packed(), u.ravel().astype(float), v.ravel().astype(float))
+        return points.reshape(*u.shape, 3), normals.reshape(*u.shape, 3)
+
+
+@lru_cache(maxsize=8)
+def _packed(warp: Warp) -> tuple[Floats, Floats]:
+    angle = np.deg2rad(warp.ruling_deg)
+    psi, k, tilt = np.arctan(warp.slope), 2 * np.pi / warp.wavelength_um, np.deg2rad(warp.tilt_deg)
+    count = int(np.ceil(2 * 1.5 * warp.reach_um / _STEP_UM)) + 1
+    p0 = -(count // 2) * _STEP_UM
+    # Gauss-Legendre on every step: exact to rounding, because psi is smooth over a step.
+    p = p0 + _STEP_UM * (np.arange(count - 1)[:, None] + 0.5 * (1 + _GAUSS_X))
+    turn = tilt + psi * np.sin(k * p + warp.phase_rad)
+    steps = 0.5 * _STEP_UM * np.stack([np.cos(turn) @ _GAUSS_W, np.sin(turn) @ _GAUSS_W], axis=1)
+    curve = np.concatenate([np.zeros((1, 2)), np.cumsum(steps, axis=0)])
+    curve -= curve[count // 2]
+    turn = tilt + psi * np.sin(k * (p0 + _STEP_UM * np.arange(count)) + warp.phase_rad)
+    curve = np.concatenate([curve, np.cos(turn)[:, None], np.sin(turn)[:, None]], axis=1)
+    parameters = [np.cos(angle), np.sin(angle), psi, k, warp.phase_rad, p0, _STEP_UM, *warp.shift_um]
+    parameters += [warp.bump_um, warp.bump_u_um, warp.bump_v_um, warp.bump_radius_um, tilt]
+    return np.array(parameters, dtype=np.float64), curve
+
 
 SIZES_UM = {
     "T0": (800.0, 600.0),  # a test, seconds

@@ -16,7 +16,6 @@ _TALL, _WIDE = 1.30, 1.12  # of the frame, over the height and width of what the
 _UPRIGHT_DEG = 15.0  # up to this turn the frame keeps those sides; beyond, it follows the field
 _CENTRED_IN_VIEW, _LEAST_IN_VIEW = 0.98, 0.975  # share of the field in the frame: without and with the shift
 _GROWTH = 1.02
-_NEWTON_STEPS = 50  # never reached: from its start the iteration is monotonic and ends within ten
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +65,7 @@ class CameraPose:
         k = self.radial
         fold = 2 / (3 * np.sqrt(-3 * k)) if k < 0 else np.inf  # the cubic's maximum
         t = np.where(shown > fold, np.nan, shown)
-        for _ in range(_NEWTON_STEPS):
+        for _ in range(50):  # never reached: from its start the iteration is monotonic and ends within ten
             step = (t + k * t**3 - shown) / (1 + 3 * k * t * t)
             t -= step
             if not np.any(np.abs(step) > 1e-14 * (1 + np.abs(t))):

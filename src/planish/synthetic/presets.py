@@ -12,8 +12,15 @@ from typing import Any, Literal, NamedTuple
 from pydantic import ValidationInfo, field_validator
 
 from planish.core.options import Params, option
-from planish.synthetic.params import SIZES_UM, CameraParams, HoleParams, PaperParams, ScannerParams, SpecimenParams
-from planish.synthetic.warp import Warp
+from planish.synthetic.params import (
+    SIZES_UM,
+    CameraParams,
+    HoleParams,
+    PaperParams,
+    ScannerParams,
+    SpecimenParams,
+    Warp,
+)
 
 _WFC135 = PaperParams(base_um=59.5)  # section 3.3.1, before calendering: base 59.5, coating 17.4 um
 

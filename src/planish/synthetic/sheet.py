@@ -12,19 +12,198 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import fft
 
 from planish.core.grid import bilinear
 from planish.core.typing import Floats
-from planish.synthetic.draws import generator
-from planish.synthetic.fields import PITCH_UM, fibrous, lowpass, noise, streaks
-from planish.synthetic.holes import burn
-from planish.synthetic.params import HoleParams, PaperParams
+from planish.synthetic import _kernels
+from planish.synthetic.params import HoleParams, PaperParams, generator
+
+PITCH_UM = 3.0  # of the sheet's grid
+_FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))  # length, width of softwood and hardwood fibres together
+
+
+def noise(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
+    """Gaussian random field (rows, cols), mean 0 and standard deviation 1.
+
+    Its autocorrelation is ``exp(-(r / correlation_um)^2)``.
+    """
+    return _unit(_filtered(rng.standard_normal(_padded(shape)), 0.5 * correlation_um)[: shape[0], : shape[1]])
+
+
+def lowpass(field: Floats, half_um: float) -> Floats:
+    """Gaussian filter that halves a wave of length ``half_um``; the field is mirrored at its borders."""
+    sigma = half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi
+    pad = min(int(4 * sigma / PITCH_UM) + 1, min(field.shape) - 1)
+    wide = np.pad(field, pad, mode="reflect")
+    done = _filtered(wide, sigma)
+    return done[pad : pad + field.shape[0], pad : pad + field.shape[1]]
+
+
+def streaks(shape: tuple[int, int], correlation_um: float, rng: np.random.Generator) -> Floats:
+    """Random field that does not change along the machine direction (the columns' axis u)."""
+    profile = noise((shape[0], 8), correlation_um, rng)[:, :1]
+    return np.broadcast_to(_unit(profile), shape).copy()
+
+
+def fibres(shape: tuple[int, int], per_mm2: float, anisotropy: float, rng: np.random.Generator) -> Floats:
+    """Height of fibres laid at random, 0 to 1, where crossing ones do not add up.
+
+    ``anisotropy`` is the number of fibres along u over those across; angles follow von Mises' distribution.
+    """
+    count = max(int(per_mm2 * shape[0] * shape[1] * PITCH_UM**2 * 1e-6), 8)
+    (short, long), (thin, wide) = _FIBRE_UM
+    field = np.zeros(shape)
+    margin = 0.5 * long / PITCH_UM
+    starts = rng.uniform(-margin, [shape[1] + margin, shape[0] + margin], (count, 2))
+    angles = rng.vonmises(0.0, 0.5 * np.log(anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
+    lengths = rng.uniform(short, long, count) / PITCH_UM
+    widths = rng.uniform(thin, wide, count) / PITCH_UM
+    curls = rng.normal(0, 4e-4, count) * PITCH_UM
+    # The angle is that of a fibre's middle: half of the curl lies before it.
+    _kernels.lay_fibres(field, starts, angles - 0.5 * curls * lengths, lengths, widths, curls, 1.0)
+    return field
+
+
+def fibrous(shape: tuple[int, int], anisotropy: float, rng: np.random.Generator, *, per_mm2: float = 29.0) -> Floats:
+    """Random field at fibre scale, mean 0 and standard deviation 1: fibres and the net between them."""
+    return _unit(3.0 * fibres(shape, per_mm2, anisotropy, rng) + noise(shape, 35.0, rng))
+
+
+def _unit(field: Floats) -> Floats:
+    field = field - field.mean()
+    return field / field.std()
+
+
+def _padded(shape: tuple[int, int]) -> tuple[int, int]:
+    return (fft.next_fast_len(shape[0], True), fft.next_fast_len(shape[1], True))
+
+
+def _filtered(field: Floats, sigma_um: float) -> Floats:
+    """Gaussian filter of a periodic field."""
+    shape = _padded((field.shape[0], field.shape[1]))
+    wide = np.pad(field, ((0, shape[0] - field.shape[0]), (0, shape[1] - field.shape[1])), mode="wrap")
+    fy = np.exp(-2 * (np.pi * sigma_um * fft.fftfreq(shape[0], PITCH_UM)) ** 2)[:, None]
+    fx = np.exp(-2 * (np.pi * sigma_um * fft.rfftfreq(shape[1], PITCH_UM)) ** 2)[None, :]
+    return fft.irfft2(fft.rfft2(wide) * fy * fx, shape)[: field.shape[0], : field.shape[1]]
+
+
+_BORDER_UM = 260.0  # from the middle of a hole to the end of the field
+_APART_UM = 550.0
+# Pitches of the lines in um, all different, and so are the sums of neighbours: distances identify any few holes.
+_PITCHES_UM = ((500, 725, 590, 860, 650, 950), (545, 905, 620, 770, 510, 830), (695, 560, 815, 530, 935, 605))
+_ROUGH_UM = 30.0  # correlation length along the rim
+_ORDERS = np.arange(2, 25)  # of the waves around the rim, one after the other; order 1 would move the centre
+
+
+def hole_pattern(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floats:
+    """Centres (n, 2) in um, in the flat rectangle from ``low`` to ``high`` (u, v), with the error of the laser's stage.
+
+    ValueError if the field is too small for the pattern.
+    """
+    if params.count == 0:
+        return np.zeros((0, 2))
+    designed = _coded(params, low, high) if params.pattern == "coded" else _scattered(params, low, high, seed)
+    return designed + params.stage_um * generator(seed, "stage").standard_normal(designed.shape)
+
+
+def _coded(params: HoleParams, low: Floats, high: Floats) -> Floats:
+    """Three lines: along the lower edge, and up the left and the right one."""
+    per_line = -(-params.count // 3)
+    corner, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)  # from one line to the first hole of the next
+    starts = (corner, (corner[0], rise), (high[0] - _BORDER_UM, rise))
+    lines: list[Floats] = []
+    for pitches, start, direction in zip(_PITCHES_UM, starts, (0, 1, 1), strict=True):
+        line = np.tile(start, (per_line, 1))
+        line[:, direction] += np.concatenate([[0.0], np.cumsum(pitches)])[:per_line]
+        lines.append(line[np.all(line <= high - _BORDER_UM + 1e-6, axis=1)])
+    holes = np.concatenate(lines)[: params.count]
+    if len(holes) < 4:
+        size = " x ".join(f"{v:.0f}" for v in high - low)
+        raise ValueError(
+            f"Only {len(holes)} coded holes fit into {size} um; 4 are the least. Take a larger field or "
+            "pattern='irregular'."
+        )
+    return holes
+
+
+def _scattered(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floats:
+    rng = generator(seed, "pattern")
+    border = min(_BORDER_UM, 0.2 * float((high - low).min()))
+    inner = np.maximum(high - low - 2 * border, 0.0)
+    spacing_um = min(_APART_UM, 0.7 * float(np.sqrt(inner.prod() / params.count)))
+    spacing_um = max(spacing_um, 1.4 * params.diameter_um)
+    centres: list[Floats] = []
+    for _ in range(20_000):
+        if len(centres) == params.count:
+            return np.array(centres)
+        point = rng.uniform(low + border, high - border)
+        if all(np.hypot(*(point - other)) > spacing_um for other in centres):
+            centres.append(point)
+    size = " x ".join(f"{v:.0f}" for v in high - low)
+    raise ValueError(f"{params.count} holes of {params.diameter_um:g} um do not fit into {size} um.")
+
+
+def burn(
+    params: HoleParams, holes: Floats, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Burn the holes into a sheet of the mean thickness ``depth_um``: ``rim_um`` and ``char`` of a :class:`Sheet`."""
+    rim = np.full((2, *shape), 1e4, dtype=np.float32)
+    char = np.ones(shape, dtype=np.float32)
+    reach = 2.0 * params.diameter_um + 4 * params.char_um
+    for k, (u, v) in enumerate(holes):
+        j0, j1 = (int((u - low[0] + d) / PITCH_UM) for d in (-reach, reach))
+        i0, i1 = (int((v - low[1] + d) / PITCH_UM) for d in (-reach, reach))
+        box = (slice(max(i0, 0), min(i1, shape[0])), slice(max(j0, 0), min(j1, shape[1])))
+        y = low[1] + PITCH_UM * np.arange(shape[0])[box[0], None] - v
+        x = low[0] + PITCH_UM * np.arange(shape[1])[None, box[1]] - u
+        if x.size == 0 or y.size == 0:
+            continue
+        top, bottom, burnt_um = _hole(params, x, y, depth_um, generator(seed, "hole", str(k)))
+        rim[0][box] = np.minimum(rim[0][box], top)
+        rim[1][box] = np.minimum(rim[1][box], bottom)
+        if burnt_um > 0:
+            char[box] = np.minimum(char[box], 1 - 0.5 * np.exp(-np.maximum(top, 0) / (0.5 * burnt_um)))
+    return rim, char
+
+
+def _hole(
+    params: HoleParams, x: Floats, y: Floats, depth_um: float, rng: np.random.Generator
+) -> tuple[Floats, Floats, float]:
+    """Distances to one hole's rim at both faces, around its centre at the top face; width of the burnt rim."""
+    # Everything is drawn, also what is off: then one switch does not move the others.
+    radius = 0.5 * (params.diameter_um + params.diameter_sd_um * rng.standard_normal())
+    ratio = np.sqrt(1 + (params.axis_ratio - 1) * rng.random())
+    turn, towards, side = rng.uniform(0, 2 * np.pi, 3)
+    lean = np.tan(np.deg2rad(params.tilt_deg * rng.random())) * depth_um
+    power = np.exp(-((_ORDERS * _ROUGH_UM / (2 * radius)) ** 2))
+    waves = params.rim_um * np.sqrt(power / power.sum())[:, None] * rng.standard_normal((_ORDERS.size, 2))
+    burnt_um = max(params.char_um + params.char_sd_um * rng.standard_normal(), 0.0)
+    closed = rng.random() < params.half_closed
+
+    def distance(x: Floats, y: Floats, radius: float) -> Floats:
+        # cos(k angle) + i sin(k angle) from one order to the next, without a sine for each
+        spin: NDArray[np.complex128] = np.exp(1j * np.arctan2(y, x))
+        wave, rough = spin, np.zeros(spin.shape)
+        for a, b in waves:
+            wave = wave * spin
+            rough += a * wave.real + b * wave.imag
+        p = (x * np.cos(turn) + y * np.sin(turn)) / ratio
+        q = (y * np.cos(turn) - x * np.sin(turn)) * ratio
+        return np.hypot(p, q) - radius - rough
+
+    top = distance(x, y, radius)
+    x, y = x - lean * np.cos(towards), y - lean * np.sin(towards)
+    bottom = distance(x, y, radius * (1 - params.taper))
+    if closed:
+        bottom = np.maximum(bottom, x * np.cos(side) + y * np.sin(side))
+    return top, bottom, burnt_um
+
 
 Field = NDArray[np.float32]
 LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
 _FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
 _LOOSE_PER_MM2 = 6.0
-_SKEW = 0.6
 _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
 
@@ -167,6 +346,6 @@ def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int
     excess_variance = p.coating_sd_um**2 - float(levelled.var())
     if excess_variance > 0:
         # Skewed: a spot can lack more than another can carry too much.
-        spots = np.exp(_SKEW * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
+        spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
         levelled -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
     return np.maximum(mean_um + levelled, 0.0)

@@ -16,21 +16,16 @@ from planish.core.errors import FileError
 from planish.core.lazy import labelled
 from planish.core.typing import Floats
 from planish.synthetic.camera import image_material, photograph
-from planish.synthetic.draws import generator, stream
-from planish.synthetic.holes import hole_pattern
-from planish.synthetic.microtome import Microtome, Poses, draw_poses
-from planish.synthetic.params import SpecimenParams
+from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
+from planish.synthetic.params import SpecimenParams, Warp, generator, stream
 from planish.synthetic.pose import CameraPose, draw_pose
 from planish.synthetic.presets import DEMO
-from planish.synthetic.scanner import Scanner
-from planish.synthetic.sheet import Sheet, make_sheet
-from planish.synthetic.warp import Warp
+from planish.synthetic.sheet import Sheet, hole_pattern, make_sheet
 
 if TYPE_CHECKING:
     from planish.synthetic.files import InstrumentFiles
 
 
-_MARGIN_UM = 60.0  # air above and below the sheet
 _BEYOND_UM = 150.0  # of the sheet around what the instruments see
 
 
@@ -170,7 +165,7 @@ def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     warp = replace(params.warp, shift_um=(width / 2, height / 2, 0.0), reach_um=reach)
     under = warp.columns(np.linspace(0, height, 61), np.linspace(0, width, 81))
     thickness = p.base_um + p.coating_top_um + p.coating_bottom_um
-    air = (0.5 * thickness + 20.0) * float(np.hypot(1.0, warp.steepest)) + _MARGIN_UM
+    air = (0.5 * thickness + 20.0) * float(np.hypot(1.0, warp.steepest)) + 60.0
     low_z, high_z = float(under[..., 2].min()) - air, float(under[..., 2].max()) + air
     return replace(warp, shift_um=(width / 2, height / 2, -low_z)), under, high_z - low_z
 

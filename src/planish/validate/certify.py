@@ -16,21 +16,11 @@ from planish.pipeline import run_study
 from planish.report.draw import Picture
 from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
-from planish.validate import image_errors, volume_errors
-from planish.validate.drawings import draw_example
-from planish.validate.figures import FIGURES, Figure, Values, in_order
+from planish.synthetic.presets import NUISANCES
+from planish.validate.errors import LINK_STAGES, MAP_STAGES, pair_errors
 from planish.validate.mesh import mesh_values
-from planish.validate.scenario import PAIR, Limit, Scenario
-from planish.validate.truth import Comparison
-
-_OF_A_MAP = (
-    volume_errors.section_errors, volume_errors.surface_errors, volume_errors.centre_errors,
-    volume_errors.thickness_errors, volume_errors.flattening_errors,
-)  # fmt: skip
-_OF_A_LINK = (
-    image_errors.pixel_errors, image_errors.hole_errors, image_errors.registration_errors,
-    image_errors.resampling_errors, image_errors.statistic_errors,
-)  # fmt: skip
+from planish.validate.scenario import ALL, FIGURES, KEYS, NONE, PAIR, Figure, Limit, Scenario, Values, in_order
+from planish.validate.truth import Comparison, rms
 
 
 def make_ledger(comparison: Comparison) -> Values:
@@ -40,12 +30,10 @@ def make_ledger(comparison: Comparison) -> Values:
     -------
     dict
         Figure name to value in the order of the line, None where the run has no such thing (paper without coating).
-        Units and sentences are in :data:`planish.validate.figures.FIGURES`.
+        Units and sentences are in :data:`planish.validate.scenario.FIGURES`.
     """
-    values: Values = {}
-    for errors in (*_OF_A_MAP, *(_OF_A_LINK if "linked" in comparison.groups else ())):
-        values |= errors(comparison)
-    return in_order(values)
+    stages = MAP_STAGES if "linked" not in comparison.groups else (*MAP_STAGES, *LINK_STAGES)
+    return in_order({name: error for errors in stages for name, error in errors(comparison).items()})
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -66,7 +54,7 @@ class Entry:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Line:
+class LedgerLine:
     """One figure over the seeds: a value a specimen, None where it has no such thing; and its limit, if any."""
 
     figure: Figure
@@ -114,12 +102,12 @@ class Certificate:
         """Entries that count: all, or those that ended without a warning where the scenario allows one."""
         return tuple(entry for entry in self.entries if entry.whole or not self.scenario.or_warned)
 
-    def lines(self) -> dict[str, Line]:
+    def lines(self) -> dict[str, LedgerLine]:
         """Every figure that a specimen has or a limit names, in the order of the line."""
         limits = self.scenario.limits
         names = {name for entry in self.judged for name in entry.values} | limits.keys()
         return {
-            name: Line(
+            name: LedgerLine(
                 figure=figure, values=tuple(e.values.get(name) for e in self.judged), limit=limits.get(name)
             )
             for name, figure in FIGURES.items()
@@ -185,14 +173,15 @@ def run_specimen(
             # The folder's name is made up anew each time and means nothing to a reader.
             return Entry(seed=seed, values={}, refusal=error.text.replace(f"{folder}{os.sep}", ""))
         progress("compare", "with the truth")
-        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("fail"))
-        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.spoken("look"))
+        failed = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("fail"))
+        looks = tuple(f"{c.name}: {c.sentence}" for c in run.results.checks_in("look"))
         if scenario.second is not None:
-            return Entry(
-                seed=seed, values=in_order(image_errors.pair_errors(specimens, run)), failed=failed, looks=looks
-            )
-        comparison = Comparison(*specimens[0], run)
-        pictures = tuple(draw_example(comparison, seed)) if draw and "linked" in run.groups else ()
+            return Entry(seed=seed, values=in_order(pair_errors(specimens, run)), failed=failed, looks=looks)
+        comparison, pictures = Comparison(*specimens[0], run), ()
+        if draw and "linked" in run.groups:
+            from planish.validate.page import draw_example  # which draws whole certificates, too
+
+            pictures = tuple(draw_example(comparison, seed))
         return Entry(seed=seed, values=make_ledger(comparison), failed=failed, looks=looks, pictures=pictures)
 
 
@@ -200,18 +189,145 @@ def _make_specimens(
     scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
 ) -> list[tuple[Specimen, InstrumentFiles]]:
     """Make the specimen as each instrument has it, and write their files."""
-    specimen = make_specimen(params)
+    first = make_specimen(params)
     if scenario.second is None:
-        return [(specimen, write_instruments(specimen, folder / "specimen", volume=scenario.instrument))]
-    other = make_specimen(scenario.second_params(seed), sheet=specimen.sheet)
-    instruments = (scenario.instrument, scenario.second.instrument)
-    return [
-        (one, write_instruments(one, folder / name, volume=instrument, image=False))
-        for name, one, instrument in zip(PAIR, (specimen, other), instruments, strict=True)
-    ]
+        return [(first, write_instruments(first, folder / "specimen", volume=scenario.instrument))]
+    second = make_specimen(scenario.second_params(seed), sheet=first.sheet)
+    pair = zip(PAIR, (first, second), (scenario.instrument, scenario.second.instrument), strict=True)
+    return [(s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in pair]
 
 
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
     """Seeds as numbers: 0 to the scenario's number where none are given."""
     chosen = scenario.seeds if seeds is None else seeds
     return list(range(chosen)) if isinstance(chosen, int) else list(chosen)
+
+
+# Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
+_FLOOR = {"um": 0.05, "%": 0.05, "deg": 0.05, "1": 0.008}
+_NOTICED = 0.25  # growth, in baselines, below which no stage is said to suffer
+_WORTH = 0.5  # of the baseline: what all together have to add for their sum to be worth naming
+_CARRIED = 0.5  # share of the largest growth with which an error is taken to have come in at an earlier stage
+_AGREES = 1.5  # factor between the sum of squares and the whole
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class NuisanceRow:
+    """One nuisance alone."""
+
+    nuisance: str  # key of :data:`planish.synthetic.presets.NUISANCES`
+    added: Values  # stage to the error that the nuisance adds to the stage's key figure, in squares: sqrt(e^2 - e0^2)
+    growth: dict[str, float]  # the same over the error without any nuisance; without the stages that have none
+    suffers: str | None  # the first stage along the line that is hit; None where no stage notices
+    refusal: str | None = None  # message of a run that the nuisance stopped
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Sensitivity:
+    """Table of all nuisances of a scenario."""
+
+    keys: dict[str, str]  # stage to the figure that speaks for it
+    quiet: dict[str, float]  # stage to that figure without any and with all nuisances
+    loud: Values
+    rows: tuple[NuisanceRow, ...]
+    # Stage to the sum of squares of the single errors over what all of them together add; None where neither is worth
+    # naming.
+    ratio: Values
+    # Stage whose ratio is off to the two nuisances whose leaving out changes most: they do not add as squares.
+    together: dict[str, tuple[str, ...]]
+    seeds: tuple[int, ...]
+
+
+def sensitivity(
+    scenario: Scenario,
+    seeds: int | Sequence[int] = 1,
+    progress: Progress = silent,
+    compute: Compute | None = None,
+) -> Sensitivity:
+    """Run a scenario without nuisances, with each alone, and with all; figures are rms over the seeds.
+
+    Where the single errors do not sum up to the whole, each nuisance is also left out in turn.
+
+    Raises
+    ------
+    InputError
+        If the scenario is no line of stages, has no nuisance, or is refused by the program without any of them.
+    """
+    if scenario.kind != "line":
+        raise InputError(f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line.")
+    names, numbers = scenario.active, seed_numbers(scenario, seeds)
+    if not names:
+        raise InputError(f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as small.")
+
+    def measure(label: str, chosen: str | tuple[str, ...]) -> tuple[Values, str | None]:
+        """Return the rms of each figure over the seeds, and the first refusal."""
+        entries: list[Entry] = []
+        for seed in numbers:
+            progress("sensitivity", f"{label}, seed {seed}")
+            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed, compute=compute))
+        names = {name for entry in entries for name in entry.values}
+        figures = {name: rms(np.array([e.values.get(name) for e in entries], dtype=np.float64)) for name in names}
+        return figures, next((entry.refusal for entry in entries if entry.refusal is not None), None)
+
+    base, refusal = measure("no nuisance", NONE)
+    if refusal is not None:
+        raise InputError(f"The scenario {scenario.name} does not even come through without nuisances: {refusal}")
+    candidates = {stage: [name for name in names if base.get(name) is not None] for stage, names in KEYS.items()}
+    keys = {stage: names[0] for stage, names in candidates.items() if names}
+    quiet = {stage: value for stage, name in keys.items() if (value := base[name]) is not None}
+    rows = [make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,))) for name in names]
+    # All that are on: scenario.nuisances may be a list.
+    all_on, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
+    loud = {stage: all_on.get(name) for stage, name in keys.items()}
+    ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
+    off = [stage for stage, value in ratio.items() if value is not None and not 1 / _AGREES <= value <= _AGREES]
+    together: dict[str, tuple[str, ...]] = {}
+    if off and len(names) > 1:
+        less = {
+            name: measure(f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name))[0]
+            for name in names
+        }
+        together = {stage: _most_changing(loud[stage] or 0.0, keys[stage], less) for stage in off}
+    return Sensitivity(
+        keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(numbers)
+    )
+
+
+def _most_changing(error: float, key: str, less: dict[str, Values]) -> tuple[str, ...]:
+    """Name the two nuisances without which a key figure's error changes most; a missing one changes nothing."""
+    errors = {name: figures.get(key) for name, figures in less.items()}
+    changes = {name: 0.0 if e is None else abs(error**2 - e**2) for name, e in errors.items()}
+    return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
+
+
+def make_row(
+    name: str, keys: dict[str, str], quiet: dict[str, float], figures: Values, refusal: str | None
+) -> NuisanceRow:
+    """Give the error that a nuisance adds to every stage, and the stage where it comes in.
+
+    Errors are carried along the line: the stage that suffers is the first one that grows at least half as much,
+    relative to its own baseline, as the one that grows most.
+    """
+    added = {stage: added_error(figures.get(key), quiet[stage]) for stage, key in keys.items()}
+    base = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
+    growth = {stage: error / base[stage] for stage, error in added.items() if error is not None}
+    most = max(growth.values(), default=0.0)
+    hit = (stage for stage, factor in growth.items() if most >= _NOTICED and factor >= _CARRIED * most)
+    return NuisanceRow(nuisance=name, added=added, growth=growth, suffers=next(hit, None), refusal=refusal)
+
+
+def added_error(error: float | None, base: float) -> float | None:
+    """Give the error that adds to ``base`` in squares to make ``error``; 0 where that is not larger."""
+    return None if error is None else float(np.sqrt(max(0.0, error**2 - base**2)))
+
+
+def _ratio(
+    stage: str, keys: dict[str, str], quiet: dict[str, float], loud: Values, rows: Sequence[NuisanceRow]
+) -> float | None:
+    """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
+    whole = added_error(loud[stage], quiet[stage])
+    summed = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
+    least = max(_FLOOR[FIGURES[keys[stage]].unit], _WORTH * quiet[stage])
+    if whole is None or max(whole, summed) < least:
+        return None
+    return summed / whole if whole > 0 else float("inf")

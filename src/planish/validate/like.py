@@ -20,7 +20,6 @@ from planish.validate.scenario import Scenario
 _FWHM = 2.3548  # of a Gaussian, in standard deviations: 2 sqrt(2 ln 2)
 _LEAST_UM = (1200.0, 900.0)  # lateral extent that holds enough holes
 _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distance from the border, area for each
-_SPECK_UM = 300.0  # the slopes of the warp are those of the centre surface over such lengths
 
 
 def like_run(folder: Path) -> SpecimenTemplate:
@@ -151,7 +150,8 @@ class SpecimenTemplate:
         """Steepest slope, direction and wavelength of the centre surface."""
         surfaces, flat = self.run.groups["surfaces"], self.run.groups["flat"]
         steps = pitch(surfaces)
-        every = [max(1, int(_SPECK_UM / 4 / p)) for p in steps]
+        # The slopes of the warp are those of the centre surface over 300 um.
+        every = [max(1, int(300.0 / 4 / p)) for p in steps]
         centre = np.asarray(surfaces["centre"].values[:: every[0], :: every[1]], dtype=np.float64)
         if min(centre.shape) < 3:
             raise InputError("The field of the run is too small to measure how the sheet is bent. Give a larger one.")

@@ -1,20 +1,112 @@
-"""The certificate as one HTML file that needs nothing else, styled as the report of a run."""
+"""The certificate as one HTML file that needs nothing else, styled as the report of a run, with its figures."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
 
 from planish import __version__
 from planish.core.files import write_whole
-from planish.report.text import template
+from planish.core.grid import pitch
+from planish.report.colours import ERROR, GREYS, SIGNED, Array, Scale, limits
+from planish.report.draw import ACCENT, FAINT, HALF, INK, SOFT, Canvas, Picture, draw_map
+from planish.report.text import length, number, plain, template
 from planish.synthetic.presets import NUISANCES, PRESETS
 from planish.validate import table as tables
-from planish.validate.certify import Certificate
-from planish.validate.drawings import dots, draw_expected
-from planish.validate.figures import FIGURES, STAGES
-from planish.validate.sensitivity import Sensitivity
+from planish.validate.certify import Certificate, Sensitivity
+from planish.validate.scenario import FIGURES, STAGES
+from planish.validate.truth import Comparison, mean_of, percentile
 
-_GROWN = 3.0  # times the baseline: the darkest cell of the heat table
+if TYPE_CHECKING:
+    from planish.validate.certify import Entry
+
+_NAMES = {"coating_top": "coating thickness", "thickness": "sheet thickness"}
+_DOT_MARGIN = 6.0
+
+
+def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
+    """Draw what the image of a linked run showed, what was measured, and the errors of place and thickness."""
+    name, rows, cols = _NAMES[comparison.headline], comparison.linked["y"].values, comparison.linked["x"].values
+    image = comparison.linked["image"].values.astype(np.float64)
+    measured = comparison.linked_values(comparison.headline)
+    error = measured - comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
+    worst = percentile(comparison.away_um, 99.9) or 1.0
+    valid = image[comparison.valid] if comparison.valid.any() else image
+    panels: list[tuple[Array, Scale, str, str, str]] = [
+        (
+            image, limits(valid, GREYS, percent=0.2), "", "The image of one specimen",
+            f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.",
+        ),
+        (
+            measured, limits(measured), "µm", f"Measured {name}",
+            "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
+        ),
+        (
+            comparison.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "µm", "Error of place",
+            "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
+            f"99.9 % of the pixels are below {length(worst)}.",
+        ),
+        (
+            error, limits(error, SIGNED, symmetric=True), "µm", f"Error of the {name}",
+            f"Measured minus true; {length(mean_of(error))} in the mean.",
+        ),
+    ]  # fmt: skip
+    return [
+        draw_map(values, rows, cols, scale=scale, label=label)[0].picture(title=title, caption=caption)
+        for values, scale, label, title, caption in panels
+    ]
+
+
+def draw_expected(entries: Sequence[Entry]) -> Picture | None:
+    """Draw the true error of registration over the one that each run expects; None without a pair of them."""
+    errors = [(entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries]
+    pairs = np.array([pair for pair in errors if None not in pair], dtype=np.float64).reshape(-1, 2)
+    if not pairs.size:
+        return None
+    high = 1.15 * float(pairs.max())
+    canvas = Canvas(HALF, 390)
+    axes = canvas.axes(62, 10, 320, 320, (0, high, 0, high))
+    axes.area([(0, 0), (high, 0.8 * high), (high, 1.25 * high)], colour=FAINT, opacity=0.45)
+    axes.line([(0, 0), (high, high)], colour=SOFT, width=1.2)
+    axes.dots(pairs, colour=INK, size=7)
+    canvas.ticks(axes, "error that the run expects from its marks / µm", "true error / µm")
+    expected, true = np.mean(pairs**2, axis=0)
+    return canvas.picture(
+        title="True against expected error of registration",
+        caption=f"rms over the pixels, one point a specimen (n = {len(pairs)}). On the line a run knows how good it "
+        "is; the band is 0.8 to 1.25 times. Above it a run is too sure of itself: its marks cannot know what is off "
+        f"between them. Over all specimens the true error is {number(float(np.sqrt(true / expected)), 2)} times the "
+        "expected one.",
+    )
+
+
+def dots(seed_values: Sequence[float], bound: float | None) -> str:
+    """Return a row of dots as SVG: one a seed, a long tick at 0 and a red one at the limit; empty without a value."""
+    if not seed_values:
+        return ""
+    width, height = 150.0, 16.0  # CSS pixels of a row of dots
+    ends = [] if bound is None else [bound, -bound] if min(seed_values) < 0 and bound else [bound]
+    low, high = min(0.0, *seed_values, *ends), max(0.0, *seed_values, *ends)
+    span = (high - low) or 1.0
+
+    def tick(value: float, top: float, style: str) -> str:
+        return f'<line x1="{x_of(value)}" x2="{x_of(value)}" y1="{top:g}" y2="{height - top:g}" {style}/>'
+
+    def x_of(value: float) -> str:
+        return f"{_DOT_MARGIN + (value - low) / span * (width - 2 * _DOT_MARGIN):.1f}"
+
+    middle = height / 2
+    parts = [
+        f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}" stroke="{FAINT}"/>',
+        tick(0.0, 3, f'stroke="{SOFT}"'),
+        *(tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in ends),
+        *(f'<circle cx="{x_of(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>' for v in seed_values),
+    ]
+    size = f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}"'
+    return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(parts)}</svg>'
 
 
 def write_page(path: Path, certificate: Certificate, table: Sensitivity | None = None) -> None:
@@ -26,7 +118,8 @@ def render_page(certificate: Certificate, table: Sensitivity | None = None) -> s
     """Return the page of :func:`write_page` as text."""
     heat: list[list[tuple[str, bool]]] = []
     for row in table.rows if table is not None else ():
-        shades = {stage: min(1.0, row.growth.get(stage, 0.0) / _GROWN) for stage in row.added}
+        # Three times the baseline is the darkest cell of the heat table.
+        shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
         heat.append([(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()])
     scenario, entries = certificate.scenario, certificate.entries
     page = template("planish.validate", "certificate.html.j2").render(

@@ -1,12 +1,12 @@
-"""A scenario: which specimens, under which instrument, with which nuisances, and which errors are allowed."""
+"""A scenario: which specimens, instrument and nuisances, which errors are allowed; and every figure of the ledger."""
 
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal, Self
+from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
     BaseModel,
@@ -21,10 +21,49 @@ from pydantic import (
 
 from planish.core.errors import FileError, InputError
 from planish.study import Study, faults_of
-from planish.synthetic.draws import draw_params
-from planish.synthetic.params import SIZES_UM, SpecimenParams
+from planish.synthetic.params import SIZES_UM, SpecimenParams, draw_params
 from planish.synthetic.presets import NUISANCES, PRESETS, nuisances_of, with_only
-from planish.validate.figures import FIGURES
+
+_KINDS = (("bias", "mean error", "mean"), ("rmse", "rms error", "root mean square"),
+          ("p95", "95 % error", "95th percentile of the absolute value"))  # fmt: skip
+
+Values = dict[str, float | None]
+"""Figure name -> value; None where a run has no such thing."""
+
+
+class Figure(NamedTuple):
+    """One number of the ledger."""
+
+    name: str  # key in files and in a scenario's limits
+    stage: str  # key of :data:`STAGES`
+    unit: str  # ``um``, ``%``, ``deg``, ``pitch``, ``s``, or ``1`` for a plain number
+    title: str  # for a table, under the title of its stage
+    sentence: str  # what is compared with what
+    # {"small", "large", "neither"}: which values are better; neither where the figure only describes.
+    better: str = "small"
+
+
+def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
+    for stem, (quantity, sentence) in table.get("errors", {}).items():
+        for kind, title, mean in _KINDS:
+            yield Figure(f"{stem}_{kind}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}")
+    for name, row in table.get("figures", {}).items():
+        yield Figure(name, stage, *row)
+
+
+_TABLES = tomllib.loads(Path(__file__).with_name("figures.toml").read_text(encoding="utf-8"))
+STAGES: dict[str, str] = {stage: table["title"] for stage, table in _TABLES.items()}
+KEYS: dict[str, list[str]] = {stage: table["key"] for stage, table in _TABLES.items() if "key" in table}
+FIGURES: dict[str, Figure] = {
+    figure.name: figure for stage, table in _TABLES.items() for figure in _figures(stage, table)
+}
+
+
+def in_order(values: Values) -> Values:
+    """Figures in the order of the line; what has no value is None, whole stages that are absent are left out."""
+    stages = {FIGURES[name].stage for name in values}
+    return {name: values.get(name) for name, figure in FIGURES.items() if figure.stage in stages}
+
 
 Instrument = Literal["stack", "scanner", "sections"]
 Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
@@ -41,13 +80,13 @@ _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
 """Field -> the names that it may hold, and what they are."""
 
 
-class Table(BaseModel):
+class ScenarioTable(BaseModel):
     """A table of the file: unknown keys are errors, nothing changes once read."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
 
 
-class Limit(Table):
+class Limit(ScenarioTable):
     """Bound of a figure: ``limit`` holds its absolute value from above, ``least`` the value itself from below.
 
     ``from`` names where the bound comes from.
@@ -77,14 +116,14 @@ class Limit(Table):
         return min(values) if self.limit is None else max(values, key=abs)
 
 
-class Second(Table):
+class Second(ScenarioTable):
     """The second instrument of a pair, and what it does otherwise to the same sheet (how it is bent, above all)."""
 
     instrument: Instrument
     specimen: dict[str, Any] = {}
 
 
-class Scenario(Table):
+class Scenario(ScenarioTable):
     """One kind of specimen and how it is measured."""
 
     name: str
@@ -98,7 +137,7 @@ class Scenario(Table):
     instrument: Instrument = "stack"  # {"stack", "scanner", "sections"}
     seeds: Annotated[int, Field(ge=1, le=1000)] = 3  # how many specimens, seeds 0 to seeds - 1
     nuisances: Literal["all", "none"] | tuple[str, ...] = ALL  # of :data:`planish.synthetic.presets.NUISANCES`
-    # Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.draws.RANGES`.
+    # Whether every parameter is drawn by the seed, over the ranges of :data:`planish.synthetic.params.RANGES`.
     drawn: bool = False
     # Whether a run may also end with a warning of its own: then the limits hold for those that do not.
     or_warned: bool = False

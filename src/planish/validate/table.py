@@ -10,9 +10,8 @@ from typing import Any
 from planish import __version__
 from planish.report.text import fixed, length, number, percent, unit
 from planish.synthetic.presets import NUISANCES
-from planish.validate.certify import Certificate, Line
-from planish.validate.figures import FIGURES, STAGES, Figure, Values
-from planish.validate.sensitivity import Row, Sensitivity
+from planish.validate.certify import Certificate, LedgerLine, NuisanceRow, Sensitivity
+from planish.validate.scenario import FIGURES, STAGES, Figure, Values
 
 NONE = "-"
 STATES = {None: "", True: "met", False: "missed"}
@@ -33,13 +32,13 @@ _THICKNESSES = {
 }  # fmt: skip
 
 
-def by_stage(certificate: Certificate) -> list[tuple[str, list[Line]]]:
+def by_stage(certificate: Certificate) -> list[tuple[str, list[LedgerLine]]]:
     """All figures by the title of their stage, in the order of the line, also those that no specimen has."""
     lines = certificate.lines().values()
     return [(STAGES[stage], list(group)) for stage, group in groupby(lines, key=lambda line: line.figure.stage)]
 
 
-def cells(line: Line) -> tuple[str, ...]:
+def cells(line: LedgerLine) -> tuple[str, ...]:
     """Title, unit, mean, standard deviation, worst value, limit and its state, as they are written."""
     numbers = (NONE if v is None else number(v, n) for v, n in ((line.mean, 3), (line.sd, 2), (line.worst, 3)))
     return line.figure.title, unit(line.figure.unit), *numbers, limit_text(line), STATES[line.met]
@@ -126,14 +125,8 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
             for name, limit in certificate.scenario.limits.items()
         ],
         "seeds": [
-            {
-                "seed": entry.seed,
-                "refusal": entry.refusal,
-                "failed": list(entry.failed),
-                "looks": list(entry.looks),
-                "values": entry.values,
-            }
-            for entry in certificate.entries
+            {"seed": e.seed, "refusal": e.refusal, "failed": list(e.failed), "looks": list(e.looks), "values": e.values}
+            for e in certificate.entries
         ],
     }
     if table is not None:
@@ -171,7 +164,7 @@ def summary(certificate: Certificate) -> str:
     entries, n = certificate.entries, len(certificate.entries)
     met = [line.met for line in certificate.lines().values() if line.met is not None]
     word = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
-    refused, failed = (sum(map(bool, found)) for found in ([e.refusal for e in entries], [e.failed for e in entries]))
+    refused, failed = (sum(bool(getattr(entry, field)) for entry in entries) for field in ("refusal", "failed"))
     sentences = [f"On {refused} of {n} {word}s the program gave no result."] if refused else []
     sentences += [f"On {failed} of {n} {word}s a check of the run failed."] if failed else []
     missed = met.count(False)
@@ -185,7 +178,7 @@ def summary(certificate: Certificate) -> str:
     return " ".join(sentences)
 
 
-def limit_sentence(line: Line) -> str:
+def limit_sentence(line: LedgerLine) -> str:
     """Write one limit and whether it is met."""
     start = f"{STAGES[line.figure.stage]}, {line.figure.title}"
     if line.worst is None:
@@ -195,7 +188,7 @@ def limit_sentence(line: Line) -> str:
     )
 
 
-def limit_text(line: Line) -> str:
+def limit_text(line: LedgerLine) -> str:
     """Write the limit of a figure with its sign and unit; empty without one."""
     if line.limit is None:
         return ""
@@ -213,7 +206,7 @@ def sensitivity_sentences(table: Sensitivity) -> list[str]:
     return [*(row_sentence(row) for row in table.rows), *(sum_sentence(stage, table) for stage in table.keys)]
 
 
-def row_sentence(row: Row) -> str:
+def row_sentence(row: NuisanceRow) -> str:
     """Say which stage one nuisance alone harms."""
     title = NUISANCES[row.nuisance].title
     if row.refusal is not None:

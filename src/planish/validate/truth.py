@@ -17,7 +17,7 @@ from planish.core.typing import Bools, Floats
 from planish.pipeline import Run
 from planish.register import FittedTransform
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
-from planish.validate.figures import Values
+from planish.validate.scenario import Values
 
 Index = NDArray[np.intp]
 

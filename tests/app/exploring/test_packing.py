@@ -6,7 +6,7 @@ import zlib
 import numpy as np
 import pytest
 
-from planish.app.exploring.packing import Packed, packed
+from planish.app.exploring.maps import Packed, packed
 
 
 def unpacked(one: Packed) -> np.ndarray:

@@ -13,7 +13,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.app.exploring.packing import Packed, packed
+from planish.app.exploring.maps import Packed, packed
 from planish.compute import Compute, Progress
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
@@ -190,7 +190,12 @@ def _read(
             chosen = {frame.rows: rows, "z": block}
             into = (slice(None), slice(block.start - depth.start, block.stop - depth.start))
         progress("slices", f"{frame.rows} of the volume, planes {block.start} to {block.stop}")
-        part = volume.isel(_as_slices(chosen)).values
+        # Evenly spaced places as slices, by which lazy arrays read no more than they must.
+        for axis, places in chosen.items():
+            if not isinstance(places, slice):
+                step = int(places[1] - places[0]) if places.size > 1 else 1
+                chosen[axis] = slice(int(places[0]), int(places[-1]) + 1, step)
+        part = volume.isel(chosen).values
         part = part.transpose([volume.dims.index(axis) for axis in (frame.rows, frame.through, frame.cols)])
         if every > 1:
             part = part[:, :, : cols * every].reshape(*part.shape[:2], cols, every).mean(axis=3)
@@ -208,16 +213,6 @@ def _blocks(volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], depth: s
     first, last = (int(rows[0]), int(rows[-1]) + 1) if frame.rows == "z" else (depth.start, depth.stop)
     for begin in range(first // whole * whole, last, long):
         yield slice(max(begin, first), min(begin + long, last))
-
-
-def _as_slices(chosen: dict[str, Any]) -> dict[str, slice]:
-    """Evenly spaced places as slices, by which lazy arrays read no more than they must."""
-    return {
-        axis: places
-        if isinstance(places, slice)
-        else slice(int(places[0]), int(places[-1]) + 1, int(places[1] - places[0]) if places.size > 1 else 1)
-        for axis, places in chosen.items()
-    }
 
 
 def _greys(values: NDArray[Any], scale: Scale) -> NDArray[np.uint8]:

@@ -134,7 +134,6 @@ def encode(pages: Sequence[Page], kind: str, title: str = "") -> bytes:
 
 
 _ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
-_FINE = 200  # pixels along the longer side of the map
 
 
 def drawing_page(pattern: Pattern) -> Page:
@@ -224,7 +223,8 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     """Draw the predicted error over the field in colours and contours, with a bar of the colours."""
     axes, low, field = page.plan, np.array(pattern.field_low_um), np.array(pattern.field_um)
-    across, up = (np.linspace(0, side, max(20, round(_FINE * side / field.max()))) for side in field)
+    # Pixels along the longer side of the map.
+    across, up = (np.linspace(0, side, max(20, round(200 * side / field.max()))) for side in field)
     grid = np.stack(np.meshgrid(low[0] + across, low[1] + up), axis=-1)
     error = predicted.at(grid)
     norm = Normalize(float(error.min()), float(error.max()))

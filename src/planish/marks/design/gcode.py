@@ -181,7 +181,6 @@ _COMMANDS = {
 }  # fmt: skip
 _KNOWN = f"{', '.join(_COMMANDS)} with X, Y, F, P, S"
 _OFF = {"M3": "M5", "M64": "M65"}
-_SAME_UM = 1.0  # two shots so close together go through one hole
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -327,7 +326,8 @@ class _Machine:
             if self.on:
                 raise MarkError("the laser is on already")
             x, y = self.path[-1]
-            if any(math.hypot(x - a, y - b) < _SAME_UM for a, b in self.fired):
+            # Two shots so close together go through one hole.
+            if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.fired):
                 raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
             self.on, self.lit_s, self.started_s = command, 0.0, self.clock_s
             self.fired.append((x, y))

@@ -263,7 +263,6 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
 
 # Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
 P95 = float(np.sqrt(-np.log(0.05)))
-_PIXEL_SHARE = 0.1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -315,7 +314,7 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
     imaging = imaging or ImagingParams()
     arcs = max(np.pi * diameter_um / imaging.rim_length_um, 3.0)  # fewer fix no circle
     rim = 4 * imaging.roughness_um**2 / arcs
-    return float(np.sqrt(sum(rim + 2 * (_PIXEL_SHARE * pixel) ** 2 for pixel in imaging.pixel_um)))
+    return float(np.sqrt(sum(rim + 2 * (0.1 * pixel) ** 2 for pixel in imaging.pixel_um)))
 
 
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:

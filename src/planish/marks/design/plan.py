@@ -35,7 +35,6 @@ Steps = NDArray[np.int64]
 
 STEP_UM = 50.0
 _BATCH = 4000
-_BATCHES = 6
 _COMPARED_SIDES = 400  # candidates of a side that are compared with the sides before it
 RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
 
@@ -79,7 +78,7 @@ def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generato
 
     ``used`` are the distances on the sides before.
     """
-    for _ in range(_BATCHES):
+    for _ in range(6):
         drawn = _draw_positions(ruler, count, rng)
         marks = ruler.with_corners(drawn)
         fits = np.all(np.diff(marks, axis=1) >= ruler.spacing, axis=1)
@@ -129,14 +128,11 @@ def _distances(marks: Steps) -> Steps:
     return marks[:, last] - marks[:, first]
 
 
-LEAST_PITCH_UM = 500.0
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
 _ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom distinct
 _LARGEST_SEARCH = 25  # patterns whose rivals are looked for
 _COMPARED = 6  # patterns that keep the rules; the one with the weakest rival is taken
-_LEAST_A_SIDE = 4
 _WIDER_UM, _WIDEST_UM = 250.0, 3000.0  # steps by which a margin that was not given gives holes more room
-_NO_ROOM = ("rule 'area'", "rule 'spacing'")
 _HOPELESS = ("count", "spacing", "area", "around")  # of these no other draw is better
 
 
@@ -176,7 +172,7 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
             if design is not None:
                 return design
             reasons[count] = reason
-        if not any(rule in reason for rule in _NO_ROOM for reason in reasons.values()):
+        if not any(rule in reason for rule in ("rule 'area'", "rule 'spacing'") for reason in reasons.values()):
             break
     size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     more = " The layout 'coded' takes less room." if params.layout == "line" else ""
@@ -187,7 +183,7 @@ def _blank_pattern(params: DesignParams) -> Pattern:
     """Return the pattern without its holes: field, frame and view."""
     burn = {name: getattr(params, name) for name in BURN}
     closest, inwards = SPACING_DIAMETERS * params.diameter_um, 0.5 * params.diameter_um + params.rim_um
-    spacing = params.spacing_um if params.spacing_um is not None else max(LEAST_PITCH_UM, closest)
+    spacing = params.spacing_um if params.spacing_um is not None else max(500.0, closest)
     least = params.margin_um if params.margin_um is not None else max(1.5 * params.diameter_um, inwards)
     faults: list[str] = []
     if spacing < closest:
@@ -257,7 +253,7 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
-    shares = [min(_LEAST_A_SIDE, max(1, (count - 3) // 4))] * 4
+    shares = [min(4, max(1, (count - 3) // 4))] * 4
     for _ in range(max(0, count - 3 - sum(shares))):
         # The side on which the holes are farthest apart gets the next one.
         shares[max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))] += 1

@@ -20,10 +20,7 @@ from planish.marks.design.pattern import Pattern
 TOLERANCE_UM = 25.0  # within which two marks are taken for one
 SCALE = 0.03  # how far a map's scale may be off its calibration
 CODE = 4  # consecutive holes that have to identify their place
-_SLACK = 1.5  # two holes fix the motion, and each may be off
 _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
-_MOST_CELLS = 4_000_000
-_MOST = 60_000  # motions that are tried; beyond it, pairs are thinned out evenly
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,8 +50,8 @@ def self_motions(points_um: Floats) -> Motions:
     targets, target_length = base[order], length[order]
     first = np.searchsorted(target_length, (1 - SCALE) * length, side="left")
     last = np.searchsorted(target_length, (1 + SCALE) * length, side="right")
-    # Each target is taken in both directions and in both hands.
-    step = max(1.0, 4.0 * float(np.sum(last - first)) / _MOST)
+    # Each target is taken in both directions and in both hands; beyond so many motions pairs are thinned out evenly.
+    step = max(1.0, 4.0 * float(np.sum(last - first)) / 60_000)
     bases = np.unique(np.arange(0, len(base), step).astype(np.intp))
     counts = (last - first)[bases]
     which = np.repeat(bases, counts)
@@ -70,7 +67,8 @@ class _HoleIndex:
     """The hole within the tolerance of a point: a table of cells, or a tree where the table would be large."""
 
     def __init__(self, points_um: Floats) -> None:
-        self.n, self.reach = len(points_um), _SLACK * TOLERANCE_UM
+        # Two holes fix the motion, and each may be off.
+        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM
         self.z = np.append(points_um[:, 0] + 1j * points_um[:, 1], np.inf)
         self.tree = cKDTree(points_um)
         nearest = float(np.min(np.asarray(self.tree.query(points_um, k=2)[0])[:, 1]))
@@ -81,7 +79,7 @@ class _HoleIndex:
             return
         self.low = points_um.min(axis=0) - self.reach - 2 * self.cell
         shape = np.ceil((points_um.max(axis=0) + self.reach - self.low) / self.cell).astype(np.intp) + 2
-        if int(shape.prod()) > _MOST_CELLS:
+        if int(shape.prod()) > 4_000_000:
             return
         self.table = np.full((int(shape[0]), int(shape[1])), self.n, dtype=np.int16)
         for k, point in enumerate(points_um):
@@ -175,7 +173,6 @@ CROP = 0.3
 SURVIVORS = 4
 RIVAL_SHARE = 0.5
 MARKER_DIAMETERS = 6.0
-_FEW = 6  # of so few survivors, three may meet by chance; four are needed to believe an arrangement
 
 _REMEDY = "use unequal pitches, or another seed"
 _FEWER = "take fewer or smaller holes, or a larger field"
@@ -309,7 +306,8 @@ def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     # Of each crop, the holes that the best motion without a mirror explains.
     hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
     counts = np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
-    worst = float(np.max(counts / np.maximum(masks.sum(axis=1), _FEW)))
+    # Of so few survivors, three may meet by chance; four are needed to believe an arrangement.
+    worst = float(np.max(counts / np.maximum(masks.sum(axis=1), 6)))
     rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
     return (*rivals, _rule("crop told apart", worst, RIVAL_SHARE))
 

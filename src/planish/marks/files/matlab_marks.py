@@ -19,7 +19,6 @@ from planish.marks.files.lists import Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
-LARGEST_MATRIX = 1_000_000  # numbers; larger matrices are images
 
 _SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
 
@@ -38,7 +37,8 @@ def read(content: Content) -> list[PointList]:
             file = io.BytesIO(data)
             matrices: dict[str, Floats | None] = {}  # None for what is no small real matrix, or not asked for
             for v in matlab.variables(file):
-                is_small = v.real and len(v.shape) == 2 and v.count <= LARGEST_MATRIX
+                # Larger matrices are images.
+                is_small = v.real and len(v.shape) == 2 and v.count <= 1_000_000
                 is_wanted = is_small and any(v.name in pair for pair in NAMES)
                 matrices[v.name] = matlab.values(file, v).astype(np.float64) if is_wanted else None
     except Exception as error:

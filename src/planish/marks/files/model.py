@@ -267,9 +267,6 @@ def _check_layer(marks: xr.Dataset, layer: str) -> None:
 
 FARTHEST_UM = 1e9  # positions beyond are errors of unit or of writing; within, no arithmetic overflows
 SLACK = 0.05  # marks may lie outside their layer by this share of it: borders are cut in many ways
-LEAST_MARKS = 3
-_LEAST_FACTOR = 1.5  # pixels of nearly 1 um cannot be distinguished from um
-_MM_SPAN = 0.01
 
 
 def check_marks(marks: xr.Dataset, name: str) -> None:
@@ -298,7 +295,7 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
         about = about_layer(marks, layer)
         points = points_of(marks, layer)[:, :2]
         points = points[np.isfinite(points).all(axis=1)]
-        if len(points) < LEAST_MARKS or not {"pixel_um", "size_px"} <= about.keys():
+        if len(points) < 3 or not {"pixel_um", "size_px"} <= about.keys():
             continue
         if misfit := _misfit(points, about, stated=stated):
             raise MarkError(f"{name}: the marks in {layer} span {misfit}")
@@ -317,12 +314,13 @@ def _misfit(points: Floats, about: dict[str, Any], *, stated: bool) -> str:
     are_halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
     are_pixels = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
-    if are_halves and not are_pixels and pixel.max() > _LEAST_FACTOR and _inside(points, count).all():
+    # Pixels of nearly 1 um cannot be distinguished from um.
+    if are_halves and not are_pixels and pixel.max() > 1.5 and _inside(points, count).all():
         return (
             f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
         )
-    if is_inside and _inside(points * 1000, size).all() and np.ptp(points, axis=0).max() < _MM_SPAN * size.max():
+    if is_inside and _inside(points * 1000, size).all() and np.ptp(points, axis=0).max() < 0.01 * size.max():
         return f"{spans}: they look like mm. {_remedy('mm', stated)}"
     if is_inside:
         return ""

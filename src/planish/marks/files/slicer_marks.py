@@ -25,8 +25,6 @@ SCHEMA = (
     "markups-schema-v1.0.3.json#"
 )
 SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
-MOST_LISTS = 16
-_STATES = ("defined", "undefined", "preview")
 
 
 def looks_like(content: Content) -> bool:
@@ -40,7 +38,7 @@ def read(content: Content) -> list[PointList]:
     markups: Any = (content.json or {}).get("markups")
     entries: list[Any] = [m for m in (markups if isinstance(markups, list) else []) if isinstance(m, Mapping)]
     points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
-    if len(points) > MOST_LISTS:
+    if len(points) > 16:
         raise MarkError(f"{name} holds {len(points)} lists of points; two are needed. Save those two alone.")
     if not points:
         kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
@@ -98,7 +96,7 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         position: Any = control.get("position")
         is_valid = isinstance(position, list) and len(position) == 3
         numbers = [None if isinstance(v, str) else finite(v) for v in position] if is_valid else [None]
-        if state not in _STATES:
+        if state not in ("defined", "undefined", "preview"):
             faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
         if state == "defined" and None in numbers:
             faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")

@@ -26,7 +26,6 @@ from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regio
 
 ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
 
-_ENTRY = b"PK\1\2"  # begins an entry of the table of contents of an archive
 _HEAD, _SECOND = 64, 52  # bytes of the two headers
 _SPLINE, _SUBPIXEL, _SUBPIXEL_FROM, _SUBPIXEL_BOX_FROM = 1, 128, 222, 223  # options, and versions from which they hold
 _RECTANGLE, _OVAL, _POLYGONS = 1, 2, (0, 7, 8)  # drawn by points, freehand, traced
@@ -35,14 +34,13 @@ _OVERLAYS = {1: "a text", 2: "an arrow", 4: "an image"}
 _MOVE, _LINE, _QUADRATIC, _CUBIC, _CLOSE = range(5)  # codes of composite selections
 # ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where it lies right.
 _NUDGE = np.array([2.0**-26, 2.0**-34])
-_FLATTENED = 0.01  # pixels by which the polygon of an oval may lie inside it
 _WIDEST = 1e6  # pixels
 _DRAW = "Draw each region as a polygon, rectangle, oval or freehand selection, and save it again."
 
 
 def _unpacked(data: bytes, name: str, *, most: int) -> list[tuple[str, bytes]]:
     """Names and bytes of an archive of selections, unpacked at most ``most`` bytes."""
-    if data.count(_ENTRY) > 2 * MOST_REGIONS:  # before its table of contents is read
+    if data.count(b"PK\1\2") > 2 * MOST_REGIONS:  # entries of its table of contents, before that is read
         raise FileError(f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of ImageJ.")
     parts: list[tuple[str, bytes]] = []
     try:
@@ -118,7 +116,8 @@ def _box(data: bytes, kind: int, *, is_subpixel: bool) -> Ring:
     if kind == _RECTANGLE:
         return np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
     radius = max(0.5 * max(w, h), 1.0)
-    angle = np.linspace(0, 2 * np.pi, math.ceil(np.pi / math.acos(1 - _FLATTENED / radius)), endpoint=False)
+    # The polygon of an oval may lie a hundredth of a pixel inside it.
+    angle = np.linspace(0, 2 * np.pi, math.ceil(np.pi / math.acos(1 - 0.01 / radius)), endpoint=False)
     return np.stack([x + 0.5 * w * (1 + np.cos(angle)), y + 0.5 * h * (1 + np.sin(angle))], axis=1)
 
 

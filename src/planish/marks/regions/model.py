@@ -17,7 +17,6 @@ Window = tuple[slice, slice]
 
 MOST_REGIONS, MOST_POINTS = 1000, 1_000_000
 LONGEST_TEXT = 500
-_PROBES = 5  # places of a border that decide whether it lies within another
 _FARTHEST = 1e9  # um or pixels: nothing that is drawn on paper lies farther away
 
 
@@ -109,7 +108,7 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
     around: list[list[int]] = []
     for k, ring in enumerate(rings):
         # Borders may touch, so that single places of one may lie on another: most of a few decide.
-        probes = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // _PROBES)]
+        probes = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // 5)]
         within = (boxes[:, :2] <= boxes[k, :2]).all(axis=1) & (boxes[:, 2:] >= boxes[k, 2:]).all(axis=1)
         candidates = [j for j in np.flatnonzero(within).tolist() if j != k]
         around.append([j for j in candidates if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)])

@@ -1,4 +1,4 @@
-"""Check of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
+"""Light of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
 
 from __future__ import annotations
 
@@ -6,19 +6,15 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, State
+from planish.checks.sheets import MeasuredSheet
+from planish.core.checks import Check, Light, State
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.typing import Floats
 from planish.flatten import places_when_scaled
-from planish.pipeline.layers import Layer
 from planish.register import FittedTransform, Pairs, ThroughScale, find_through_scale
 
-Array = NDArray[np.float64]
-
-NAME = "scale through the sheet"
-_FIGURES = (PROPERTIES, POSITION, CORRELATION)
 _UNCERTAIN = 0.15  # standard error from which on nothing can be said
 _SYSTEMATIC = 0.01  # of a scale from marks: smoothing of the centre surface, which surface is neutral
 _NATURAL = 0.1  # of a scale from thickness: paper that is thinner where it bends
@@ -26,6 +22,25 @@ _BEYOND = 3.0  # errors
 _CLEARLY = 9.2  # variances: one explanation is a hundred times as likely as the other
 _STRAIN = 0.01
 _TILE_UM, _BLOCKS = 80.0, 6
+_ADVICE = (
+    "Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in both directions. "
+    "Thicknesses and places are wrong where it is."
+)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisteredSheet:
+    """A sheet whose marks were registered: its surfaces, where their columns lie in the flat map, and the fit.
+
+    ``is_fixed``: the sheet is what was registered to; ``either``: the other layer is a sheet too, so that either may be
+    wrong.
+    """
+
+    measured: xr.Dataset
+    flat: xr.Dataset
+    fit: FittedTransform
+    is_fixed: bool = False
+    either: bool = False
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,76 +94,69 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     place = np.stack(np.divmod(np.flatnonzero(used), cols[-1] + 1), axis=1) / [rows[-1] + 1, cols[-1] + 1]
     block = np.floor(place * _BLOCKS) @ [_BLOCKS, 1]
     design = np.column_stack([np.ones(y.size), m2, place - place.mean(axis=0)])
-    found = _ratio(design, y)
-    left = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
-    spread = np.sqrt((left.size - 1) * np.mean((left - left.mean()) ** 2))
-    if not (np.isfinite(found) and np.isfinite(spread)):
+    squared = _ratio(design, y)
+    without = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
+    spread = np.sqrt((without.size - 1) * np.mean((without - without.mean()) ** 2))
+    if not (np.isfinite(squared) and np.isfinite(spread)):
         return SlopeScale(1.0, np.inf)
-    scale = float(np.sqrt(max(found, 0.0)))
+    scale = float(np.sqrt(max(squared, 0.0)))
     return SlopeScale(scale, float(spread / (2 * max(scale, 0.25))))
 
 
-def thickness_scale_check(measured: xr.Dataset) -> Check:
-    """Check of a sheet without marks: gross errors of the spacing along the axis through it."""
-    found = scale_from_thickness(measured)
-    axis, stated, _ = _spacing(measured, found.scale)
-    if found.error > _UNCERTAIN:
-        return Check(
-            name=NAME, state="unknown", figures=_FIGURES,
-            value=found.scale if np.isfinite(found.error) else None, limit=None,
+def scale_by_thickness(light: Light, sheet: MeasuredSheet | RegisteredSheet) -> Check:
+    """Judge a sheet without marks: gross errors of the spacing along the axis through it."""
+    slope = scale_from_thickness(sheet.measured)
+    axis, stated = _spacing(sheet)
+    if slope.error > _UNCERTAIN:
+        return light.check(
+            "unknown", value=slope.scale if np.isfinite(slope.error) else None,
             sentence=f"The sheet is too flat, or its thickness too uneven, to say from it whether the voxel spacing of "
             f"{stated:.4g} um along {axis} is right; marks can say more.",
         )  # fmt: skip
-    off = found.excludes_one
-    return Check(
-        name=NAME, state="look" if off else "pass", value=found.scale, figures=_FIGURES,
-        limit=_limit(found.scale, float(np.hypot(found.error, _NATURAL))),
-        sentence=f"The thickness depends on the slope as if the voxel spacing along {axis} were {found} times the "
+    return light.check(
+        "look" if slope.excludes_one else "pass", value=slope.scale,
+        limit=_limit(slope.scale, float(np.hypot(slope.error, _NATURAL))),
+        sentence=f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope} times the "
         f"stated one of {stated:.4g} um.",
-        advice=_advice(axis) if off else "",
+        advice=_ADVICE.format(axis=axis) if slope.excludes_one else "",
     )  # fmt: skip
 
 
-def marks_scale_check(layer: Layer, fit: FittedTransform, *, fixed: bool = False, both: bool = False) -> Check:
-    """Check of a sheet by the marks of its registration.
-
-    ``fixed``: the sheet is what was registered to; ``both``: the other layer is a sheet too, so that either may be
-    wrong.
-    """
-    measured = layer.groups["surfaces"]
-    marks = estimate(measured, layer.groups["flat"], fit, fixed=fixed)
+def scale_by_marks(light: Light, sheet: RegisteredSheet) -> Check:
+    """Judge a sheet by the marks of its registration."""
+    marks = estimate(sheet)
     if marks is None:
-        return thickness_scale_check(measured)
-    return judge(marks, scale_from_thickness(measured), measured, either=both)
+        return scale_by_thickness(light, sheet)
+    return judge_marks(light, sheet, marks, scale_from_thickness(sheet.measured))
 
 
-def judge(marks: ThroughScale, slope: SlopeScale, measured: xr.Dataset, *, either: bool = False) -> Check:
+def judge_marks(light: Light, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
-    axis, stated, asked = _spacing(measured, marks.scale)
+    axis, stated = _spacing(sheet)
     error = float(np.hypot(marks.error, _SYSTEMATIC))
-    off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
-    if not off and error > _UNCERTAIN:
+    is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
+    if not is_off and error > _UNCERTAIN:
         if slope.error <= _UNCERTAIN:
-            return thickness_scale_check(measured)
-        say = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
-        return Check(
-            name=NAME, state="unknown", value=marks.scale, figures=_FIGURES,
+            return scale_by_thickness(light, sheet)
+        times = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
+        return light.check(
+            "unknown", value=marks.scale,
             sentence=f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to say whether the "
-            f"voxel spacing of {stated:.4g} um along {axis} is right: they agree with {say} times that.",
+            f"voxel spacing of {stated:.4g} um along {axis} is right: they agree with {times} times that.",
         )  # fmt: skip
     text = (
         f"The marks ask for a voxel spacing along {axis} that is {marks.scale:.3g} ± {error:.2g} times the stated "
-        f"one: {asked:.3g} um for {stated:.4g}."
+        f"one: {marks.scale * stated:.3g} um for {stated:.4g}."
     )
     state: State = "pass"
-    if off:
+    if is_off:
         state, more = _explained(marks, slope)
         text += more
-    if off and either:
+    if is_off and sheet.either:
         state, text = "look", f"{text} The other sheet's may be wrong as well."
-    return Check(
-        name=NAME, state=state, value=marks.scale, limit=_limit(marks.scale, error), figures=_FIGURES,
-        sentence=text, advice=_advice(axis) if off else "",
+    return light.check(
+        state, text, value=marks.scale, limit=_limit(marks.scale, error),
+        advice=_ADVICE.format(axis=axis) if is_off else "",
     )  # fmt: skip
 
 
@@ -166,45 +174,28 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     return "look", f" But {along} explains it {how}, as pixels that are not square make it."
 
 
-def estimate(
-    surfaces: xr.Dataset, flat: xr.Dataset, fit: FittedTransform, *, fixed: bool = False
-) -> ThroughScale | None:  # fmt: skip
-    """Scale of a sheet's heights that the marks of a registration ask for; None where they are too few.
-
-    Parameters
-    ----------
-    surfaces, flat : Dataset, dims (y, x), in um
-        The centre surface of the sheet, and where its columns lie in the flat sheet.
-    fit : FittedTransform
-        The sheet is its moving side, or the fixed one.
-    """
-    at, to, information = fit.moving, fit.fixed, fit.information
-    if fixed:
-        at, to, information = to, at, fit.weights[:, None, None] * np.eye(2)
-    scales, places = places_when_scaled(surfaces, flat, at)
-    pairs = Pairs(moving=at, fixed=to, information=information)
+def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
+    """Scale of a sheet's heights that the marks of a registration ask for; None where they are too few."""
+    fit = sheet.fit
+    pairs = Pairs(moving=fit.moving, fixed=fit.fixed, information=fit.information)
+    if sheet.is_fixed:
+        information = fit.weights[:, None, None] * np.eye(2)
+        pairs = Pairs(moving=fit.fixed, fixed=fit.moving, information=information)
+    scales, places = places_when_scaled(sheet.measured, sheet.flat, pairs.moving)
     return find_through_scale(scales, places, pairs, mirrored=fit.mirrored)
 
 
-def _spacing(measured: xr.Dataset, scale: float) -> tuple[str, float, float]:
-    """The axis through the sheet, its spacing as stated, and as it would be, in um."""
-    axis = Frame.of(measured).through
-    stated = float(measured.attrs["voxel_um"]["zyx".index(axis)])
-    return axis, stated, scale * stated
+def _spacing(sheet: MeasuredSheet | RegisteredSheet) -> tuple[str, float]:
+    """The axis through the sheet and its spacing as stated, um."""
+    axis = Frame.of(sheet.measured).through
+    return axis, float(sheet.measured.attrs["voxel_um"]["zyx".index(axis)])
 
 
 def _limit(scale: float, error: float) -> float:
     return 1 + float(np.copysign(_BEYOND * error, scale - 1))
 
 
-def _advice(axis: str) -> str:
-    return (
-        f"Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in both "
-        "directions. Thicknesses and places are wrong where it is."
-    )
-
-
-def _ratio(design: Array, wanted: Array) -> float:
+def _ratio(design: Floats, wanted: Floats) -> float:
     """Slope over intercept of a regression; the first two columns of the design."""
-    found = np.linalg.lstsq(design, wanted, rcond=None)[0]
-    return float(found[1] / found[0])
+    intercept, slope = np.linalg.lstsq(design, wanted, rcond=None)[0][:2]
+    return float(slope / intercept)

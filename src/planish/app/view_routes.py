@@ -1,0 +1,305 @@
+"""Routes of what is seen: tiles, values and densities of maps, slices of sheets, the mesh of the flattening."""
+
+from __future__ import annotations
+
+import json
+import math
+import struct
+import threading
+from collections.abc import Callable
+from typing import Any
+
+import anyio
+import numpy as np
+from anyio.to_thread import run_sync
+from pydantic import BaseModel
+from starlette.requests import Request
+from starlette.responses import JSONResponse, Response
+from starlette.routing import Route
+
+from planish.app.changes import stretches_of
+from planish.app.picture import PlanePicture
+from planish.app.pictures import Tiles
+from planish.app.selection import Brush, Rectangle, Selected, Stopped, cursor, density, histogram, profile, select
+from planish.app.session import Session
+from planish.app.slices import SheetSlice, SlicedSheet, sheets_of
+from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
+from planish.core.errors import InputError, PlanishError
+from planish.core.status import Status
+from planish.surface import Corrections, Stretch
+from planish.surface.params import REACH_UM
+
+_FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
+
+
+async def get_tile(request: Request) -> Response:
+    """One tile of a picture."""
+    place, tiles = request.path_params, _tiles(request)
+    data = await run_sync(tiles.tile, place["id"], place["level"], place["row"], place["col"])
+    return Response(data, media_type="application/octet-stream")
+
+
+async def get_cursor(request: Request) -> Response:
+    """All values at a point."""
+    x, y = _number(request, "x"), _number(request, "y")
+    picture = _picture(request, "id")
+    return await _answer(lambda: cursor(_tiles(request), picture, x, y))
+
+
+async def get_profile(request: Request) -> Response:
+    """Values along a line."""
+    line = _numbers(request, "line", 4)
+    if line is None:
+        raise InputError("A profile needs a line: x0, y0, x1, y1 in um.")
+    pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
+    x0, y0, x1, y1 = line
+    return await _answer(lambda: profile(_tiles(request), pictures, (x0, y0, x1, y1)))
+
+
+async def get_density(request: Request) -> Response:
+    """Density of two pictures, or of a region of them."""
+    (a, b), region = _pair(request), _region(request)
+    return await _answer(lambda: density(_tiles(request), a, b, region))
+
+
+async def get_histogram(request: Request) -> Response:
+    """Histogram of a picture, or of a region of it."""
+    picture, region = _picture(request, "id"), _region(request)
+    return await _answer(lambda: histogram(_tiles(request), picture, region))
+
+
+async def get_selection(request: Request) -> Response:
+    """Pixels of a region or of brushes at full resolution; given up where the page goes away."""
+    (a, b), region, tiles = _pair(request), _region(request), _tiles(request)
+    brushes: list[Brush] = []
+    for key, picture in (("brush_a", a), ("brush_b", b)):
+        limits = _numbers(request, key, 2)
+        if limits is not None:
+            brushes.append(Brush(picture, min(limits), max(limits)))
+    stop = threading.Event()
+
+    async def watch() -> None:
+        while not await request.is_disconnected():
+            await anyio.sleep(0.1)  # how often it is asked whether the page still waits
+        stop.set()
+
+    def selected() -> Selected | PlanishError | None:
+        """Select the pixels; a fault is a value, which the group of tasks would wrap otherwise."""
+        try:
+            return select(tiles, a, b, region=region, brushes=brushes, stop=stop)
+        except Stopped:
+            return None
+        except PlanishError as error:
+            return error
+
+    answer: Selected | PlanishError | None = None
+    async with anyio.create_task_group() as group:
+        group.start_soon(watch)
+        answer = await run_sync(selected, limiter=_FULL)
+        group.cancel_scope.cancel()
+    if isinstance(answer, PlanishError):
+        raise answer
+    text = "" if answer is None else answer.model_dump_json()
+    return Response(text, 204 if answer is None else 200, media_type="application/json")
+
+
+async def _answer(make: Callable[[], BaseModel]) -> Response:
+    """Compute an answer in a thread and send it as JSON."""
+    text = await run_sync(lambda: make().model_dump_json())
+    return Response(text, media_type="application/json")
+
+
+def _tiles(request: Request) -> Tiles:
+    return request.app.state.tiles
+
+
+def _picture(request: Request, key: str) -> PlanePicture:
+    return _tiles(request).pictures[request.query_params.get(key, "")]
+
+
+def _pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
+    """Two pictures on the same pixels."""
+    a, b = _picture(request, "a"), _picture(request, "b")
+    if b not in _tiles(request).pictures.on_same_pixels(a):
+        raise InputError(f"{a.name} and {b.name} do not lie on the same pixels. Choose two layers of one plane.")
+    return a, b
+
+
+def _region(request: Request) -> Rectangle | None:
+    corners = _numbers(request, "region", 4)
+    return None if corners is None else Rectangle(*corners)
+
+
+def _number(request: Request, key: str) -> float:
+    numbers = _numbers(request, key, 1)
+    if numbers is None:
+        raise InputError(f"{key} is missing: a number is needed.")
+    return numbers[0]
+
+
+def _numbers(request: Request, key: str, count: int) -> list[float] | None:
+    """Finite numbers of a query, apart by commas; None where it is not given."""
+    text = request.query_params.get(key)
+    if text is None:
+        return None
+    try:
+        numbers = [float(word) for word in text[:200].split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) != count or not all(map(math.isfinite, numbers)):
+        raise InputError(f"{key} is {text[:40]!r}: {count} number{'s' if count > 1 else ''} needed, apart by commas.")
+    return numbers
+
+
+_OPENING = threading.Lock()
+_MOST_TEXT = 4000  # of the points of a stretch that is not saved yet
+
+
+async def get_sheets(request: Request) -> Response:
+    """The sheets whose slices can be seen; what is wrong with the others."""
+    return JSONResponse(await run_sync(_sheets, request))
+
+
+async def get_slice(request: Request) -> Response:
+    """One slice: its facts as JSON, pixels of 16 bits, and lines of 32-bit floats."""
+
+    def cut() -> bytes:
+        sheet, direction = _open_sheet(request, request.path_params["layer"]), request.path_params["direction"]
+        if direction not in ("z", "y", "x", "straight"):
+            raise InputError("Slices run across z, y or x, or are straight.")
+        near = _optional_number(request, "across"), _optional_number(request, "down")
+        corrections = _shown_corrections(request, sheet.name)
+        return slice_message(sheet.cut(direction, request.path_params["index"], near_um=near, corrections=corrections))
+
+    return Response(await run_sync(cut), media_type="application/octet-stream")
+
+
+def _open_sheet(request: Request, layer: str) -> SlicedSheet:
+    """The sheet of a layer, opened when it is first asked for."""
+    app, session = request.app, _session(request)
+    with _OPENING:
+        sheets: dict[str, SlicedSheet] = app.state.sheets
+        if layer not in sheets:
+            available = sheets_of(session.folder, session.study)
+            if layer not in available:
+                raise InputError(
+                    f"There are no slices of {layer!r}; there are some of {', '.join(available) or 'none'}."
+                )
+            params, store = available[layer]
+            sheets[layer] = SlicedSheet.open(layer, params, store)
+        return sheets[layer]
+
+
+def _session(request: Request) -> Session:
+    return request.app.state.session
+
+
+def _sheets(request: Request) -> dict[str, Any]:
+    described: list[dict[str, Any]] = []
+    session = _session(request)
+    for name in sheets_of(session.folder, session.study):
+        try:
+            sheet = _open_sheet(request, name)
+        except PlanishError as error:
+            described.append({"layer": name, "error": error.text})
+            continue
+        frame = sheet.frame
+        attrs = sheet.surfaces.attrs
+        axes = {
+            axis: {"count": sheet.count(axis), "first_um": float(places[0]), "step_um": float(places[1] - places[0])}
+            for axis in ("z", "y", "x")
+            if (places := sheet.places(axis)).size > 1
+        }
+        rows = sheet.surfaces["y"].values
+        axes["straight"] = {
+            "count": sheet.count("straight"), "first_um": float(rows[0]),
+            "step_um": float(rows[1] - rows[0]) if rows.size > 1 else 1.0,
+        }  # fmt: skip
+        described.append({
+            "layer": name, "through": frame.through, "top": frame.top, "rows": frame.rows, "cols": frame.cols,
+            "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
+            "correctable": "from_labels" not in attrs and attrs.get("method", "profile") == "profile",
+        })  # fmt: skip
+    reasons = {int(status): status.sentence for status in Status}
+    return {"sheets": described, "status": reasons}
+
+
+def _shown_corrections(request: Request, layer: str) -> Corrections | None:
+    """The corrections of a layer that are saved, and one more that is only tried; None where the run has just these."""
+    session = _session(request)
+    first = next(params.name for params in session.study.layers if params.volume is not None)
+    now = stretches_of(session.state.corrections, layer, first)
+    tried = request.query_params.get("points", "")
+    if not tried:
+        return None if now == stretches_of(session.first.corrections, layer, first) else now
+    if len(tried) > _MOST_TEXT:
+        raise InputError("There are too many points for one stretch. Save it, and go on with another.")
+    # What is missing in a point is empty, and refused with it.
+    texts = ([*text.split(","), "", "", "", ""] for text in tried.split(";"))
+    points = [dict(zip(("z", "y", "x", "face"), parts, strict=False)) for parts in texts]
+    try:
+        reach = _optional_number(request, "reach") or REACH_UM
+        more = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach})
+    except ValueError as error:
+        raise InputError("These are no points of a face: z, y, x in um and top or bottom.") from error
+    return now.model_copy(update={"stretches": (*now.stretches, more)})
+
+
+def _optional_number(request: Request, name: str) -> float | None:
+    try:
+        numbers = _numbers(request, name, 1)
+    except InputError as error:
+        raise InputError(f"{name} is no number.") from error
+    return None if numbers is None else numbers[0]
+
+
+def slice_message(slice_: SheetSlice) -> bytes:
+    """A slice as one message: length of the facts, facts, pixels, lines, contours; little-endian."""
+    facts = json.dumps(slice_.facts.model_dump(mode="json")).encode()
+    facts += b" " * (-len(facts) % 4)
+    pixels = np.ascontiguousarray(slice_.pixels, dtype="<u2").tobytes()
+    parts = [struct.pack("<I", len(facts)), facts, pixels, b"\0" * (-len(pixels) % 4)]
+    parts += [np.ascontiguousarray(part, dtype="<f4").tobytes() for part in (*slice_.lines, *slice_.contours)]
+    return b"".join(parts)
+
+
+async def flattening(request: Request) -> Response:
+    """Pictures of the strain, of the places of the sheet in space, and of what it may be coloured by; null for none."""
+    state, layer = request.app.state, request.query_params.get("layer", "")
+    if sheet_run(state.session.folder, layer) is None:
+        return JSONResponse(None)
+    headline = state.session.results.layer(layer).headline
+
+    def picture_ids() -> dict[str, Any]:
+        ids = {p.name.rpartition("/")[2]: p.id for p in state.pictures.on("moving", layer)}
+        no_colours = {*SPACE, *STRAINS, "valid"}
+        names = [n for n in ids if n not in no_colours and not n.startswith(("volume_", "presence"))]
+        first = [name for name in (headline, "thickness", "warp") if name in names]
+        return {
+            "strain": [ids[name] for name in STRAINS if name in ids],
+            "space": [ids[name] for name in SPACE],
+            "colours": [ids[name] for name in dict.fromkeys([*first, *names])],
+        }
+
+    return JSONResponse(await run_sync(picture_ids))
+
+
+async def mesh(request: Request) -> Response:
+    """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
+    run = sheet_run(request.app.state.session.folder, request.query_params.get("layer", ""))
+    lines, every = ([], 1) if run is None else await run_sync(mesh_lines, run)
+    return JSONResponse({"lines": lines, "every": every})
+
+
+ROUTES = [
+    Route("/api/tiles/{id}/{level:int}/{row:int}/{col:int}", get_tile),
+    Route("/api/cursor", get_cursor),
+    Route("/api/profile", get_profile),
+    Route("/api/density", get_density),
+    Route("/api/histogram", get_histogram),
+    Route("/api/selection", get_selection),
+    Route("/api/sheets", get_sheets),
+    Route("/api/slices/{layer}/{direction}/{index:int}", get_slice),
+    Route("/api/flattening", flattening),
+    Route("/api/mesh", mesh),
+]

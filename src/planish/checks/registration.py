@@ -1,0 +1,211 @@
+"""Lights of layers that are registered and linked: their marks, holes and directions, and the field they share."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from planish.core.checks import Check, Light
+from planish.core.grid import Grid
+from planish.marks.find import REASONS
+from planish.register import FittedTransform
+from planish.results import LayerFacts, LinkedArea, RegistrationFacts
+
+_OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
+_CORE, _WHOLE = 0.35, 0.7  # of a hole's diameter: its middle, where no sheet is; share measured that says there is one
+_TILT_DEG, _SURE = 1.5, 4.0  # of holes burnt from above; and in standard errors
+_LEAST_TILTED = 4
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RegisteredLayer:
+    """A layer with its registration.
+
+    A mark can hardly be placed better than within the larger pixel of the two layers.
+    """
+
+    layer: str
+    facts: RegistrationFacts
+    fit: FittedTransform
+    agreement: str  # how many marks agree, and which were left out
+    hole_um: float  # mean diameter of the holes
+    pixel_um: float
+
+
+@dataclass(frozen=True, slots=True)
+class DetectedHoles:
+    """The holes that were found in a layer: Dataset (mark) of :func:`planish.find_holes`."""
+
+    layer: str
+    holes: xr.Dataset
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HolesOnSheet:
+    """A sheet's maps on the pixels of a reference, and the marks of its registration to it."""
+
+    sheet: xr.Dataset
+    marks: xr.Dataset
+    layer: str
+    reference: str
+
+
+@dataclass(frozen=True, slots=True)
+class TextureChecks:
+    """What the textures of two layers say of side, specimen and position; :mod:`planish.analyze` judges them."""
+
+    side: Check
+    position: Check | None = None
+
+
+# --- of a registration -----------------------------------------------------------------------------------------------
+
+
+def marks(light: Light, registered: RegisteredLayer) -> Check:
+    """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
+    limit = max(_OF_A_HOLE * registered.hole_um, registered.pixel_um)
+    loo, fit = registered.facts.leave_one_out_rms_um, registered.fit
+    if loo is None:
+        return light.check(
+            "unknown", units="um", advice="Add marks.",
+            sentence=f"{registered.facts.matched} marks leave none over to check the registration with. "
+            f"{registered.agreement}",
+        )  # fmt: skip
+    check = light.at_most(
+        loo, look=limit, fail=5.0 * limit, units="um", sentence=registered.agreement,
+        advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
+    )  # fmt: skip
+    # A hole that is badly found is left out now and then; one that lies elsewhere is worth a look.
+    if check.state == "pass" and (np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit).any():
+        advice = "Look at the marks that were left out."
+        return check.model_copy(update={"state": "look", "figures": (), "advice": advice})
+    return check
+
+
+def scale(light: Light, registered: RegisteredLayer) -> Check:
+    """Judge whether the calibrations of both layers agree."""
+    return light.at_most(
+        abs(registered.facts.scale - 1), look=0.03, units="share",
+        sentence=f"The marks ask for a scale of {registered.facts.scale:.4f}.",
+        advice="The calibrations do not agree. Check the voxel and the pixel size.",
+    )  # fmt: skip
+
+
+def strain(light: Light, registered: RegisteredLayer) -> Check:
+    """Judge the strain of the registration between the marks."""
+    largest = registered.fit.strain.largest
+    return light.at_most(
+        largest, look=0.01, units="share",
+        sentence=f"Between the marks, the registration strains the sheet by up to {100 * largest:.2g} %.",
+        advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
+    )  # fmt: skip
+
+
+def tilt(light: Light, registered: RegisteredLayer) -> Check | None:
+    """Judge whether all holes run along the normal of the sheet; None where too few were found on both sides."""
+    holes = registered.facts.tilt
+    if holes is None or holes.tilt_deg is None or holes.offset_count < _LEAST_TILTED:
+        return None
+    angle, offset, error = (
+        float(np.linalg.norm(np.array(v, dtype=np.float64)))
+        for v in (holes.tilt_deg, holes.offset_um, holes.offset_error_um)
+    )
+    error *= angle / max(offset, 1e-9) / np.sqrt(2)
+    limit = max(_TILT_DEG, _SURE * error)
+    end = " from its normal, all to one side" if angle > limit else " from its normal on average"
+    return light.at_most(
+        angle, look=limit, units="deg",
+        sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}°{end}.",
+        advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
+        "then places and thicknesses are wrong. Ask how the holes were burnt.",
+    )  # fmt: skip
+
+
+def machine_direction(light: Light, registered: RegisteredLayer) -> Check | None:
+    """Judge the machine direction that is given twice: as the marks carry it over, and for the image itself."""
+    direction = registered.facts.orientation
+    if direction.md_deg_fixed is None or direction.md_deg_fixed_from_moving is None:
+        return None
+    off = abs((direction.md_deg_fixed - direction.md_deg_fixed_from_moving + 90.0) % 180.0 - 90.0)
+    return light.at_most(
+        off, look=10.0, units="deg",
+        sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by {off:.1f}°.",
+        advice="One of them is wrong, or the marks were matched wrongly.",
+    )  # fmt: skip
+
+
+def holes_of_layer(light: Light, subject: DetectedHoles) -> Check:
+    """Judge how many holes were found and what was rejected; a look where places were not measured."""
+    attrs, count = subject.holes.attrs, subject.holes.sizes["mark"]
+    rejected: dict[str, int] = attrs.get("not_taken", {})
+    listed = [f"{rejected[name]} {words}" for name, words in REASONS.items() if rejected.get(name)]
+    sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
+    sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
+    dropped, openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
+    # So many that are not round are no single holes that are half closed.
+    many = openings if openings > max(1, 0.25 * (count + openings)) else 0
+    if openings:
+        which = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
+        sentence += f" {which} not round enough for one."
+    check = light.at_most(
+        dropped + many, look=0, sentence=sentence, figures=light.figures if many else light.figures[:1],
+        advice="Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
+        if many else
+        "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um).",
+    )  # fmt: skip
+    return check.model_copy(update={"name": light.name.replace("NAME", subject.layer)})
+
+
+# --- of linked layers ------------------------------------------------------------------------------------------------
+
+
+def common_field(light: Light, layer: LayerFacts) -> Check | None:
+    """Judge whether a layer and the reference have a field in common."""
+    if layer.registration is None:
+        return None
+    share = layer.share_of_reference or 0.0
+    return light.at_least(
+        share, look=0.05, units="share",
+        sentence=f"{100 * share:.1f} % of the {layer.registration.path[-1]} shows the {layer.name}.",
+        advice="Give the part of the reference that shows the specimen.",
+    )  # fmt: skip
+
+
+def holes_without_partner(light: Light, linked: HolesOnSheet) -> Check:
+    """Judge the holes of a reference without a partner: the sheet has a hole there, too, or is not measured."""
+    grid, thickness, moved = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
+    alone = moved.isel(mark=np.flatnonzero(np.isfinite(moved["fixed_x"]) & ~np.isfinite(moved["moving_x"])))
+    whole: list[str] = []
+    for label, x, y, diameter in zip(
+        *(alone[k].values for k in ("label", "fixed_x", "fixed_y", "fixed_diameter")), strict=True
+    ):  # fmt: skip
+        down, across = grid.y_um - y, grid.x_um - x
+        rows, cols = (np.flatnonzero(np.abs(away) < _CORE * diameter) for away in (down, across))
+        is_inside = np.hypot(down[rows][:, None], across[cols]) < _CORE * diameter
+        if not is_inside.any():
+            continue
+        window = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
+        if np.isfinite(window)[is_inside].mean() > _WHOLE:
+            whole.append(str(label))
+    count, layer, reference = alone.sizes["mark"], linked.layer, linked.reference
+    lies = "lies" if len(whole) == 1 else "lie"
+    return light.at_most(
+        len(whole), look=0,
+        sentence=f"{', '.join(whole)} of the {reference} {lies} where the {layer} has no hole." if whole else
+        f"Every hole of the {reference} has a partner." if count == 0 else
+        f"{count} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole.",
+        advice="Either that is no hole, or the two do not lie on each other there. Look at both, and at the order and "
+        "spacing of the slices.",
+    )  # fmt: skip
+
+
+def linked_area(light: Light, area: LinkedArea) -> Check:
+    """Judge whether enough of what the reference shows of the sheet is valid."""
+    share = area.share_valid_away_from_holes
+    return light.at_least(
+        share, look=0.5, units="share",
+        sentence=f"{100 * share:.0f} % of the sheet that the image shows away from holes is valid.",
+        advice="The linked maps are mostly blank. Look at the slices and the column status.",
+    )  # fmt: skip

@@ -1,0 +1,192 @@
+"""All lights of a run in one table, what makes checks of its rows, and what these leave of the figures."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from functools import partial
+from typing import Any, TypeVar
+
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.checks import greys, registration, sheets, through_scale
+from planish.checks.greys import SheetImage
+from planish.checks.registration import DetectedHoles, HolesOnSheet, RegisteredLayer, TextureChecks
+from planish.checks.scan import GreyScan, ScannedSheet, read_scan
+from planish.checks.sheets import MeasuredSheet
+from planish.checks.slices import slice_order
+from planish.checks.through_scale import RegisteredSheet
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light, trust_of
+from planish.core.facts import Trust
+from planish.results import (
+    ComparisonRow,
+    CorrelationRow,
+    ExpectedError,
+    LayerFacts,
+    LinkedArea,
+    PropertyFacts,
+    Results,
+)
+
+Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
+
+_ALL = (PROPERTIES, POSITION, CORRELATION)
+_COATINGS = ("coating_top", "coating_bottom", "base_thickness", "thickness")
+_THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
+_SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom")
+
+CHECKS = (
+    # planish map: from the maps of a sheet
+    Light("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
+    Light("missing voxels", MeasuredSheet, (PROPERTIES,), sheets.missing_voxels),
+    Light("fold-over", MeasuredSheet, (POSITION,), sheets.fold_over),
+    Light("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
+    Light("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
+    Light("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
+    Light("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
+    # planish map: from the volume
+    Light("hand of the volume", ScannedSheet, (POSITION, CORRELATION), sheets.hand),
+    Light("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
+    Light("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
+    Light("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
+    Light("clipped grey", GreyScan, _COATINGS, greys.clipped_grey),
+    Light("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
+    Light("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
+    Light("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
+    Light("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
+    Light("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
+    Light("dust, top", ScannedSheet, ("coating_top", "base_thickness", "thickness"), partial(sheets.dust, side="top")),
+    Light(
+        "dust, bottom",
+        ScannedSheet,
+        ("coating_bottom", "base_thickness", "thickness"),
+        partial(sheets.dust, side="bottom"),
+    ),
+    # planish link: from a registration
+    Light("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
+    Light("marks", RegisteredLayer, (POSITION,), registration.marks),
+    Light("scale", RegisteredLayer, (PROPERTIES, POSITION), registration.scale),
+    Light("strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain),
+    Light("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
+    Light("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
+    Light("holes in NAME", DetectedHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
+    # planish link: from the layers on one grid
+    Light("common field", LayerFacts, (CORRELATION,), registration.common_field),
+    Light("holes without partner", HolesOnSheet, (POSITION, CORRELATION), registration.holes_without_partner),
+    Light("clipped image", SheetImage, (CORRELATION,), greys.clipped_image),
+    Light("side and specimen", TextureChecks, (*_SIDES, POSITION, CORRELATION), lambda _, textures: textures.side),
+    Light("position by texture", TextureChecks, (POSITION, CORRELATION), lambda _, textures: textures.position),
+    Light("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
+)
+"""Rows in the order of the results, each a :class:`planish.core.checks.Light`."""
+
+
+def run_checks(subject: object, *layers: str) -> list[Check]:
+    """Judge a subject by all rows of its class, as checks about ``layers``."""
+    checks = [light(subject) for light in CHECKS if isinstance(subject, light.stage)]
+    return for_layers([check for check in checks if check is not None], *layers)
+
+
+def for_layers(checks: Iterable[Check], *layers: str) -> list[Check]:
+    """Checks with the layers that they are about: one of a sheet, two of a registration or a comparison."""
+    return [check.model_copy(update={"layers": layers}) for check in checks]
+
+
+def check_scan(
+    volume: xr.DataArray, measured: xr.Dataset, *, sections: bool = False, labels: bool = False,
+    threads: int | None = None,
+) -> tuple[Check, ...]:  # fmt: skip
+    """Check a volume and the sheet that was measured in it.
+
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x), coordinates in um
+        Parts of it are read, in one pass.
+    measured : Dataset, dims (y, x)
+        Surfaces and properties, heights in um.
+    sections : bool
+        Whether planish joined serial sections to the volume: what it bridged itself is no fault.
+    labels : bool
+        Whether voxels are labels, which have no grey scale.
+    threads : int, optional
+        No result depends on it.
+    """
+    return tuple(run_checks(read_scan(volume, measured, sections=sections, labels=labels, threads=threads)))
+
+
+def check_holes(holes: xr.Dataset) -> Check:
+    """Check how many holes were found and what was rejected; a look where places were not measured.
+
+    Parameters
+    ----------
+    holes : Dataset, dims (mark)
+        Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
+    """
+    return run_checks(DetectedHoles("", holes))[0].model_copy(update={"name": "holes"})
+
+
+def exposure_check(values: NDArray[Any]) -> Check:
+    """Judge the greys of an image of the sheet, away from holes.
+
+    Parameters
+    ----------
+    values : array, any shape and numeric type
+        A sample of the image's greys; NaN is left out.
+
+    Returns
+    -------
+    Check
+        ``look`` where more than 1 % of the pixels share the lowest or the highest grey, three times as many as have
+        the greys next to it: r then sees these pixels as equal, and is too weak. Images of fewer than eight levels
+        pass: they show areas.
+    """
+    return run_checks(SheetImage(values))[0]
+
+
+# --- what checks mean for figures ------------------------------------------------------------------------------------
+
+
+def apply_checks(results: Results) -> Results:
+    """Mark every figure by the checks that concern it; what a failed check concerns loses its numbers."""
+    checks = results.checks
+    if all(check.state in ("pass", "unknown") for check in checks):
+        return results
+    rows, names = rows_with_trust(results.correlations, checks), tuple(layer.name for layer in results.layers)
+    withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
+    return results.model_copy(update={
+        "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
+        "correlations": rows,
+        "comparison": tuple(_marked(row, _trust_of_pair(names, (row.property,), checks)) for row in results.comparison),
+        "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld),
+    })  # fmt: skip
+
+
+def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
+    """The same correlations, each marked by the checks that concern it."""
+    return tuple(_marked(row, _trust_of_pair((row.a, row.b), (row.a_map, row.b_map), checks)) for row in rows)
+
+
+def _trust_of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
+    """Trust in a correlation of maps of some layers."""
+    return trust_of(checks, layers, (*maps, POSITION, CORRELATION))
+
+
+def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
+    update: dict[str, Any] = {}
+    if (sheet := layer.sheet) is not None:
+        properties = {k: _marked(p, trust_of(checks, (layer.name,), (k,))) for k, p in sheet.properties.items()}
+        # The sheet's numbers are made of the maps.
+        is_withheld = any(p.trust == "withheld" for p in properties.values())
+        numbers = None if is_withheld else sheet.numbers
+        update["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
+    r = layer.registration
+    if r is not None and r.expected_error is not None:
+        error = _marked(r.expected_error, trust_of(checks, (layer.name,), (POSITION,)))
+        update["registration"] = r.model_copy(update={"expected_error": error})
+    return layer.model_copy(update=update)
+
+
+def _marked(figure: Figure, trust: Trust) -> Figure:
+    """Give a figure its trust, and take its numbers where they are withheld."""
+    numbers = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}
+    return type(figure).model_validate({**dict(figure), **numbers, "trust": trust})

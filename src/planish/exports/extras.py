@@ -1,0 +1,161 @@
+"""Formats of the extra ``export``: NetCDF by h5netcdf, Gwyddion by gwyfile, RO-Crate by rocrate."""
+
+from __future__ import annotations
+
+import hashlib
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from planish.core.errors import InputError
+from planish.exports.content import ExportHistory, Maps, plain_type
+from planish.exports.formats import ExportParams
+
+_LONG_NAMES = {
+    "y": "Place of rows, downwards", "x": "Place of columns", "v": "Flat coordinate v", "u": "Flat coordinate u",
+}  # fmt: skip
+
+_UDUNITS = {"deg": "degree", "g/m2": "g m-2", "g/cm3": "g cm-3", "1/mm2": "mm-2"}
+
+
+def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+    """Write maps in their own type: NaN is ``_FillValue``, and the coordinates are the middles of the pixels in um.
+
+    The flat coordinates ``u`` and ``v`` of linked maps are variables of two dimensions; those of flat maps are axes.
+    """
+    import h5netcdf
+
+    with h5netcdf.File(path, "w", track_order=True) as file:
+        file.dimensions = dict(zip(maps.dims, maps.shape, strict=True))
+        for axis, places in zip(maps.dims, maps.at_um, strict=True):
+            variable = file.create_variable(axis, (axis,), np.float64, data=places)
+            variable.attrs.update({"units": "um", "long_name": _LONG_NAMES[axis]})
+        for name in maps.names:
+            dtype = plain_type(maps.data[name].dtype)
+            missing: Any = dtype.type(np.nan) if dtype.kind == "f" else None
+            # Every value is written: filling the space before would write it twice.
+            variable = file.create_variable(name, maps.dims, dtype, fillvalue=missing, fill_time="never")
+            for rows, band in maps.bands(name):
+                variable[rows] = band
+            units, stored = maps.units[name], maps.data[name].attrs
+            variable.attrs.update({"long_name": maps.titles[name], "units": _UDUNITS.get(units, units)})
+            if maps.data[name].dtype.kind == "b":
+                variable.attrs.update({"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"})
+            elif "flag_values" in stored:
+                codes, meanings = np.asarray(stored["flag_values"]).astype(dtype), str(stored["flag_meanings"])
+                variable.attrs.update({"flag_values": codes, "flag_meanings": meanings})
+        file.attrs.update(
+            {
+                "Conventions": "CF-1.11", "title": f"{maps.group} of a run of planish",
+                "source": history.program, "history": history.json(**maps.facts()),
+            }
+        )  # fmt: skip
+
+
+def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+    """Write all maps as channels of one file.
+
+    Gwyddion has no missing values. Its convention is a mask: the pixels below it hold the mean of the map, so that they
+    pull on no level; masked data are left out of statistics with Mask: exclude.
+    """
+    from gwyfile.objects import GwyContainer, GwyDataField, GwySIUnit
+
+    file = GwyContainer()
+    (down, across), (y0, x0), (rows, cols) = maps.pixel_um, maps.origin_um, maps.shape
+    place: dict[str, Any] = {
+        "xreal": 1e-6 * across * cols, "yreal": 1e-6 * down * rows,
+        "xoff": 1e-6 * (x0 - 0.5 * across), "yoff": 1e-6 * (y0 - 0.5 * down),
+    }  # fmt: skip
+    for k, name in enumerate(maps.names):
+        # Gwyddion takes units without prefix and chooses the prefix itself.
+        units, factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units[name], (maps.units[name], 1.0))
+        pixels = np.concatenate([band for _, band in maps.bands(name, np.float64)])
+        missing = ~np.isfinite(pixels)
+        pixels[missing] = 0.0 if missing.all() else float(pixels[~missing].mean())
+        file[f"/{k}/data/title"] = maps.titles[name]
+        file[f"/{k}/data"] = GwyDataField(
+            pixels * factor, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=units), **place
+        )
+        if missing.any():
+            file[f"/{k}/mask"] = GwyDataField(
+                missing.astype(np.float64), si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=""), **place
+            )
+        about = {"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})}
+        file[f"/{k}/meta"] = GwyContainer(about)
+        file[f"/{k}/data/visible"] = True
+    with path.open("wb") as target:
+        file.tofile(target)
+
+
+_DESCRIPTIONS: dict[str, tuple[str, str]] = {
+    "run.toml": ("Every parameter of the run; planish run repeats it", "application/toml"),
+    "results.json": ("Every number of the run", "application/json"),
+    "figures.csv": ("Every figure with its error", "text/csv"),
+    "report.html": ("The report, to read", "text/html"),
+    "regions.geojson": ("Regions that were declared artefacts", "application/geo+json"),
+    "maps.zarr": ("All maps, zarr version 3; xarray.open_datatree opens it", ""),
+    "figures": ("The figures of the report as SVG and CSV", ""),
+    "layers": ("Whole runs of volumes that were mapped on the way", ""),
+}
+
+
+def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportParams) -> None:
+    """Copy a run folder into a crate, a new folder.
+
+    Its date is the day on which ``results.json`` was last changed (UTC), the only one that a run has. The inputs are
+    described with their hashes and not copied.
+
+    Raises
+    ------
+    InputError
+        The run folder holds a crate's description already.
+    """
+    from rocrate.rocrate import ROCrate
+
+    if (run / "ro-crate-metadata.json").exists():
+        raise InputError(f"{run} is an RO-Crate already.")
+    crate: Any = ROCrate(version="1.1")
+    crate.name = f"{run.absolute().name}: a run of planish"
+    crate.description = "Maps of a sheet from a volume, and their link to other layers, made by planish."
+    crate.root_dataset["datePublished"] = (
+        f"{datetime.fromtimestamp((run / 'results.json').stat().st_mtime, UTC):%Y-%m-%d}"
+    )
+    parts = [_add(crate, entry) for entry in sorted(run.iterdir()) if not entry.name.startswith(".")]
+    program = _entity(
+        crate, "#planish", "SoftwareApplication", name="planish", softwareVersion=history.planish,
+        description="Links the 3D structure of a paper sheet to a 2D image of it.",
+    )  # fmt: skip
+    inputs = [
+        _entity(crate, f"#input-{layer['layer']}", "CreativeWork", name=layer["name"], sha256=layer["sha256"])
+        for layer in history.inputs
+    ]
+    action = _entity(crate, "#run", "CreateAction", name="planish run", instrument=program, object=inputs, result=parts)
+    crate.root_dataset["mentions"] = [action]
+    crate.write(str(path))
+
+
+def _add(crate: Any, entry: Path) -> Any:
+    """Add a file with its size and hash, or a folder."""
+    words, kind = _DESCRIPTIONS.get(
+        entry.name, ("Marks and registration" if entry.name.startswith("marks") else entry.name, "")
+    )
+    if entry.is_dir():
+        return crate.add_dataset(str(entry), f"{entry.name}/", properties={"name": entry.name, "description": words})
+    kinds = {".json": "application/json", ".csv": "text/csv"}
+    with entry.open("rb") as file:
+        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+    return crate.add_file(
+        str(entry), entry.name,
+        properties={
+            "name": entry.name, "description": words, "contentSize": str(entry.stat().st_size), "sha256": sha256,
+            "encodingFormat": kind or kinds.get(entry.suffix, "application/octet-stream"),
+        },
+    )  # fmt: skip
+
+
+def _entity(crate: Any, identifier: str, kind: str, **properties: Any) -> Any:
+    from rocrate.model.contextentity import ContextEntity
+
+    return crate.add(ContextEntity(crate, identifier, properties={"@type": kind} | properties))

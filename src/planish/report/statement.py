@@ -1,0 +1,76 @@
+"""How a correlation is written: with its interval, and with the figures that the interval allows."""
+
+from __future__ import annotations
+
+import math
+
+from planish.core.facts import is_known
+from planish.report.text import NONE, count, fixed, number
+from planish.results import ComparisonRow, CorrelationRow
+
+Row = CorrelationRow | ComparisonRow
+
+_NARROW = 0.02  # width of an interval of r, below which two decimals hide it
+_MOST = 5  # decimals
+
+
+def decimals(row: Row) -> int:
+    """Decimals of r² that its interval allows: those of one significant digit of half its width."""
+    limits = r2_limits(row)
+    half = (limits[1] - limits[0]) / 2 if limits else 0.0
+    return min(max(-math.floor(math.log10(half)), 1), _MOST) if half > 0 else 2
+
+
+def r2_limits(row: Row) -> tuple[float, float] | None:
+    """Limits of r²; from 0 on where r may have either sign."""
+    if not is_known(row.interval):
+        return None
+    low, high = sorted(v * v for v in row.interval)
+    return (low if row.direction else 0.0, high)
+
+
+def r2_text(row: Row | None) -> str:
+    """Write r² as far as it is known."""
+    return NONE if row is None else fixed(row.r2, decimals(row))
+
+
+def limits_text(limits: tuple[float, float] | None, digits: int = 2) -> str:
+    """Write an interval; a dash where there is none."""
+    return (
+        NONE if limits is None or not is_known(limits) else f"{fixed(limits[0], digits)} to {fixed(limits[1], digits)}"
+    )
+
+
+def r2_interval_text(row: Row | None) -> str:
+    """Write the interval of r²."""
+    return NONE if row is None else limits_text(r2_limits(row), decimals(row))
+
+
+def r_text(row: Row | None) -> str:
+    """Write r with two decimals, three where the interval is narrow."""
+    return NONE if row is None else fixed(row.r, decimals_of_r(row.interval))
+
+
+def r_interval_text(row: Row | None) -> str:
+    """Write the interval of r."""
+    return NONE if row is None else limits_text(row.interval, decimals_of_r(row.interval))
+
+
+def p_text(p: float | None) -> str:
+    """Write a p with two digits, and small ones as a bound."""
+    if p is None or not is_known(p):
+        return NONE
+    return "< 0.0001" if p < 1e-4 else number(p, 2) if p < 0.0995 else fixed(p, 2)
+
+
+def points_text(row: Row | None) -> str:
+    """Write the points, and how many of them are independent."""
+    if row is None:
+        return NONE
+    return count(row.n) if not is_known(row.n_eff) else f"{count(row.n)}\n{count(round(row.n_eff))}"
+
+
+def decimals_of_r(limits: tuple[float, float] | None) -> int:
+    """Decimals of an r within limits: two, and more where they are close to each other."""
+    wide = 1.0 if limits is None or not is_known(limits) else limits[1] - limits[0]
+    return min(max(2, 1 - math.floor(math.log10(wide))), _MOST) if 0 < wide < _NARROW else 2

@@ -1,0 +1,353 @@
+"""The instruments that look through the sheet: an X-ray scanner, and a microtome under a light microscope."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.threads import count_threads, thread_pool
+from planish.core.typing import Floats
+from planish.synthetic import _kernels
+from planish.synthetic.params import ScannerParams, SectionsParams, Warp, generator
+from planish.synthetic.sheet import PITCH_UM, Sheet
+
+Slab = NDArray[np.float32]
+_BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
+
+
+def painted(
+    sheet: Sheet, warp: Warp, ys_um: Floats, *, shape: tuple[int, int], step_um: float,
+    grey: tuple[float, float, float], halo: int, moved: Floats,
+) -> list[tuple[int, int, Slab]]:  # fmt: skip
+    """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is.
+
+    Painted is what the sheet adds to the ``grey`` of air (before those of base and coating), so that air stays an exact
+    0 under any filter. Each plane is ``moved`` (3, rows) along x, along z, and turned about its middle. Gives (first
+    column, first depth, block); blocks are (rows, cols + 2 halo, depth + 2 halo), column and depth those of the block's
+    first voxel inside the halo. Around them there is only air.
+    """
+    middle_um = 0.5 * (shape[0] - 1) * step_um, 0.5 * (shape[1] - 1) * step_um
+    shift_x, shift_z, turn = moved
+    w, curve = warp.packed()
+    thick = sheet.reach_um + 2 * step_um
+    half = 1.05 * thick * float(np.hypot(1.0, warp.steepest))
+    done: list[tuple[int, int, Slab]] = []
+    for start in range(0, shape[0], _BLOCK):
+        stop = min(start + _BLOCK, shape[0])
+        xs = np.arange(start - halo, stop + halo) * step_um
+        under = np.concatenate(
+            [_kernels.columns(w, curve, ys_um[i : i + 1], xs + shift_x[i]) for i in range(ys_um.size)]
+        )
+        middle = under[..., 2] - shift_z[:, None] - turn[:, None] * (xs - middle_um[0])
+        first = max(int(np.floor((middle.min() - half) / step_um)) - halo, 0)
+        last = min(int(np.ceil((middle.max() + half) / step_um)) + halo, shape[1] - 1)
+        if last < first:
+            continue
+        block = np.zeros((ys_um.size, xs.size, last - first + 1 + 2 * halo), dtype=np.float32)
+        _kernels.paint(
+            block, w, curve, ys_um, xs, first - halo, step_um, shift_x, shift_z, turn, np.array(middle_um), under,
+            half, sheet.packed, np.array(sheet.origin), PITCH_UM, np.array([grey[1] - grey[0], grey[2] - grey[0]]),
+        )  # fmt: skip
+        done.append((start, first, block))
+    return done
+
+
+def gaussian_taps(sigma: float) -> NDArray[np.float32]:
+    """Symmetric taps [centre, 1, 2, ...] of a Gaussian of ``sigma`` voxels, cut at four sigma; [1] for 0."""
+    reach = int(np.ceil(4 * sigma)) if sigma > 0 else 0
+    taps = np.exp(-0.5 * (np.arange(reach + 1) / max(sigma, 1e-9)) ** 2)
+    return (taps / (taps[0] + 2 * taps[1:].sum())).astype(np.float32)
+
+
+def smooth(slab: Slab, taps: NDArray[np.float32], axes: tuple[int, ...]) -> Slab:
+    """Filter along the axes; the result is shorter by the taps' reach at each end of them."""
+    reach = taps.size - 1
+    for axis in axes if reach else ():
+        shape = list(slab.shape)
+        shape[axis] -= 2 * reach
+        done = np.empty(shape, dtype=np.float32)
+        # Plane by plane, so that a plane stays in the processor's cache.
+        for plane, out in zip(np.moveaxis(slab, axis, 1), np.moveaxis(done, axis, 1), strict=True):
+            parts = [plane[k : k + len(out)] for k in range(2 * reach + 1)]
+            np.multiply(parts[reach], taps[0], out=out)
+            for k in range(1, reach + 1):
+                out += taps[k] * (parts[reach - k] + parts[reach + k])
+        slab = done
+    return slab
+
+
+def trimmed(slab: Slab, cut: int, axes: tuple[int, ...]) -> Slab:
+    """Cut voxels off both ends of the axes."""
+    if cut == 0:
+        return slab
+    return slab[tuple(slice(cut, -cut) if axis in axes else slice(None) for axis in range(slab.ndim))]
+
+
+_TILE_VOXELS, _LEAST_ROWS = 1 << 23, 24  # of a tile; the rows around it are painted twice
+_FRINGE_PX = 1.5
+_FWHM = float(np.sqrt(8 * np.log(2.0)))
+_STREAK_ROWS, _STREAK_UM = 8, 1000.0  # a streak lasts so long across and along
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scanner:
+    """Renders rows of a volume, each of them for itself: the bytes do not depend on tiles or threads.
+
+    ``shape`` counts voxels along z, y, x. The axis of rotation stands along y, in the middle of x and z.
+    """
+
+    sheet: Sheet
+    warp: Warp
+    params: ScannerParams
+    shape: tuple[int, int, int]
+    seed: int
+
+    def volume(self, *, tile_rows: int | None = None) -> NDArray[np.generic]:
+        """Return the volume (z, y, x)."""
+        out = np.empty(self.shape, dtype=self.params.dtype)
+        for start, tile in self.tiles(tile_rows=tile_rows):
+            out[:, start : start + tile.shape[0]] = tile.transpose(2, 0, 1)
+        return out
+
+    def tiles(self, *, tile_rows: int | None = None) -> Iterator[tuple[int, NDArray[np.generic]]]:
+        """Give (first row, tile (rows, x, z)) one after the other; some ``2 * threads`` tiles are in memory."""
+        _ = self.sheet.packed, self._plane, self._cups  # made once, before threads ask for them
+        tile_rows = tile_rows or max(_TILE_VOXELS // (self.shape[0] * self.shape[2]), _LEAST_ROWS)
+        starts, threads = range(0, self.shape[1], tile_rows), count_threads()
+        with thread_pool() as pool:
+            for begin in range(0, len(starts), threads):
+                part = starts[begin : begin + threads]
+                stops = [min(start + tile_rows, self.shape[1]) for start in part]
+                yield from zip(part, pool.map(self.rows, part, stops), strict=True)
+
+    def rows(self, start: int, stop: int) -> NDArray[np.generic]:
+        """Render the rows [start, stop) as (rows, x, z)."""
+        p = self.params
+        contrast = p.grey[2] - p.grey[0]
+        slab = self._sheet(start, stop)
+        if p.cupping:
+            slab = slab * self._cups
+        if p.rings:
+            slab = slab + contrast * self._plane
+        if p.streak:
+            slab = slab + p.streak * contrast * self._streaks(start, stop)
+        if p.noise:
+            slab = slab + p.noise * abs(contrast) * self._noise(start, stop)
+        slab = slab + np.float32(p.grey[0])
+        if p.dtype != "float32":
+            limits = np.iinfo(p.dtype)
+            slab = np.clip(np.rint(slab), limits.min, limits.max)
+        return slab.astype(p.dtype)
+
+    def _sheet(self, start: int, stop: int) -> Slab:
+        p = self.params
+        psf = gaussian_taps(p.fwhm_um / _FWHM / p.voxel_um)
+        ring = gaussian_taps(_FRINGE_PX)
+        halo = max(psf.size - 1, ring.size if p.fringe else 0)
+        ys = np.arange(start - halo, stop + halo, dtype=np.float64) * p.voxel_um
+        blocks = painted(
+            self.sheet, self.warp, ys, shape=(self.shape[2], self.shape[0]), step_um=p.voxel_um, grey=p.grey, halo=halo,
+            moved=np.zeros((3, ys.size)),
+        )  # fmt: skip
+        slab = np.zeros((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
+        axes = (0, 1, 2)
+        for col, depth, block in blocks:
+            blurred = trimmed(smooth(block, psf, axes), halo - psf.size + 1, axes)
+            if p.fringe:
+                fringe = trimmed(_laplacian(smooth(block, ring, axes)), halo - ring.size, axes)
+                blurred = blurred - np.float32(p.fringe) * fringe
+            slab[:, col : col + blurred.shape[1], depth : depth + blurred.shape[2]] = blurred
+        return slab
+
+    def _noise(self, start: int, stop: int) -> Slab:
+        """White or correlated noise of unit standard deviation; every row has random numbers of its own."""
+        taps = gaussian_taps(0.5 * self.params.noise_px)
+        halo = taps.size - 1
+        plane = (self.shape[2] + 2 * halo, self.shape[0] + 2 * halo)
+        rngs = (generator(self.seed, "scan", str(row)) for row in range(start - halo, stop + halo))
+        white = np.stack([rng.standard_normal(plane, dtype=np.float32) for rng in rngs])
+        gain = float(np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))) ** 3
+        return smooth(white, taps, (0, 1, 2)) / np.float32(gain)
+
+    def _radius(self) -> Floats:
+        """Distance (x, z) from the axis of rotation in voxels."""
+        x = np.arange(self.shape[2])[:, None] - 0.5 * (self.shape[2] - 1)
+        z = np.arange(self.shape[0])[None, :] - 0.5 * (self.shape[0] - 1)
+        return np.hypot(x, z)
+
+    @cached_property
+    def _cups(self) -> Slab:
+        """Factor (x, z) on what is brighter than air: the middle of the field comes out too faint."""
+        radius = self._radius()
+        return (1 - self.params.cupping * (1 - (radius / radius.max()) ** 2)).astype(np.float32)
+
+    @cached_property
+    def _plane(self) -> Slab:
+        """Rings (x, z), the same in all rows."""
+        rng, radius = generator(self.seed, "rings"), self._radius()
+        plane = np.zeros(radius.shape)
+        for _ in range(self.params.rings):
+            ring_radius, sign = rng.uniform(0.05, 0.6) * radius.max(), rng.choice([-1.0, 1.0])
+            plane += sign * self.params.ring * np.exp(-0.5 * (radius - ring_radius) ** 2)
+        return plane.astype(np.float32)
+
+    def _streaks(self, start: int, stop: int) -> Slab:
+        """Lines along x, thin in z, that fade in and out over rows and along x; unit standard deviation."""
+        knots_x = int(np.ceil(self.shape[2] * self.params.voxel_um / _STREAK_UM)) + 2
+        at_x = np.arange(self.shape[2]) * self.params.voxel_um / _STREAK_UM
+        taps = gaussian_taps(1.0)
+
+        def knot(row: int) -> Floats:
+            rng = generator(self.seed, "streaks", str(row))
+            white = rng.standard_normal((1, knots_x, self.shape[0] + 2 * (taps.size - 1)), dtype=np.float32)
+            lines = smooth(white, taps, (2,))[0] / np.sqrt(taps[0] ** 2 + 2 * np.sum(taps[1:] ** 2))
+            j, f = at_x.astype(int), (at_x % 1)[:, None]
+            return (lines[j] * (1 - f) + lines[j + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
+
+        knots = {k: knot(k) for k in range(start // _STREAK_ROWS, (stop - 1) // _STREAK_ROWS + 2)}
+        out = np.empty((stop - start, self.shape[2], self.shape[0]), dtype=np.float32)
+        for i, row in enumerate(range(start, stop)):
+            k, f = row // _STREAK_ROWS, (row % _STREAK_ROWS) / _STREAK_ROWS
+            out[i] = (knots[k] * (1 - f) + knots[k + 1] * f) / np.sqrt((1 - f) ** 2 + f**2)
+        return out
+
+
+def _laplacian(slab: Slab) -> Slab:
+    """Laplacian in voxels, times the variance of the fringe's Gaussian: its size does not depend on its width."""
+    inner = slab[1:-1, 1:-1, 1:-1]
+    total = slab[2:, 1:-1, 1:-1] + slab[:-2, 1:-1, 1:-1] + slab[1:-1, 2:, 1:-1]
+    total += slab[1:-1, :-2, 1:-1] + slab[1:-1, 1:-1, 2:] + slab[1:-1, 1:-1, :-2]
+    return np.float32(_FRINGE_PX**2) * (total - 6 * inner)
+
+
+_EPOCH = 40  # sections cut with one part of the knife's edge
+_MARKS_PER_MM = 1.5
+_RUN = 3  # most sections lost one after the other
+# Red, green and blue of resin, stained fibres and coating.
+_TINTS = ((1.0, 1.0, 1.0), (1.12, 1.0, 0.72), (0.96, 0.94, 1.05))
+_RESIN_PX = 24
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Poses:
+    """True poses of the sections that were not lost; all (n,).
+
+    ``counter_um`` is the position along the cut that the microtome counts, ``y_um`` the true one in space; the cut runs
+    towards smaller y. A pixel at (x, z) of the picture shows the point
+    ``(x + shift_x - turn z', z + shift_z + turn x')``; x', z' are counted from the picture's middle.
+    """
+
+    index: NDArray[np.int64]
+    counter_um: Floats
+    y_um: Floats
+    shift_x_um: Floats
+    shift_z_um: Floats
+    turn_rad: Floats
+
+
+def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
+    """Cut a block of ``length_um`` along y."""
+    count = int(length_um / params.section_um) + 1
+    rng = generator(seed, "poses")
+    white = rng.standard_normal((2, count))
+    walk = np.cumsum(rng.standard_normal((2, count)), axis=1)
+    walk -= walk.mean(axis=1, keepdims=True)
+    turn = rng.standard_normal(count)
+    place = rng.standard_normal(count)
+    rng = generator(seed, "missing")  # sections are lost in runs, never the first or the last one
+    lost = np.zeros(count, dtype=bool)
+    starts = np.flatnonzero(rng.random(count) < params.missing / (0.5 * (1 + _RUN)))
+    lengths = rng.integers(1, _RUN + 1, count)
+    for k in starts:
+        if not lost[max(k - 1, 0)]:  # one that is left between two runs keeps them apart
+            lost[k : k + lengths[k]] = True
+    lost[:1] = lost[-1:] = False
+    shift = params.jitter_um * white + params.walk_um * walk
+    present = np.flatnonzero(~lost)
+    counter = params.section_um * np.arange(count, dtype=np.float64)
+    true = length_um - counter - params.thickness * params.section_um * place
+    return Poses(
+        index=present,
+        counter_um=counter[present],
+        y_um=true[present],
+        shift_x_um=shift[0, present],
+        shift_z_um=shift[1, present],
+        turn_rad=np.deg2rad(params.rotation_deg) * turn[present],
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Microtome:
+    """Renders the picture of each section for itself; ``shape``: its rows along z, its columns along x."""
+
+    sheet: Sheet
+    warp: Warp
+    params: SectionsParams
+    poses: Poses
+    shape: tuple[int, int]
+    seed: int
+
+    def pictures(self) -> Iterator[NDArray[np.uint8]]:
+        """Give the pictures (rows, cols) or (rows, cols, 3), one after the other."""
+        _ = self.sheet.packed
+        count, step = self.poses.index.size, 8 * count_threads()
+        with thread_pool() as pool:
+            for start in range(0, count, step):
+                yield from pool.map(self.picture, range(start, min(start + step, count)))
+
+    def picture(self, k: int) -> NDArray[np.uint8]:
+        """Render the k-th picture that was kept."""
+        p = self.params
+        contrast = p.grey[0] - p.grey[2]
+        number = int(self.poses.index[k])
+        rng = generator(self.seed, "section", str(number))
+        gains = 1 + p.drift * rng.standard_normal(3)
+        knots = rng.standard_normal((self.shape[0] // _RESIN_PX + 2, self.shape[1] // _RESIN_PX + 2), dtype=np.float32)
+        uneven = _between(_between(knots, self.shape[0]).T, self.shape[1]).T
+        common = (p.texture * contrast * uneven + p.knife * contrast * self._knife(number)).astype(np.float32)
+        if not p.colour:
+            return self._exposed(k, p.grey, float(gains[1]), common, rng)
+        channels = [tuple(float(level * tint[c]) for level, tint in zip(p.grey, _TINTS, strict=True)) for c in range(3)]
+        return np.stack([self._exposed(k, g, float(gains[c]), common, rng) for c, g in enumerate(channels)], axis=-1)
+
+    def _exposed(
+        self, k: int, grey: tuple[float, ...], gain: float, common: Slab, rng: np.random.Generator
+    ) -> NDArray[np.uint8]:
+        p = self.params
+        taps = gaussian_taps(p.defocus_um / p.pixel_um)
+        poses = self.poses
+        blocks = painted(
+            self.sheet, self.warp, poses.y_um[k : k + 1], shape=(self.shape[1], self.shape[0]), step_um=p.pixel_um,
+            grey=(grey[0], grey[1], grey[2]), halo=taps.size - 1,
+            moved=np.stack([poses.shift_x_um, poses.shift_z_um, poses.turn_rad])[:, k : k + 1],
+        )  # fmt: skip
+        picture = np.zeros((self.shape[1], self.shape[0]), dtype=np.float32)
+        for col, depth, block in blocks:
+            blurred = smooth(block, taps, (1, 2))[0]
+            picture[col : col + blurred.shape[0], depth : depth + blurred.shape[1]] = blurred
+        grain = rng.standard_normal(self.shape, dtype=np.float32)
+        exposed = gain * (grey[0] + picture.T + common) + p.noise * (p.grey[0] - p.grey[2]) * grain
+        return np.clip(np.rint(exposed), 0, 255).astype(np.uint8)
+
+    def _knife(self, number: int) -> Slab:
+        """Lines across the sheet, the same over as many sections as one part of the edge lasts."""
+        rng = generator(self.seed, "knife", str(number // _EPOCH))
+        width = self.shape[1]
+        count = rng.poisson(_MARKS_PER_MM * width * self.params.pixel_um * 1e-3)
+        x = np.arange(width, dtype=np.float32)[None, :]
+        row = np.zeros((1, width), dtype=np.float32)
+        for centre, size in zip(rng.uniform(0, width, count), rng.choice([-1.0, 1.0], count), strict=True):
+            row += np.float32(size) * np.exp(-0.5 * ((x - np.float32(centre)) / np.float32(1.5)) ** 2)
+        return row
+
+
+def _between(knots: Slab, count: int) -> Slab:
+    """Interpolate rows linearly between knots."""
+    position = np.arange(count, dtype=np.float32) / np.float32(_RESIN_PX)
+    k = position.astype(int)
+    f = (position - k)[:, None].astype(np.float32)
+    return (knots[k] * (1 - f) + knots[k + 1] * f).astype(np.float32)
