@@ -7,8 +7,7 @@ import tifffile
 import planish as pl
 from planish.compute import Compute
 from planish.core.errors import FileError, StudyError
-from planish.pipeline.build import study_of
-from planish.pipeline.words import sections_of
+from planish.pipeline.build import sections_of, study_of
 from planish.study import SECTIONS, read_study
 
 VOXEL_UM, PIXEL_UM = 4.0, 5.0  # of the small specimen
@@ -87,7 +86,7 @@ def test_words_are_those_of_the_command_line_each_given_once():
     }  # fmt: skip
     assert compute.memory_bytes == 4 * 10**9
     from planish.cli.runs import link as command
-    from planish.pipeline.words import words_of
+    from planish.pipeline.build import words_of
 
     own = {"out", "chain", "set", "figures", "strict", "json", "help"}
     flags = {flag[2:].replace("-", "_") for option in command.params for flag in option.opts if flag.startswith("--")}

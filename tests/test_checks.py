@@ -16,7 +16,7 @@ from planish.cli.show import run_facts, run_lines
 from planish.core.checks import Check, Light
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts
-from planish.pipeline.figures import figures_text
+from planish.pipeline.summaries import figures_text
 from planish.results import Results
 
 LIGHTS = {light.name: light for light in CHECKS}

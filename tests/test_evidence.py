@@ -13,7 +13,7 @@ from planish.core.area import area_mean
 from planish.core.errors import InputError
 from planish.pipeline.compare import correlate_layers, headline_of
 from planish.pipeline.evidence import evidence_of
-from planish.pipeline.request import check_request
+from planish.pipeline.preflight import check_request
 from planish.report.scale import sentences
 from planish.report.summary import cautions
 from planish.results import LayerFacts, Results

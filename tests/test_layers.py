@@ -13,7 +13,9 @@ from planish.core.transform import Similarity
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks import cut_holes, find_holes, write_marks
 from planish.marks.files import read_any
+from planish.marks.params import HoleParams
 from planish.pipeline import link, map_sheet, open_run
+from planish.pipeline.layers import Layer, LayerHoles
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
 from planish.study import LayerParams, Study, read_study, write_study
@@ -221,6 +223,26 @@ def sheet_with(holes):
     for hole_x, hole_y in holes:
         values[np.hypot(x - hole_x, y - hole_y) < 80] = 20.0
     return xr.DataArray(values, dims=("y", "x"), coords={"y": places, "x": places})
+
+
+def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
+    searches = []
+
+    def search(_, *, params, side, layer):
+        searches.append((layer, side, params.printed))
+        return xr.Dataset()
+
+    monkeypatch.setattr("planish.pipeline.layers.find_holes", search)
+    shows_bottom = LayerParams(name="image", image=ImageParams(path="i.tif", side="bottom"))
+    sheet = Layer(params=LayerParams(name="sheet", run="run"), source=None, groups={"maps": xr.Dataset()})
+    image = Layer(params=shows_bottom, source=None, image=xr.DataArray(np.zeros((2, 2))))
+    for params in (HoleParams(), HoleParams(printed=True)):
+        holes = LayerHoles(params)
+        for pair in [(sheet, image), (image, sheet), (sheet, sheet)] * 2:
+            holes.of(*pair)
+        assert [len(holes.searched(layer)) for layer in (sheet, image)] == [2, 1]
+    faces = [("sheet", "bottom"), ("image", "bottom"), ("sheet", "top")]
+    assert searches == [(*face, printed) for printed in (False, True) for face in faces]
 
 
 def test_a_hole_that_the_border_cuts_is_left_out():

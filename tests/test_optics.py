@@ -16,7 +16,7 @@ from planish.io.params import ImageParams
 from planish.pipeline import correlate_maps
 from planish.pipeline.compared import compared_image, image_facts
 from planish.pipeline.optics import density_of, kubelka_munk_of, light_of, mottle_of
-from planish.pipeline.request import check_request
+from planish.pipeline.preflight import check_request
 from planish.report.light import sentences
 from planish.results import EvidenceFacts, Results
 from planish.study import as_study

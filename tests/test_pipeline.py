@@ -14,14 +14,15 @@ from folders import write_image
 from planish.cli.runs import _compare
 from planish.marks.files import read_any
 from planish.pipeline import link, open_run
-from planish.pipeline.compare import WAYS
-from planish.pipeline.kept import sheets_of
+from planish.pipeline.cached_maps import sheets_of
+from planish.pipeline.compare import REGISTRATION_VARIANTS
+from planish.pipeline.layers import MappedSheets
 from planish.pipeline.run import open_results, open_sheet
 from planish.pipeline.save import save_run
 from planish.register import fit_transform
 from planish.study import read_study
 
-ROWS = [*(name for name, _, _ in WAYS[:2]), "flattened, similarity"]
+ROWS = [*(name for name, _, _ in REGISTRATION_VARIANTS[:2]), "flattened, similarity"]
 
 
 @pytest.fixture(scope="module")
@@ -157,12 +158,12 @@ def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked
     other = Path(shutil.copytree(linked_run, tmp_path / "other"))
     study = read_study(other / "run.toml")
     hashes = [layer.source.sha256 for layer in open_results(other).layers]
-    assert sheets_of(other, study, hashes)[0].keys() == {"sheet"}
+    assert sheets_of(other, study, hashes).ready.keys() == {"sheet"}
     assert open_sheet(other).unchanged
     results = open_results(other)
     assert len(results.code) == 16
     (other / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
-    assert sheets_of(other, study, hashes) == ({}, {})
+    assert sheets_of(other, study, hashes) == MappedSheets()
     assert not open_sheet(other).unchanged
     _compare(other, linked_run)
     said = f"results.json differs from {other}, which was made by other code (planish {results.planish})"

@@ -51,9 +51,9 @@ def _bytes_of(text: Any) -> Any:
     """Turn ``"4GB"`` into a number of bytes."""
     if not isinstance(text, str):
         return text
-    found = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]*)\s*", text)
-    unit = _UNITS.get(found[2].upper().replace("IB", "B")) if found else None
-    amount = int(float(found[1]) * unit) if found and unit else 0
+    match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]*)\s*", text)
+    unit = _UNITS.get(match[2].upper().replace("IB", "B")) if match else None
+    amount = int(float(match[1]) * unit) if match and unit else 0
     if amount < _LEAST_BYTES:
         raise ValueError("write an amount of memory such as 4GB or 500MB")
     return amount
@@ -142,11 +142,11 @@ def return_memory(compute: Compute) -> None:
 
 
 @contextmanager
-def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
+def engine(compute: Compute, *, tiles: Path | None = None) -> Generator[Engine]:
     """Give the engine that works on tiles; InputError without scheduler or library, ResourceError if it is lost."""
     memory = int((1 - MAPS_SHARE) * compute.for_work)
     if compute.scheduler is None:
-        yield Engine(threads=compute.threads, memory_bytes=memory, kept=kept)
+        yield Engine(threads=compute.threads, memory_bytes=memory, kept=tiles)
         return
     try:
         from distributed import Client, KilledWorker
@@ -167,7 +167,7 @@ def engine(compute: Compute, *, kept: Path | None = None) -> Generator[Engine]:
         if not workers:
             raise InputError(f"The scheduler {compute.scheduler} has no workers. Start some with 'dask worker'.")
         try:
-            yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=kept)
+            yield Engine(executor=client.get_executor(pure=False), workers=workers, memory_bytes=memory, kept=tiles)
         except (CancelledError, CommClosedError, KilledWorker) as error:
             raise ResourceError(
                 f"The scheduler {compute.scheduler} was lost, or its workers died again and again at one part of the "

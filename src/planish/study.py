@@ -69,7 +69,7 @@ class LayerParams(Params):
     flatten: FlattenParams = FlattenParams()
 
     @model_validator(mode="after")
-    def _one(self) -> Self:
+    def _has_one_source(self) -> Self:
         if sum(part is not None for part in (self.volume, self.run, self.image)) != 1:
             raise ValueError("give one of volume, run and image")
         return self
@@ -152,9 +152,9 @@ def read_study(path: Path) -> Study:
     try:
         study = as_study(data)
     except ValidationError as error:
-        found = mistakes(error, Study, _place_in(key_lines(text), data))
-        number = f"{len(found)} wrong parameter{'s' if len(found) > 1 else ''}"
-        raise InputError("\n  ".join([f"{path} has {number}:", *found])) from error
+        faults = mistakes(error, Study, _place_in(key_lines(text), data))
+        number = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
+        raise InputError("\n  ".join([f"{path} has {number}:", *faults])) from error
     return with_paths(study, lambda p: _absolute(path.parent / p))
 
 
@@ -190,10 +190,10 @@ def faults_of(error: ValidationError, *, within: str = "") -> str:
 def _with_layers(data: dict[str, Any]) -> dict[str, Any]:
     """Turn the short form of one volume, and layers as planish 0.1.0 wrote them, into layers."""
     data = dict(data)
-    registration = data.get("registration")
+    registration: Any = data.get("registration")
     if isinstance(registration, dict) and "hole_um" in registration:  # as planish 0.1.0 wrote it
-        data["registration"] = {k: v for k, v in registration.items() if k != "hole_um"}  # type: ignore[reportUnknownVariableType]
-        data["holes"] = {"hole_um": registration["hole_um"]}
+        data["registration"] = registration = dict[str, Any](registration)
+        data["holes"] = {"hole_um": registration.pop("hole_um")}
     if "layers" in data:
         if isinstance(data["layers"], list):
             data["layers"] = [_flat_layer(layer) for layer in data["layers"]]
@@ -210,8 +210,9 @@ def _flat_layer(layer: Any) -> Any:
     """A layer of planish 0.1.0 had its volume one level deeper, in ``map``."""
     if not isinstance(layer, dict) or not isinstance(layer.get("map"), dict):  # type: ignore[reportUnknownMemberType]
         return layer
-    rest: dict[str, Any] = {str(k): v for k, v in layer.items() if k != "map"}  # type: ignore[reportUnknownVariableType]
-    return rest | {k: v for k, v in layer["map"].items() if k in ("volume", *_OF_A_VOLUME)}
+    layer = dict[str, Any](layer)
+    tables = layer.pop("map")
+    return layer | {k: v for k, v in tables.items() if k in ("volume", *_OF_A_VOLUME)}
 
 
 def with_values(study: Study, changes: Sequence[str]) -> Study:
@@ -233,7 +234,7 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
         name = path.pop(0) if len(path) > 2 and path[0] in kinds else None
         if path[0] in _OF_A_LAYER:
             kind = "image" if path[0] == "image" else "volume"
-            roots = [at for at in data["layers"] if name in (None, at["name"]) and kinds[at["name"]] == kind]
+            roots = [m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind]
         else:
             roots = [data] if name is None and path[0] in Study.model_fields and path[0] != "layers" else []
         if not (sign and roots):
@@ -242,13 +243,13 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
             faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{why}")
             continue
         for root in roots:
-            at = root
+            table = root
             for part in path[:-1]:
-                at = at.setdefault(part, {}) if isinstance(at, dict) else {}
+                table = table.setdefault(part, {}) if isinstance(table, dict) else {}
             if value:
-                at[path[-1]] = _value(value)
+                table[path[-1]] = _value(value)
             else:
-                at.pop(path[-1], None)
+                table.pop(path[-1], None)
     if faults:
         raise StudyError("; ".join(faults) + ".")
     try:
@@ -263,7 +264,7 @@ def in_study_words(text: str) -> str:
     for section, model in SECTIONS.items():
         for name, _, shown in options_of(model):
             keys.setdefault(shown.flags[0], f"{section}.{name}")
-    return _FLAG.sub(lambda found: keys.get(found[0], found[0]), text)
+    return _FLAG.sub(lambda flag: keys.get(flag[0], flag[0]), text)
 
 
 def _value(text: str) -> Any:
@@ -277,19 +278,17 @@ def _value(text: str) -> Any:
 
 
 def write_study(study: Study, folder: Path, *, home: Path, version: str) -> None:
-    """Write ``run.toml`` into ``folder``, with paths relative to ``home``, the place where the folder will stand.
+    """Write ``run.toml`` into ``folder``, with paths relative to ``home``, the place where the folder will stand."""
+    study = with_paths(study, lambda path: relative_path(path, home))
+    (folder / RUN_TOML).write_text(tomli_w.dumps({"planish": version} | to_dict(study)), encoding="utf-8", newline="\n")
 
-    Where no relative path exists (another drive) the absolute one is written.
-    """
 
-    def relative(p: str) -> str:
-        try:
-            return Path(os.path.relpath(p, home)).as_posix()
-        except ValueError:
-            return Path(p).as_posix()
-
-    data = {"planish": version} | to_dict(with_paths(study, relative))
-    (folder / RUN_TOML).write_text(tomli_w.dumps(data), encoding="utf-8", newline="\n")
+def relative_path(path: str | Path, home: Path) -> str:
+    """Return a path relative to a folder, or as it is where none leads there: from one drive to another."""
+    try:
+        return Path(os.path.relpath(path, home)).as_posix()
+    except ValueError:
+        return Path(path).as_posix()
 
 
 def to_dict(study: Study) -> dict[str, Any]:
@@ -314,3 +313,8 @@ def with_paths(params: P, change: Callable[[str], str | None]) -> P:
         elif isinstance(value, tuple) and value and isinstance(value[0], Params):
             update[name] = tuple(with_paths(part, change) for part in value)
     return params.model_copy(update=update)
+
+
+def changed(params: P, **values: object) -> P:
+    """The same parameters with some values changed."""
+    return params.model_copy(update=values)

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 import time
+from contextlib import closing
 from pathlib import Path
 
 import pytest
@@ -41,7 +42,7 @@ def standing(session: Session) -> list[object]:
 
 
 def test_lines_are_written_from_the_first_change_on_and_come_back(path):
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         assert not path.parent.exists()
         made.append(b'{"do": 1}')
         made.append(b'{"do": 2}')
@@ -50,11 +51,11 @@ def test_lines_are_written_from_the_first_change_on_and_come_back(path):
 
 @pytest.mark.parametrize("half", [b'{"do": 3', b'{"do": 3}', b"\0" * 40])
 def test_half_a_last_line_is_dropped(path, half):
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
     with path.open("ab") as file:
         file.write(half)
-    with Journal(path, of="a", write=True) as again:
+    with closing(Journal(path, of="a", write=True)) as again:
         assert again.lines == [b'{"do": 1}']
         again.append(b'{"do": 2}')
     assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
@@ -63,7 +64,7 @@ def test_half_a_last_line_is_dropped(path, half):
 def test_half_a_first_line_is_as_good_as_none(path):
     path.parent.mkdir()
     path.write_bytes(b'{"format": "plan')
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
     assert Journal(path, of="a", write=False).lines == [b'{"do": 1}']
 
@@ -72,14 +73,14 @@ def test_a_line_is_on_the_disk_before_it_counts(path, monkeypatch):
     seen: list[bytes] = []
     real = os.fsync
     monkeypatch.setattr(module.os, "fsync", lambda at: (seen.append(path.read_bytes()), real(at)))
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
     assert any(data.endswith(b'{"do": 1}\n') for data in seen)
 
 
 @pytest.mark.parametrize("written", [0, 4])
 def test_a_full_disk_leaves_nothing_of_a_line(path, monkeypatch, written):
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
 
         def full(file, data):
@@ -98,7 +99,7 @@ def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
     def broken(_at):
         raise OSError(errno.EIO, "Input/output error")
 
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
         before = path.read_bytes()
         monkeypatch.setattr(module.os, "fsync", broken)
@@ -125,13 +126,13 @@ def test_a_journal_that_is_none_is_refused_and_kept(path, content, words):
 
 
 def test_one_process_writes_and_others_read(path):
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
         refused(InUse, "read_only=", Journal, path, of="a", write=True)
         reader = Journal(path, of="a", write=False)
         assert reader.lines == [b'{"do": 1}']
         refused(FileError, "read only", reader.append, b'{"do": 2}')
-    with Journal(path, of="a", write=True):
+    with closing(Journal(path, of="a", write=True)):
         pass
 
 
@@ -241,9 +242,10 @@ def restarted(session: Session) -> Session:
 
 _WRITER = """
 import sys
+from contextlib import closing
 from pathlib import Path
 from planish.app.journal import Journal
-with Journal(Path(sys.argv[1]), of="a", write=True) as made:
+with closing(Journal(Path(sys.argv[1]), of="a", write=True)) as made:
     for k in range(100000):
         made.append(b'{"do": "step", "k": %d, "fill": "%s"}' % (k, b"x" * (k % 5000)))
         print(k, flush=True)
@@ -261,7 +263,7 @@ def test_a_killed_writer_loses_at_most_the_line_in_flight(path, after_s):
     answered = 1 + len(writer.stdout.read().splitlines())
     writer.wait()
     writer.stdout.close()
-    with Journal(path, of="a", write=True) as made:
+    with closing(Journal(path, of="a", write=True)) as made:
         found = [json.loads(line)["k"] for line in made.lines]
         assert found == list(range(len(found)))
         assert answered <= len(found) <= answered + 1

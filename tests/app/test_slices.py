@@ -16,8 +16,7 @@ from planish.cli import main
 from planish.core.errors import InputError
 from planish.core.frame import Frame
 from planish.pipeline import open_run, run_study
-from planish.pipeline.sheet import changed
-from planish.study import read_study
+from planish.study import changed, read_study
 from planish.surface import Corrections, correct_surfaces
 
 

@@ -5,7 +5,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import xarray as xr
-from planish.measure.greys import Greys
 from scipy import ndimage
 
 from planish.checks import CHECKS, check_scan
@@ -13,6 +12,7 @@ from planish.checks.greys import clipping, level_jump, noise_width
 from planish.checks.scan import voxels_through
 from planish.checks.sheets import find_particles
 from planish.checks.windows import window_of
+from planish.measure.registry import Greys
 
 LIGHTS = {light.name: light for light in CHECKS}
 VOXEL = 3.0

@@ -8,7 +8,7 @@ from scipy import ndimage
 from planish.measure import measure_properties
 from planish.measure.registry import Greys
 from planish.measure.uncertainty import Shared, common_errors
-from planish.pipeline.facts import property_facts
+from planish.pipeline.summaries import property_facts
 from planish.resample.maps import _mean_se
 from planish.surface import find_surfaces
 

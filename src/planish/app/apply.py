@@ -19,10 +19,9 @@ from planish.core.typing import Bools
 from planish.marks.files import Places, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
-from planish.pipeline.kept import noted_study
+from planish.pipeline.cached_maps import noted_study
 from planish.pipeline.regions import REGIONS
-from planish.pipeline.sheet import changed
-from planish.study import EDITS, LayerParams, Study
+from planish.study import EDITS, LayerParams, Study, changed
 
 STAGED = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""

@@ -7,7 +7,7 @@ import os
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Self
+from typing import Any
 
 from filelock import FileLock, Timeout
 
@@ -47,7 +47,19 @@ class Journal:
 
     def __init__(self, path: Path, *, of: str, write: bool) -> None:
         self.path, self.of = path, of
-        self._lock = _locked(path) if write else None
+        self._lock = None
+        if write:
+            with writing(path):
+                path.parent.mkdir(exist_ok=True)
+                lock = FileLock(path.parent / LOCK)
+                try:
+                    lock.acquire(timeout=0)
+                except Timeout as error:
+                    raise InUse(
+                        f"{path.parent.parent} is open in another planish view, which may change it. Close that one, "
+                        "or open this one with --read-only."
+                    ) from error
+            self._lock = lock
         try:
             data = b""
             try:
@@ -116,28 +128,6 @@ class Journal:
                     (self.path.parent / LOCK).unlink(missing_ok=True)
                     self.path.parent.rmdir()
             self._lock = None
-
-    def __enter__(self) -> Self:
-        """Use it in a block."""
-        return self
-
-    def __exit__(self, *_error: object) -> None:
-        """Close it."""
-        self.close()
-
-
-def _locked(path: Path) -> FileLock:
-    with writing(path):
-        path.parent.mkdir(exist_ok=True)
-        lock = FileLock(path.parent / LOCK)
-        try:
-            lock.acquire(timeout=0)
-        except Timeout as error:
-            raise InUse(
-                f"{path.parent.parent} is open in another planish view, which may change it. Close that one, or open "
-                "this one with --read-only."
-            ) from error
-    return lock
 
 
 def _lines(data: bytes, path: Path, of: str) -> list[bytes]:

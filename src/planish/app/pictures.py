@@ -26,7 +26,7 @@ from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
 from planish.pipeline.compare import is_property
-from planish.pipeline.linking import LINKED
+from planish.pipeline.gathering import LINKED
 from planish.pipeline.run import MAPS, is_run, open_results
 from planish.study import read_study
 

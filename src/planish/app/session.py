@@ -38,7 +38,7 @@ from planish.marks.files import Places
 from planish.marks.files.model import EXTRAS
 from planish.marks.regions import read_regions
 from planish.pipeline import Registration, find_holes
-from planish.pipeline.kept import noted_study
+from planish.pipeline.cached_maps import noted_study
 from planish.pipeline.regions import REGIONS
 from planish.pipeline.run import MAPS, marks_file, open_results
 from planish.results import Results

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -14,8 +15,7 @@ from planish.checks.windows import Window
 from planish.core.checks import PROPERTIES, Check, Light
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
-from planish.core.typing import Floats
-from planish.measure.greys import Greys
+from planish.measure.registry import Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
 _BINS = 256  # between the air and the end of the grey scale
@@ -73,13 +73,7 @@ def denser_coating(greys: Greys) -> float | None:
 
 
 def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
-    """Look for a spike in the histogram at the sheet's end of the grey scale, whatever type and level.
-
-    Returns
-    -------
-    float, float, float
-        Height of the spike over what the bins beside it lead to; share of the voxels in it; its grey.
-    """
+    """Spike at the sheet's end of the grey scale: its height over what the bins beside it lead to, share, and grey."""
     # Whole numbers are counted once: a large part of a volume is looked at.
     whole = sample.dtype.kind != "f"
     levels, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
@@ -191,8 +185,13 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     coordinates = {k: np.asarray(volume.coords[k].values, dtype=np.float64) for k in ("z", "y", "x")}
     heights = coordinates[frame.through]
     faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
+    sizes = coordinates[frame.rows].size, coordinates[frame.cols].size
+    if min(sizes) < _EDGE:
+        return float("nan")
+    # Rows and columns of blocks that are spread over the sheet.
+    starts = (np.unique(np.linspace(0, n - _EDGE, _PLACES + 2)[1:-1].astype(int)).tolist() for n in sizes)
     lags = np.zeros(_LAGS)
-    for row, col in _blocks(frame, coordinates):
+    for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in starts)):
         inside = [
             (measured[dim].values >= ends[0]) & (measured[dim].values <= ends[1])
             for dim, ends in (("y", coordinates[frame.rows][[row.start, row.stop - 1]]),
@@ -222,15 +221,6 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     k = int(np.argmax(share < 0.5))
     half = k - (0.5 - share[k]) / (share[k - 1] - share[k])
     return np.sqrt(2.0) * half * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
-
-
-def _blocks(frame: Frame, coordinates: dict[str, Floats]) -> list[tuple[slice, slice]]:
-    """Rows and columns (voxels) of places spread over the sheet."""
-    sides: list[list[slice]] = []
-    for n in (coordinates[axis].size for axis in (frame.rows, frame.cols)):
-        starts = np.unique(np.linspace(0, n - _EDGE, _PLACES + 2)[1:-1].astype(int)) if n >= _EDGE else []
-        sides.append([slice(int(k), int(k) + _EDGE) for k in starts])
-    return [(row, col) for row in sides[0] for col in sides[1]]
 
 
 # --- of an image -----------------------------------------------------------------------------------------------------

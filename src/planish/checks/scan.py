@@ -13,7 +13,7 @@ from planish.checks.windows import Window, read_windows
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
 from planish.core.typing import Bools, Floats
-from planish.measure.greys import Greys
+from planish.measure.registry import Greys
 
 TILE_UM = 60.0
 _COLUMNS = 7  # along the edge of a tile, at most

@@ -204,12 +204,8 @@ class Particles(NamedTuple):
 
     mask: Bools
     number: int
+    a_mm2: float
     area_mm2: float  # that was measured
-
-    @property
-    def a_mm2(self) -> float:
-        """Particles a mm2."""
-        return self.number / max(self.area_mm2, 1e-9)
 
 
 def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
@@ -218,14 +214,15 @@ def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
     cell = pitch_um[0] * pitch_um[1]
     area = float(is_measured.sum()) * cell * 1e-6
     if area < _LEAST_MM2:
-        return Particles(np.zeros(coating.shape, bool), 0, area)
+        return Particles(np.zeros(coating.shape, bool), 0, 0.0, area)
     above = coating - _median_around(coating, pitch_um)
     scale = 1.4826 * float(np.nanmedian(np.abs(above - np.nanmedian(above))))
     labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > _HEIGHT * max(scale, 1e-6))
     sizes = np.bincount(labels.ravel(), minlength=n + 1) * cell
     large = sizes >= _AREA_UM2
     large[0] = False
-    return Particles(large[labels], int(large.sum()), area)
+    number = int(large.sum())
+    return Particles(large[labels], number, number / max(area, 1e-9), area)
 
 
 def _median_around(coating: Floats, pitch_um: tuple[float, float]) -> Floats:

@@ -31,7 +31,8 @@ from planish.results import (
 Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, ExpectedError)
 
 _ALL = (PROPERTIES, POSITION, CORRELATION)
-_COATINGS = ("coating_top", "coating_bottom", "base_thickness", "thickness")
+_BASE = ("base_thickness", "thickness")
+_COATINGS = ("coating_top", "coating_bottom", *_BASE)
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
 _SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom")
 
@@ -55,13 +56,8 @@ CHECKS = (
     Light("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
     Light("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
     Light("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
-    Light("dust, top", ScannedSheet, ("coating_top", "base_thickness", "thickness"), partial(sheets.dust, side="top")),
-    Light(
-        "dust, bottom",
-        ScannedSheet,
-        ("coating_bottom", "base_thickness", "thickness"),
-        partial(sheets.dust, side="bottom"),
-    ),
+    Light("dust, top", ScannedSheet, ("coating_top", *_BASE), partial(sheets.dust, side="top")),
+    Light("dust, bottom", ScannedSheet, ("coating_bottom", *_BASE), partial(sheets.dust, side="bottom")),
     # planish link: from a registration
     Light("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
     Light("marks", RegisteredLayer, (POSITION,), registration.marks),

@@ -30,24 +30,13 @@ _PIECE = 8e6  # bytes of a piece of a window
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Window:
-    """Slices ``first`` and on along an axis, and what was summed over the same part of each of them.
-
-    Attributes
-    ----------
-    axis : {"z", "y", "x"}
-    first : int
-        Number of the first slice in the volume, from 0.
-    square, product : (slices - 1,), (slices - 2,)
-        Means over voxels of u_k² and of u_k u_k+1, where u_k is the difference of slices k + 1 and k.
-    blocks : (slices, blocks)
-        Means of 5 x 5 voxels.
-    """
+    """Slices along an axis, and what was summed over the same part of each; u_k is slice k + 1 less slice k."""
 
     axis: Axis
-    first: int
-    square: Floats
-    product: Floats
-    blocks: NDArray[np.float32]
+    first: int  # number of the first slice in the volume, from 0
+    square: Floats  # (slices - 1,): means over voxels of u_k²
+    product: Floats  # (slices - 2,): and of u_k u_k+1
+    blocks: NDArray[np.float32]  # (slices, blocks): means of 5 x 5 voxels
 
 
 def window_of(slices: NDArray[Any], axis: Axis = "z", first: int = 0) -> Window:
@@ -70,22 +59,10 @@ def read_windows(
     volume: xr.DataArray, *, through: Axis, sheet: tuple[int, int], points: Places | None = None, missing: float = 0.0,
     threads: int | None = None,
 ) -> WindowReading:  # fmt: skip
-    """Read a window along each of a volume's three axes.
+    """Read a window along each axis of a volume (z, y, x), which may be lazy: parts along z, of whole chunks.
 
-    Parameters
-    ----------
-    volume : DataArray, dims (z, y, x)
-        May be lazy: parts are read along z, whole chunks of the file where it has some.
-    through : {"z", "y", "x"}
-        Axis through the sheet.
-    sheet : (int, int)
-        First and last slice along it that hold the sheet.
-    points : (n, 3) of int, optional
-        Voxels (z, y, x) whose grey is asked for.
-    missing : float
-        Takes the place of NaN.
-    threads : int, optional
-        The sums do not depend on it.
+    ``sheet`` is the first and the last slice along the axis ``through`` the sheet that hold it; ``points`` (n, 3) are
+    voxels (z, y, x) whose grey is asked for; ``missing`` takes the place of NaN.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}

@@ -276,7 +276,7 @@ def new(study: Path, volume: Path, image: Path | None) -> None:
     from planish.core.errors import FileError
     from planish.core.files import write_whole
     from planish.io.run_folder import refuse_existing
-    from planish.pipeline.draft import draft_study
+    from planish.pipeline.study_template import draft_study
 
     if study.suffix.lower() != ".toml":
         raise click.UsageError(f"STUDY comes first and ends in .toml; {study} does not.")

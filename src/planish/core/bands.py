@@ -10,11 +10,10 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+# A map (rows, cols) of which some rows are asked for at a time; it may lie in a store.
 Rows = xr.DataArray | NDArray[Any]
-"""A map (rows, cols) of which some rows are asked for at a time; it may lie in a store."""
 
-BAND = 512
-"""Rows of a band, and of a chunk of a stored map: each chunk is read once."""
+BAND = 512  # rows of a band, and of a chunk of a stored map: each chunk is read once
 
 
 def bands(rows: int) -> Iterator[slice]:

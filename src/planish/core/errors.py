@@ -24,16 +24,14 @@ else in planish decides exit codes.
 
 import re
 
+# Options without a value, of those that a call in Python may be told to give.
 SWITCHES = frozenset({"as-seen", "chain", "mirror", "mottle", "override-size", "printed", "unusual-size"})
-"""Options without a value, of those that a call in Python may be told to give."""
-
 _COMMAND = r"\b(?:planish|pip|dask) [a-z](?:[^.;'\n]|\.(?=[^\s']))*"  # up to the end of its sentence, or its quote
 _ENDS = r"(?=[.,;:)]|$| as well| is not possible)"  # what follows a word that is a value and no part of the sentence
 _WORD = rf"[zyx]|top|bottom|high|low|[a-z]+(?:_[a-z]+)+|(?!out\b|instead\b|first\b)[a-z][a-z-]*{_ENDS}"
 _VALUE = rf"\d[\d.,]*(?<=\d)[A-Z]*|[A-Z]+(?:,[A-Z]+)*|(?:{_WORD})(?:, (?:{_WORD}))*(?=:)|{_WORD}"
 _BARE = re.compile(r"[A-Z]+|[\d.]+")  # a placeholder, a number: without quotes
 _FLAG = re.compile(rf"{_COMMAND}|(?<![\w-])--([a-z][a-z0-9-]*)(?:[ =]({_VALUE})(?![\w-]))?(:?)")
-
 _CHOICE = re.compile(r"\b(\w+): '(\w+)' is not possible")
 
 

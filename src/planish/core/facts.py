@@ -47,26 +47,24 @@ def _null(value: Any) -> Any:
 
 _NULL = {"type": "null"}
 _PAIR = {"type": "array", "maxItems": 2, "minItems": 2, "prefixItems": [{"type": "number"}, {"type": "number"}]}
+# A number that may be missing: NaN in memory; null in JSON, as is one that is infinite.
 Value = Annotated[
     float, BeforeValidator(_one_nan), PlainSerializer(_null), WithJsonSchema({"anyOf": [{"type": "number"}, _NULL]})
 ]
-"""A number that may be missing: NaN in memory; null in JSON, as is one that is infinite."""
+# Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are finite.
 Interval = Annotated[
     Pair, BeforeValidator(_nan_pair), PlainSerializer(_null), WithJsonSchema({"anyOf": [_PAIR, _NULL]})
 ]
-"""Two numbers, such as the ends of an interval, that may be missing: null in JSON unless both are finite."""
+# A number that stands beside a result in memory and, as a field with ``exclude=True``, in no file.
 Unsaved = SkipJsonSchema[Value]
-"""A number that stands beside a result in memory and, as a field with ``exclude=True``, in no file."""
-NULL: Any = None
-"""Default of a value or interval: null in JSON and its schema, NaN in memory."""
+NULL: Any = None  # default of a value or interval: null in JSON and its schema, NaN in memory
 
 Side = Literal["top", "bottom"]
 """Side of a sheet."""
 
 SIDES: tuple[Side, ...] = ("top", "bottom")
 
-Trust = Literal["ok", "doubtful", "withheld"]
-"""What the checks leave of a figure; numbers that are withheld are None."""
+Trust = Literal["ok", "doubtful", "withheld"]  # what the checks leave of a figure; numbers that are withheld are None
 
 
 class Facts(BaseModel):

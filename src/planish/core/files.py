@@ -21,8 +21,8 @@ _DEVICES = {
     *(f"{device}{k}" for device in ("com", "lpt") for k in "123456789¹²³"),
 }
 _NOT_ON_WINDOWS = '<>:"|?*'
+# Characters that the longest path inside of a run folder takes while it is written, of a layer with a short name.
 INSIDE = 120
-"""Characters that the longest path inside of a run folder takes while it is written, of a layer with a short name."""
 
 
 def fault_of_name(name: str, *, windows: bool = os.name == "nt") -> str | None:

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
-Where = tuple[slice, ...]
-"""One slice an axis, with a start and stop inside the array and a step above 0."""
+Where = tuple[slice, ...]  # one slice an axis, with a start and stop inside the array and a step above 0
 
 
 class LazyArray(ABC):

@@ -27,10 +27,10 @@ _CLASSES = (
     "cell", "struct", "object", "char", "sparse", "double", "single", "int8", "uint8", "int16", "uint16", "int32",
     "uint32", "int64", "uint64", "function", "opaque",
 )  # fmt: skip
+# Classes of real numbers and their types.
 NUMBERS = {
     "double": np.dtype("f8"), "single": np.dtype("f4"), **{name: np.dtype(name) for name in _CLASSES if "int" in name}
 }  # fmt: skip
-"""Classes of real numbers and their types."""
 
 _COMPLEX, _LOGICAL = 0x08, 0x02
 

@@ -4,17 +4,11 @@ from __future__ import annotations
 
 import math
 
-PROGRAM_BYTES = 3 * 10**8
-"""What Python, its libraries and the compiled kernels take."""
-
+PROGRAM_BYTES = 3 * 10**8  # what Python, its libraries and the compiled kernels take
+# What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them.
 COLUMN_BYTES = 900
-"""What a measured column takes at the peak: heights, properties, coordinates, map pixels, and the work on them."""
-
-MAPS_SHARE = 0.6
-"""Share of the memory beside the program that the maps may take; the tiles get the rest."""
-
-HELD_TIMES = 3
-"""The memory beside the program as a multiple of a volume that is held as a whole."""
+MAPS_SHARE = 0.6  # share of the memory beside the program that the maps may take; the tiles get the rest
+HELD_TIMES = 3  # the memory beside the program as a multiple of a volume that is held as a whole
 
 
 def bytes_to_map(columns: float) -> int:

@@ -11,8 +11,7 @@ from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-Key = tuple[str | int, ...]
-"""A key with the tables around it; the tables of an array are numbered from 0."""
+Key = tuple[str | int, ...]  # a key with the tables around it; the tables of an array are numbered from 0
 
 _PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
 _DOTTED = re.compile(rf"[ \t]*({_PART}(?:[ \t]*\.[ \t]*{_PART})*)[ \t]*")
@@ -88,8 +87,8 @@ def _end(pattern: re.Pattern[str], text: str, position: int) -> int:
     return match.end() if match else position
 
 
+# From where a model has a value to the key that the file has for it, and its line; None where it has no line.
 Place = Callable[[Key], tuple[Key, int | None]]
-"""From where a model has a value to the key that the file has for it, and its line; None where it has no line."""
 
 _NAME = re.compile(r"[A-Za-z_][A-Za-z0-9_]*")
 _ALIKE = 0.6  # of difflib: the share of letters that two names have in common

@@ -15,12 +15,12 @@ from planish.core.errors import FileError
 from planish.core.facts import Facts, KnownPair, Number, Trust
 from planish.core.tables import read_text
 
+# ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
+# ``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet.
 MemberState = Literal["whole", "withheld", "refused", "damaged", "open"]
-"""``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
-``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet."""
 
+# Factors that planish knows the meaning of; a table may have others, by which it only sorts.
 FACTORS = ("paper", "sheet", "field", "treatment", "side")
-"""Factors that planish knows the meaning of; a table may have others, by which it only sorts."""
 
 
 class Member(Facts):
@@ -38,14 +38,12 @@ class Member(Facts):
         return None if self.run is None else home / self.run
 
 
-FORMAT = 1
-"""Version of the schema."""
+FORMAT = 1  # version of the schema
 
-What = Literal["mean", "sd", "thin_share", "r"]
-"""Statistics that are compared over specimens."""
+What = Literal["mean", "sd", "thin_share", "r"]  # statistics that are compared over specimens
 
+# What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or two images.
 RunKind = Literal["map", "sheet on image", "two volumes", "layers"]
-"""What a run is: one sheet mapped; a sheet linked to an image; two sheets linked; more layers, or two images."""
 
 
 class Quantity(Facts):

@@ -8,8 +8,7 @@ from pathlib import Path
 
 from planish import __version__
 
-PACKAGE = Path(__file__).resolve().parents[1]
-"""Folder of the package."""
+PACKAGE = Path(__file__).resolve().parents[1]  # folder of the package
 
 
 @cache

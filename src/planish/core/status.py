@@ -35,8 +35,7 @@ class Status(IntEnum):
         return self.name.lower()
 
 
-FIRST_OWN = 10
-"""A property's own reasons for a missing value count from here."""
+FIRST_OWN = 10  # a property's own reasons for a missing value count from here
 
 
 def status_flags(

@@ -23,11 +23,8 @@ from planish.core.errors import FileError, InputError, PlanishError
 if TYPE_CHECKING:
     from pydantic import ValidationError
 
-LARGEST_FILE = 10_000_000
-"""Bytes; no table of marks, holes or sections is larger."""
-
-MOST_FAULTS = 8
-"""Faults that one message names; of the others it gives the number."""
+LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
+MOST_FAULTS = 8  # faults that one message names; of the others it gives the number
 
 
 class CsvRow(NamedTuple):
@@ -153,7 +150,7 @@ class CsvTable:
 
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
-) -> CsvTable:  # fmt: skip
+) -> CsvTable:
     """Make a table of a text with a header, of :func:`read_text`; ``name`` is that of the file.
 
     ``needed`` columns have to be there; others may be. ``advice`` is one sentence on what the table has to look like,

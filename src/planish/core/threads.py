@@ -11,9 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
-
-MOST = 8
-"""Threads that are used at most where no number is given: more of them wait for the memory."""
+MOST = 8  # threads that are used at most where no number is given: more of them wait for the memory
 
 _VARIABLES = (
     "TIFFFILE_NUM_THREADS",

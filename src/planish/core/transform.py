@@ -212,8 +212,7 @@ class Projective(NearSimilarity):
         )  # fmt: skip
 
 
-Transform = Similarity | NearSimilarity
-"""What every fitted transformation is."""
+Transform = Similarity | NearSimilarity  # what every fitted transformation is
 
 
 def _everywhere(matrix: Floats, points: ArrayLike) -> Floats:

@@ -54,20 +54,20 @@ def volume(
     >>> float(sheet.x[-1]), sheet.attrs["through"]
     (88.5, 'y')
     """
-    frame, given = Frame(through=through, top=top), _array(array, VOLUME)
-    inner: Any = given.variable._data  # pyright: ignore  `values` would read them
-    dtype = supported_type(given.dtype).newbyteorder("=")
+    frame, named = Frame(through=through, top=top), _array(array, VOLUME)
+    inner: Any = named.variable._data  # pyright: ignore  `values` would read them
+    dtype = supported_type(named.dtype).newbyteorder("=")
     values: NDArray[Any] | LazyArray
     if isinstance(inner, np.ndarray) and inner.dtype == dtype:
         values = read_if_small(inner, memory_bytes=None)
     elif isinstance(inner, np.ndarray) and not isinstance(inner, np.memmap):
         values = inner.astype(dtype)
     else:
-        values = HeldArray(given.variable, dtype)
-    attrs = {"full_scale": full_scale(given.dtype, 64), "long_name": "Grey value"} | given.attrs | frame.lies()
-    made = _labelled(values, given, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
-    made.encoding |= {"whole_slices": False, "chunks": values.chunks} if isinstance(values, HeldArray) else {}
-    return made
+        values = HeldArray(named.variable, dtype)
+    attrs = {"full_scale": full_scale(named.dtype, 64), "long_name": "Grey value"} | named.attrs | frame.lies()
+    grey = _labelled(values, named, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
+    grey.encoding |= {"whole_slices": False, "chunks": values.chunks} if isinstance(values, HeldArray) else {}
+    return grey
 
 
 def image(
@@ -99,16 +99,16 @@ def image(
 
     if side is not None:
         check_choice("side", side, SIDES)
-    given = _array(array, IMAGE)
-    stored = given.values
+    named = _array(array, IMAGE)
+    stored = named.values
     colour = "rgb" if stored.ndim == 3 else "grey"
     picture = DecodedPicture(values=stored, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
     attrs = {
         "full_scale": picture.full_scale, "channel": channel, "stored_dtype": str(stored.dtype), "orientation": 1,
         "long_name": long_name,
-    } | given.attrs | ({} if side is None else {"side": side})  # fmt: skip
-    return _labelled(values, given, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
+    } | named.attrs | ({} if side is None else {"side": side})  # fmt: skip
+    return _labelled(values, named, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
 
 
 class HeldArray(LazyArray):
@@ -150,26 +150,26 @@ def _array(array: Any, kind: Kind) -> xr.DataArray:
 
 
 def _labelled(
-    values: NDArray[Any] | LazyArray, given: xr.DataArray, kind: Kind, size_um: Size | None, attrs: dict[str, Any], *,
+    values: NDArray[Any] | LazyArray, named: xr.DataArray, kind: Kind, size_um: Size | None, attrs: dict[str, Any], *,
     override: bool, unusual: bool,
 ) -> xr.DataArray:  # fmt: skip
     """The values with the size that coordinates, attribute and call agree on, beginning where they did."""
-    steps = {axis: None if override else step_um(given, axis) for axis in kind.axes}
+    steps = {axis: None if override else step_um(named, axis) for axis in kind.axes}
     # Without a unit they may count voxels: they have to fit a size that is given, and are none by themselves.
-    plain = [axis for axis, step in steps.items() if step is not None and "units" not in given[axis].attrs]
-    known = tuple(None if size_um is None and axis in plain else step for axis, step in steps.items())
-    stated = Stated(source="its coordinate grid", um=known, note="coordinates without a unit" if plain else "")
-    if size_um is None and not any(known) and kind.size in given.attrs:
-        stated = Stated(source=f"its attribute {kind.size}", um=tuple(given.attrs[kind.size]))
+    plain = [axis for axis, step in steps.items() if step is not None and "units" not in named[axis].attrs]
+    sizes = tuple(None if size_um is None and axis in plain else step for axis, step in steps.items())
+    stated = Stated(source="its coordinate grid", um=sizes, note="coordinates without a unit" if plain else "")
+    if size_um is None and not any(sizes) and kind.size in named.attrs:
+        stated = Stated(source=f"its attribute {kind.size}", um=tuple(named.attrs[kind.size]))
     asked = VOXEL if kind is VOLUME else PIXEL
     name = f"The {kind.name}"
     size, source = agreed_size([stated], size_um, file_name=name, asked=asked, override=override, unusual=unusual)
-    path = getattr(given.variable._data, "filename", None)  # pyright: ignore  of a memory map
-    origin = {"file_name": Path(path).name if path else str(given.name or "array"), "file_bytes": given.nbytes}
+    path = getattr(named.variable._data, "filename", None)  # pyright: ignore  of a memory map
+    origin = {"file_name": Path(path).name if path else str(named.name or "array"), "file_bytes": named.nbytes}
     attrs = origin | attrs | {"units": "1", kind.size: list(size), f"{kind.size}_source": source}
     coords = {
-        axis: (axis, given[axis].values.astype(np.float64), {"units": "um"})
+        axis: (axis, named[axis].values.astype(np.float64), {"units": "um"})
         for axis, step in steps.items()
-        if step is not None and given[axis].values[0] != 0
+        if step is not None and named[axis].values[0] != 0
     }
     return labelled(values, kind.axes, size, name=kind.name, attrs=attrs).assign_coords(coords)

@@ -30,7 +30,6 @@ from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
-
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
 COLOURS = {"red": 0, "green": 1, "blue": 2}
 CHANNELS = ("luminance", *COLOURS)

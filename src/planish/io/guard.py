@@ -16,11 +16,10 @@ from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.threads import control_groups
 
 MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
+# Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below.
 BLOWN_UP_RATIO = 2000
-"""Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below."""
-
+# Below this size a decoded image does no harm whatever its ratio, so small constant images pass.
 BLOWN_UP_FROM_BYTES = 16 * 2**20
-"""Below this size a decoded image does no harm whatever its ratio, so small constant images pass."""
 
 
 class _Quiet:
@@ -150,7 +149,7 @@ def _available_on_windows(kernel: Any) -> int:
 
 def _control_group_limit_bytes(
     membership: Path = Path("/proc/self/cgroup"), groups: Path = Path("/sys/fs/cgroup")
-) -> int:  # fmt: skip
+) -> int:
     """Least memory limit of the control groups of the process (containers, batch systems); a huge number if none."""
     limits = [2**62]
     ends = ((groups, False), (groups / "memory", True))

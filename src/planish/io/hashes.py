@@ -16,8 +16,8 @@ from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
 from planish.io.slice_volume import is_slice_name, read_scan, slice_files
 
+# List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it.
 CHECKSUMS = "checksums.sha256"
-"""List of the shards of a level with their SHA-256, in the folder of the level, as ``sha256sum -c`` reads it."""
 
 Where = tuple[slice, slice, slice]
 Array = zarr.Array[Any]
@@ -137,8 +137,8 @@ def files_of(place: Place) -> list[Path]:
     return [path] if kind is TIFF else list(dict.fromkeys(loader(kind)(place, None, sys.maxsize).files))
 
 
+# Hashes of files read before by this process, by path, size, time of change and inode.
 _hashes_read: dict[tuple[Path, int, int, int], str] = {}
-"""Hashes of files read before by this process, by path, size, time of change and inode."""
 
 
 def hash_of_file(path: Path) -> str:

@@ -145,8 +145,8 @@ def describe_volumes(path: Path) -> str:
     return f"Its volumes are {names}{more}: choose one as {path.name}:{volumes[0][0]}."
 
 
+# Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside.
 SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution", "voxel_um")
-"""Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside."""
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:

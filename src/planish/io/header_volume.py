@@ -224,7 +224,6 @@ class MetaArray(FileArray):
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
 KEYS = ("file", "shape", "dtype", "byte_order", "offset", "voxel_um")
 LARGEST_TOML = 100_000
-
 EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
 
 

@@ -22,8 +22,7 @@ from planish.io.sizes import PIXEL, Stated, agreed_size
 if TYPE_CHECKING:
     import xarray as xr
 
-GREY = "Relative grey"
-"""Long name of the values of an image without references for dark and white."""
+GREY = "Relative grey"  # long name of the values of an image without references for dark and white
 
 
 def read_image(

@@ -28,14 +28,12 @@ from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
 from planish.io.volume import declared_volume, load_volume
 
+# Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-"""Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred."""
-
 # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
 COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
-
 LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
 
 Size = Callable[[], tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
@@ -187,7 +185,7 @@ def _describe_sections(
 
 def _describe_image(
     path: Path, agreed: partial[Any], memory_bytes: int, look: Callable[[Values], None] | None, wanted: bool
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
     warnings: list[str] = []
     picture = None

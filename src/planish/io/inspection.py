@@ -18,7 +18,6 @@ from planish.io.lazy import EAGER_BYTES, Values
 from planish.io.slice_volume import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
-
 SAMPLE_BYTES = 256 * 2**20  # what is read of a volume that is too large to be read for a look
 
 

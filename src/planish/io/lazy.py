@@ -35,8 +35,7 @@ class FileArray(LazyArray):
         return reading(self.path)
 
 
-Values = NDArray[Any] | FileArray
-"""Values in memory, mapped, or left in their file."""
+Values = NDArray[Any] | FileArray  # values in memory, mapped, or left in their file
 
 
 class PagedArray(FileArray):

@@ -20,8 +20,8 @@ from planish.io.lazy import FileArray, WholeArray, transposed
 from planish.io.sizes import stated_in
 from planish.io.tiff import size_words
 
+# Variable with the voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside the volume.
 SIZE_VARIABLE = "voxel_um"
-"""Variable with the voxel size, one number or z, y, x: no habit of MATLAB, but it can be saved beside the volume."""
 
 
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:

@@ -20,8 +20,8 @@ Index = Annotated[int, Field(ge=0)]
 Channel = Literal["luminance", "red", "green", "blue"]
 
 HOW_VOLUMES_ARE_READ = {"voxel_um", "channel", "override_size", "unusual_size"}
+# Options that the reading functions take.
 HOW_IMAGES_ARE_READ = {"pixel_um", "channel", "override_size", "unusual_size"}
-"""Options that the reading functions take."""
 
 
 class VolumeParams(Params):

@@ -25,11 +25,9 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile
 }  # fmt: skip
 
+# Types of Pillow's modes; all others have 8 bits.
 RASTER_TYPES = {"1": np.bool_, "I": np.int32, "I;16": np.uint16, "I;16B": np.uint16, "F": np.float32}
-"""Types of Pillow's modes; all others have 8 bits."""
-
 ADVICE = "One picture is needed: save it alone."
-
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 
 Colour = Literal["grey", "rgb", "other"]

@@ -24,6 +24,7 @@ from planish.io.guard import reading
 if TYPE_CHECKING:
     from tifffile import TiffFile, TiffPage
 
+# Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu.
 UNITS_UM = {
     "pm": 1e-6, "picometer": 1e-6, "picometre": 1e-6,
     "å": 1e-4, "angstrom": 1e-4, "ångström": 1e-4,
@@ -35,7 +36,6 @@ UNITS_UM = {
     "m": 1e6, "meter": 1e6, "metre": 1e6, "meters": 1e6, "metres": 1e6,
     "in": 25400.0, "inch": 25400.0, "inches": 25400.0,
 }  # fmt: skip
-"""Length of each unit in um. Keys are case-folded, which also makes the micro sign a Greek mu."""
 
 OVERRIDE = "--override-size"
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument

@@ -32,11 +32,11 @@ from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_pi
 from planish.io.sizes import Stated
 from planish.io.tiff import open_series, size_words, stored_rows
 
+# Files with other extensions (logs, licences, thumbnails of the system) are no slices.
 EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
-"""Files with other extensions (logs, licences, thumbnails of the system) are no slices."""
-
 MOST_NAMES = 8  # names or numbers written out in a message
 
+# Keys of a log that describe how the volume was made.
 DETAIL_KEYS = {
     "system": ("Scanner", "Software version", "Software", "Source Type", "Camera"),
     "acquisition": (
@@ -50,7 +50,6 @@ DETAIL_KEYS = {
         "Minimum for CS to Image Conversion", "Maximum for CS to Image Conversion",
     ),
 }  # fmt: skip
-"""Keys of a log that describe how the volume was made."""
 
 
 def list_slices(folder: Path) -> list[Path]:

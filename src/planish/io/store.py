@@ -33,14 +33,12 @@ from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.hashes import Array, ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
 
+# Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels.
 CHUNK = (64, 96, 96)
-"""Voxels that are decompressed together; divisible by the widths of columns that are measured, 1 to 4 voxels."""
-
 SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
 _LOCK = "lock"
 _AT_WORK = 2  # blocks: one is read while the other is compressed
-
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
 
 Progress = Callable[[str, int, int], None]

@@ -23,8 +23,8 @@ from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import size_words
 
+# Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
-"""Files of a zarr store that are no chunks."""
 
 
 Keys = Mapping[str, Any]

@@ -56,10 +56,8 @@ Polarity = Literal["auto", "dark", "bright"]
 
 # Shares of the depth of the holes at which a floor may end.
 FLOOR_SHARES = (0.2, 0.08, 0.13, 0.27, 0.35)
-
 # Diameter of the middle of the default range.
 USUAL_UM = 173.2
-
 # Share of the least contrast from which on a mark is measured.
 SEEN = 0.6
 

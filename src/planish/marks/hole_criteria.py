@@ -57,7 +57,6 @@ DEEPER = 0.05
 BURNT = 0.15
 # This much more of the step at the rim itself means that nothing is burnt.
 MORE_OF_THE_STEP = 0.15
-
 # What another edge adds across the line of the two centres, of what it adds along it.
 ACROSS = 0.35
 # Of the variance of a centre, the part of a rim's own roughness; the rest is that of all rims.

@@ -23,7 +23,6 @@ MAPS = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bott
 PLACES = {"top": "below the top face", "centre": "at the centre surface", "bottom": "above the bottom face"}
 THROUGH, CLOSED, UNCLEAR = 0, 1, 2
 OTHER_SIDE = {THROUGH: "through", CLOSED: "closed", UNCLEAR: "unclear"}
-
 # A tapered hole is narrower, or wider, on the other side than what was asked for.
 OTHER_DIAMETER = 1.4
 # From one layer to another a hole moves by less than this share of its diameter: one that is more oblique is not round.

@@ -2,7 +2,7 @@ from .build import link as link
 from .build import map_sheet as map_sheet
 from .compare import correlate_maps as correlate_maps
 from .layers import find_holes as find_holes
-from .onto import resample_maps as resample_maps
+from .overlay import resample_maps as resample_maps
 from .registration import Registration as Registration
 from .registration import register_marks as register_marks
 from .run import Run as Run

@@ -22,7 +22,7 @@ from planish.io.run_folder import refuse_existing, remove
 from planish.io.store import write_store
 from planish.pipeline.run import Run
 
-Given = str | Path | Run | xr.DataArray
+LayerInput = str | Path | Run | xr.DataArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -56,7 +56,7 @@ class ArrayLayer:
 
 @contextmanager
 def layer_sources(
-    layers: Sequence[Given], out: str | Path | None, call: str
+    layers: Sequence[LayerInput], out: str | Path | None, call: str
 ) -> Generator[list[str | Path | ArrayLayer]]:
     """Give each layer its path; arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
 
@@ -101,7 +101,9 @@ def layer_sources(
             remove(folder)
 
 
-def _part(layer: Given, call: str) -> str | Path | tuple[Literal["volume", "image"], xr.DataArray, tuple[float, ...]]:
+def _part(
+    layer: LayerInput, call: str
+) -> str | Path | tuple[Literal["volume", "image"], xr.DataArray, tuple[float, ...]]:
     """The path of a layer; of an array its kind and size."""
     if isinstance(layer, Run):
         if layer.folder is None:

@@ -2,30 +2,35 @@
 
 from __future__ import annotations
 
+import difflib
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import xarray as xr
 from pydantic import ValidationError
 
 from planish.compute import Compute, Progress, silent
 from planish.core.errors import StudyError
-from planish.core.mistakes import mistakes
+from planish.core.mistakes import Key, mistakes, models_in
+from planish.core.options import Params, options_of, params_of
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
-from planish.pipeline.array_layers import ArrayLayer, Given, layer_sources
+from planish.pipeline.array_layers import ArrayLayer, LayerInput, layer_sources
 from planish.pipeline.run import Run, is_run
 from planish.pipeline.save import run_study
-from planish.pipeline.words import flag_of, sections_of
 from planish.study import SECTIONS, Kind, Study
 
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
 _OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
 _OF_A_VOLUME = ("surface", "properties", "flatten")
 _OF_THE_LINK = ("holes", "registration", "correlate")
+_ALIKE = 0.7  # of difflib
+_ARGUMENTS = ("out", "progress", "chain")
+_ALL = {**SECTIONS, "compute": Compute}
 
 
 def map_sheet(
@@ -62,7 +67,7 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
     """
-    return _made([layer], out, options, ("volume", *_OF_A_VOLUME), compute, progress, "pl.map_sheet")
+    return _make([layer], out, options, ("volume", *_OF_A_VOLUME), compute, progress, "pl.map_sheet")
 
 
 def link(
@@ -103,11 +108,11 @@ def link(
     """
     if len(layers) < 2:
         raise StudyError("Something to link it to is missing: give two layers or more, the reference last.")
-    return _made(layers, out, options, tuple(SECTIONS), compute, progress, "pl.link", chain=chain)
+    return _make(layers, out, options, tuple(SECTIONS), compute, progress, "pl.link", chain=chain)
 
 
-def _made(
-    layers: Sequence[Given], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
+def _make(
+    layers: Sequence[LayerInput], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
     compute: Compute | None, progress: Progress, call: str, *, chain: bool = False,
 ) -> Run:  # fmt: skip
     """Make a run of paths and arrays."""
@@ -134,89 +139,163 @@ def study_of(
     options = {name: dict(values) for name, values in sections.items()}
     if unknown := sorted(set(options) - set(SECTIONS)):
         raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(SECTIONS)}.")
-    parts = [(None, layer.path) if isinstance(layer, ArrayLayer) else _named(str(layer)) for layer in layers]
-    kinds: list[Kind] = [
-        layer.kind if isinstance(layer, ArrayLayer) else _kind_of(path) if len(parts) > 1 else "volume"
-        for layer, (_, path) in zip(layers, parts, strict=True)
-    ]
-    stated = [layer.options() if isinstance(layer, ArrayLayer) else {} for layer in layers]
-    names = _all_names(parts, kinds)
+    sources = [_source(layer, is_link=len(layers) > 1) for layer in layers]
     # What is given and means nothing without a volume.
     unused = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
     unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
-    if "volume" not in kinds and unused:
+    if unused and all(source.kind != "volume" for source in sources):
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
         raise StudyError(
-            f"{flags}: for volumes only, and {', '.join(p.name for _, p in parts)} is none. A run keeps "
+            f"{flags}: for volumes only, and {', '.join(source.path.name for source in sources)} is none. A run keeps "
             "the options that it was made with; map the volume again to change them."
         )
-    if len(kinds) > 2 and options.get("registration", {}).get("marks"):
+    if len(sources) > 2 and options.get("registration", {}).get("marks"):
         raise StudyError(
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
+    tables = [_table(name, source, options) for name, source in zip(_all_names(sources), sources, strict=True)]
+    of_link = {k: options[k] for k in _OF_THE_LINK if k in options}
     try:
-        made = [
-            _layer(name, kind, path, options, of_array)
-            for name, kind, (_, path), of_array in zip(names, kinds, parts, stated, strict=True)
-        ]
-        more = {k: options[k] for k in _OF_THE_LINK if k in options}
-        return Study.model_validate({"layers": made, "chain": chain, **more})
+        return Study.model_validate({"layers": tables, "chain": chain, **of_link})
     except ValidationError as error:
         faults = dict.fromkeys(mistakes(error, Study, lambda loc: (flag_of(loc), None)))
         raise StudyError("; ".join(faults)) from error
 
 
-def _layer(
-    name: str, kind: Kind, path: Path, options: Mapping[str, dict[str, Any]], of_array: Mapping[str, Any]
-) -> dict[str, Any]:
-    place = str(path.absolute())
-    volume = options.get("volume", {})
-    if kind == "run":
-        return {"name": name, "run": place, "md_deg": volume.get("md_deg")}
-    if kind == "image":
-        both = {name: volume[name] for name in _OF_BOTH if name in volume}
-        return {"name": name, "image": both | {**of_array} | options.get("image", {}) | {"path": place}}
-    mapping = {k: options[k] for k in _OF_A_VOLUME if k in options}
-    return {"name": name, "volume": {**of_array} | volume | {"path": place}, **mapping}
+class _Source(NamedTuple):
+    """What a layer is made of: its name, if it was given, and what an array says of itself."""
+
+    name: str | None
+    path: Path
+    kind: Kind
+    options: dict[str, Any]
 
 
-def _kind_of(path: Path) -> Kind:
-    """Whether a path is a run, an image or a volume; its own reader names its faults."""
-    if is_run(path):
-        return "run"
-    place = find_place(path)
-    return "image" if not is_section_folder(place.path) and is_image(place) else "volume"
+def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> _Source:
+    """Tell a run, an image and a volume; its own reader names its faults. A text may be ``NAME=PATH``."""
+    if isinstance(layer, ArrayLayer):
+        return _Source(None, layer.path, layer.kind, layer.options())
+    name, path = None, Path(layer)
+    prefix, sign, rest = str(layer).partition("=")
+    if sign and rest and not find_place(str(layer)).path.exists():
+        if _NAME.fullmatch(prefix):
+            name, path = prefix, Path(rest)
+        elif find_place(rest).path.exists():
+            raise StudyError(
+                f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
+            )
+    kind: Kind = "volume"
+    if is_link and is_run(path):
+        kind = "run"
+    elif is_link and not is_section_folder((place := find_place(path)).path) and is_image(place):
+        kind = "image"
+    return _Source(name, path, kind, {})
 
 
-def _named(text: str) -> tuple[str | None, Path]:
-    """Part ``NAME=PATH``."""
-    name, sign, rest = text.partition("=")
-    if not sign or not rest or find_place(text).path.exists():
-        return None, Path(text)
-    if _NAME.fullmatch(name):
-        return name, Path(rest)
-    if find_place(rest).path.exists():
-        raise StudyError(
-            f"{name!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
-        )
-    return None, Path(text)
+def _table(name: str, source: _Source, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """The table of a layer in a study."""
+    place, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
+    if source.kind == "run":
+        return {"name": name, "run": place["path"], "md_deg": volume.get("md_deg")}
+    if source.kind == "image":
+        shared = {name: volume[name] for name in _OF_BOTH if name in volume}
+        return {"name": name, "image": shared | source.options | options.get("image", {}) | place}
+    of_volume = {k: options[k] for k in _OF_A_VOLUME if k in options}
+    return {"name": name, "volume": source.options | volume | place, **of_volume}
 
 
-def _all_names(parts: Sequence[tuple[str | None, Path]], kinds: Sequence[Kind]) -> list[str]:
+def _all_names(sources: Sequence[_Source]) -> list[str]:
     """Names of all layers: as given; sheet and image where there is one of each; else those of the files.
 
     Files of the same name are told apart by their folders.
     """
-    usual = ["image" if kind == "image" else "sheet" for kind in kinds]
+
+    def as_name(text: str) -> str:
+        return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
+
+    usual = ["image" if source.kind == "image" else "sheet" for source in sources]
     if len(set(usual)) == len(usual):
-        return [name or word for (name, _), word in zip(parts, usual, strict=True)]
-    places = [find_place(path.absolute()) for _, path in parts]
-    stems = [name or _as_name(place.stem) for (name, _), place in zip(parts, places, strict=True)]
+        return [source.name or word for source, word in zip(sources, usual, strict=True)]
+    places = [find_place(source.path.absolute()) for source in sources]
+    stems = [source.name or as_name(place.stem) for source, place in zip(sources, places, strict=True)]
     return [
-        name or (f"{_as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
-        for (name, _), place, stem in zip(parts, places, stems, strict=True)
+        source.name or (f"{as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
+        for source, place, stem in zip(sources, places, stems, strict=True)
     ]
 
 
-def _as_name(text: str) -> str:
-    return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
+# --- options in the words of the command line: through="y" for --through y, beside whole sections ---------------------
+
+
+def sections_of(
+    options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
+) -> tuple[dict[str, dict[str, Any]], Compute | None]:
+    """Sort what a call was given into sections of a study, and what may be used.
+
+    Raises
+    ------
+    InputError
+        If a word is unknown, or given twice; all faults are named.
+    """
+    places = words_of([*sections, "compute"])
+    tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
+    faults: list[str] = []
+    for section, value in options.items():
+        if section in sections and isinstance(value, Params):
+            tables[section] = value.model_dump(exclude_unset=True)
+        elif section in sections and isinstance(value, Mapping):
+            tables[section] = deepcopy(dict[str, Any](value))
+        elif section in sections:
+            faults.append(f"{section}={value!r}: needed is a dict of options, or one of them by itself.")
+    for word, value in options.items():
+        if word in sections or value is None:
+            continue
+        if word not in places:
+            faults.append(_unknown(word, [*sections, *places, *_ARGUMENTS]))
+            continue
+        *outer, name = places[word]
+        table = tables
+        for part in outer:
+            table = table.setdefault(part, {})
+        if value is True and any(place[:-1] == places[word] for place in places.values()):
+            table.setdefault(name, {})  # options of their own, which this word switches on
+        elif table.get(name) is not None:
+            faults.append(f"{word}= is given twice, by itself and in {outer[0]}=. Leave one out.")
+        else:
+            table[name] = value
+    if faults:
+        raise StudyError(f"{call}: {' '.join(faults)}")
+    limits = tables.pop("compute", None)
+    return tables, None if limits is None else params_of(Compute, limits, call)
+
+
+def flag_of(loc: Key) -> Key:
+    """The option of the command line for a place in a study, as a message names it; the place where there is none."""
+    names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
+    flags = {place: f"--{word.replace('_', '-')}" for word, place in words_of(SECTIONS).items()}
+    # A message about a whole section is one of options that do not fit together, which it names.
+    if len(names) == 1 and names[0] in SECTIONS:
+        return ()
+    return (flags[names],) if names in flags else names
+
+
+def words_of(sections: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Words of some sections, and where each stands in a study; of the same word in two the first one."""
+    places = [pair for section in sections for pair in _words(_ALL[section], section)]
+    return dict(reversed(places))
+
+
+def _words(model: type[Params], *outer: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for name, field, shown in options_of(model):
+        yield from ((flag[2:].replace("-", "_"), (*outer, name)) for flag in shown.flags if flag.startswith("--"))
+        for inner in models_in(field.annotation):
+            if issubclass(inner, Params):
+                yield from _words(inner, *outer, name)
+
+
+def _unknown(word: str, possible: list[str]) -> str:
+    if likely := difflib.get_close_matches(word.casefold(), possible, 1, _ALIKE):
+        return f"{word}= is unknown; did you mean {likely[0]}=?"
+    if word in SECTIONS or word in words_of(SECTIONS):
+        return f"{word}= is for pl.link, which has an image and marks. Leave it out."
+    return f"{word}= is unknown. The words are those of the command line: planish link --help."

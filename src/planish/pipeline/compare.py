@@ -24,7 +24,7 @@ from planish.resample import Mesh, resample
 from planish.results import ComparisonRow, CorrelationRow
 
 _LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
-WAYS = (
+REGISTRATION_VARIANTS = (
     ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
     ("projection, similarity", ("projected_u", "projected_v"), "similarity"),
     ("flattened, similarity", ("u", "v"), "similarity"),
@@ -139,7 +139,7 @@ def comparison_rows(
     """
     grid, measured = Grid.of(linked), sheet["surfaces"]
     ways: list[tuple[str, float, Mesh | None]] = []
-    for title, names, model in WAYS:
+    for title, names, model in REGISTRATION_VARIANTS:
         if model == fit.model and names == ("u", "v"):
             continue  # the run's own
         marks = fit.moving if names == ("u", "v") else values_at(sheet["maps"], names, fit.moving)

@@ -1,7 +1,8 @@
-"""A layer of a run, a sheet with its maps or an image, and the laser holes that it shows."""
+"""A layer of a run, a sheet with its maps or an image; sheets as they are mapped, and the laser holes of layers."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Literal
@@ -18,6 +19,9 @@ from planish.marks import HoleParams, find_sheet_holes, without_dots
 from planish.marks import find_holes as find_image_holes
 from planish.results import SheetFacts
 from planish.study import LayerParams
+
+Shown = xr.DataArray | Mapping[str, xr.Dataset]
+"""What is brought to the reference: an image, or the groups of a sheet; the maps only where it is the reference."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -37,7 +41,6 @@ class Layer:
     by_this_code: bool = True  # not of a sheet that was read from a run of other code
     facts: SheetFacts | None = None  # of a sheet
     checks: tuple[Check, ...] = ()  # of a sheet and its volume
-    _holes: dict[Side, xr.Dataset] = field(default_factory=dict)
 
     @property
     def name(self) -> str:
@@ -48,6 +51,11 @@ class Layer:
     def kind(self) -> Literal["sheet", "image"]:
         """What it is."""
         return "sheet" if self.image is None else "image"
+
+    @property
+    def shown(self) -> Shown:
+        """What is brought to the reference: an image as it is compared, or the groups of a sheet."""
+        return self.groups if self.compared is None else self.compared
 
     @property
     def grid(self) -> Grid:
@@ -64,18 +72,44 @@ class Layer:
         """Side of the sheet that it shows: the top for flat maps, and for an image where nothing is given."""
         return self.side_given or "top"
 
-    @property
-    def holes_found(self) -> list[xr.Dataset]:
-        """Holes that were looked for so far."""
-        return [*self._holes.values()]
 
-    def holes(self, params: HoleParams, side: Side) -> xr.Dataset:
-        """Its laser holes; those of a sheet as the face ``side`` shows them."""
-        key: Side = side if self.image is None else self.side
+@dataclass(slots=True)
+class MappedSheets:
+    """Sheets of the volumes of a study, by name; the caller reads here what was mapped, whatever becomes of the link.
+
+    ``ready`` need not be mapped again, ``similar`` have the same surfaces but for corrections, and other parameters.
+    """
+
+    ready: Mapping[str, Layer] = field(default_factory=dict[str, Layer])
+    similar: Mapping[str, Layer] = field(default_factory=dict[str, Layer])
+    mapped: dict[str, Layer] = field(default_factory=dict[str, Layer])
+
+    def add(self, sheet: Layer) -> None:
+        """Add a sheet that was mapped."""
+        self.mapped[sheet.name] = sheet
+
+    def by_name(self) -> dict[str, Layer]:
+        """All sheets that are mapped by now."""
+        return {**self.ready, **self.mapped}
+
+
+class LayerHoles:
+    """Laser holes of the layers of a link by one set of parameters; each face is searched once."""
+
+    def __init__(self, params: HoleParams) -> None:
+        self.params, self._holes = params, dict[tuple[str, Side], xr.Dataset]()
+
+    def of(self, layer: Layer, to: Layer) -> xr.Dataset:
+        """Holes of an image, or of a sheet, which is seen from its top, in the face that the layer ``to`` shows."""
+        shown, side = (layer.groups["maps"], to.side) if layer.image is None else (layer.image, layer.side)
+        key: tuple[str, Side] = (layer.name, side)
         if key not in self._holes:
-            shown = self.groups["maps"] if self.image is None else self.image
-            self._holes[key] = find_holes(shown, params=params, side=key, layer=self.name)
+            self._holes[key] = find_holes(shown, params=self.params, side=side, layer=layer.name)
         return self._holes[key]
+
+    def searched(self, layer: Layer) -> list[xr.Dataset]:
+        """Holes in all faces of a layer that were searched."""
+        return [holes for (name, _), holes in self._holes.items() if name == layer.name]
 
 
 def find_holes(
@@ -112,10 +146,10 @@ def find_holes(
     if side is not None:
         check_choice("side", side, SIDES)
     if isinstance(shown, xr.Dataset):
-        found = find_sheet_holes(shown, params=params, side=side or "top")
-        return found.assign_attrs(layer=layer or "sheet", seen_from="top")
+        holes = find_sheet_holes(shown, params=params, side=side or "top")
+        return holes.assign_attrs(layer=layer or "sheet", seen_from="top")
     down, across = check_image(shown, "pl.find_holes({})")
     pixel, side = (down, across), side or shown.attrs.get("side") or "top"
     grey = without_dots(shown.values, pixel, params.hole_um[0]) if params.printed else shown.values
-    found = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
-    return found.assign_attrs(layer=layer or "image", seen_from=side)
+    holes = find_image_holes(grey, pixel_um=pixel, diameter_um=params.hole_um)
+    return holes.assign_attrs(layer=layer or "image", seen_from=side)

@@ -45,16 +45,10 @@ _SHARES = {  # their words, and what would lower them
 
 
 class PositionErrors:
-    """How far the pixels of a reference may be off, worked out at the places of a lattice.
+    """How far the pixels of a reference (``grid``) may be off, worked out at the places of a lattice.
 
-    Parameters
-    ----------
-    sheet : mapping of Dataset, or None
-        ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image that was moved.
-    chain : Chain
-        From the sheet's map to the reference.
-    grid : Grid
-        Pixels of the reference.
+    ``sheet`` holds ``surfaces``, ``flat`` and, of serial sections, ``sections``; None for an image that was moved.
+    ``chain`` goes from its map to the reference.
     """
 
     def __init__(self, sheet: Mapping[str, xr.Dataset] | None, chain: Chain, grid: Grid) -> None:
@@ -70,19 +64,10 @@ class PositionErrors:
             self._shares["sections"] = np.full(places.shape[:2], poses * chain.similarity.scale)
 
     def on(self, part: Grid, shown: Floats) -> dict[str, xr.DataArray]:
-        """All shares and their sum for some pixels of the reference.
+        """Errors of the place of some pixels of the reference (y, x), rms, um: ``expected_error``, and shares of it.
 
-        Parameters
-        ----------
-        part : Grid
-        shown : (y, x)
-            Finite where a pixel shows the layer.
-
-        Returns
-        -------
-        dict of DataArray (y, x), in um
-            ``expected_error``, and of a sheet ``error_marks``, ``error_neutral``, ``error_smoothing``,
-            ``error_sections`` where they exist; root mean square, of the distance.
+        ``shown`` (y, x) is finite where a pixel shows the layer. The shares of a sheet are ``error_marks``,
+        ``error_neutral``, ``error_smoothing`` and ``error_sections`` where they exist.
         """
         is_shown = np.isfinite(shown)
         shares = {k: np.where(is_shown, self._lattice.between(v, part), np.nan) for k, v in self._shares.items()}

@@ -31,7 +31,7 @@ def regions_on(path: str | None, grid: Grid) -> Regions | None:
     regions = read_regions(path).on(grid)
     share = region_facts(regions, grid).share
     if share in (0, 1):
-        x, y = (f"{at[0]:g} to {at[-1]:g} um" for at in (grid.x_um, grid.y_um))
+        x, y = (f"{places[0]:g} to {places[-1]:g} um" for places in (grid.x_um, grid.y_um))
         raise InputError(
             f"{Path(path).name}: {'every' if share else 'no'} pixel of the reference lies in a region. Its pixels lie "
             f"at x from {x} and y from {y}. Give regions of this reference: GeoJSON in um, selections of ImageJ in its "
@@ -46,8 +46,8 @@ def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
     for rows in bands(grid.shape[0]):
         part = grid.part(rows)
         inside = np.zeros(part.shape, dtype=bool)
-        for k, one in enumerate(regions.declared):
-            window, mask = one.inside(part)
+        for k, region in enumerate(regions.declared):
+            window, mask = region.inside(part)
             inside[window] |= mask
             one_by_one[k] += np.count_nonzero(mask)
         together += int(np.count_nonzero(inside))

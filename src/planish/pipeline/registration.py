@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -16,12 +16,14 @@ from planish.core.facts import HoleTiltFacts
 from planish.core.frame import Frame
 from planish.core.grid import values_at
 from planish.core.options import params_of
+from planish.core.typing import Bools, Floats
 from planish.marks import hole_tilt
 from planish.marks.design import Pattern, read_pattern
 from planish.marks.files import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any
 from planish.marks.files.model import RESULTS
-from planish.pipeline.layers import Layer
+from planish.pipeline.layers import Layer, LayerHoles
 from planish.register import (
+    Chain,
     DesignedHoles,
     FittedTransform,
     RegistrationParams,
@@ -31,8 +33,6 @@ from planish.register import (
 )
 from planish.register import register_marks as match_and_fit
 from planish.study import Study
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -68,7 +68,7 @@ class Registration:
     design: str | None = None
     tilt: HoleTiltFacts | None = None
 
-    def __call__(self, points: Any) -> Array:
+    def __call__(self, points: Any) -> Floats:
         """Take points from the moving to the fixed layer, in um."""
         return self.fit(points)
 
@@ -121,15 +121,15 @@ class Registration:
                 f"{Path(path).name} holds marks without a registration. Make one with 'planish register', or give the "
                 "marks.json of a run."
             )
-        found = cls(fit=registration_from_json(saved), marks=marks, source="json")
-        mask = paired(marks)
-        at = [np.stack([marks[f"{s}_{k}"].values[mask] for k in "xy"], axis=1) for s in ("moving", "fixed")]
-        if not (np.array_equal(at[0], found.fit.moving) and np.array_equal(at[1], found.fit.fixed)):
-            raise MarkError(
-                f"The marks in {Path(path).name} were changed after the registration was fitted to them. Register them "
-                "again: planish register, or planish link --marks."
-            )
-        return found
+        registration = cls(fit=registration_from_json(saved), marks=marks, source="json")
+        mask, fit = paired(marks), registration.fit
+        for side, fitted in (("moving", fit.moving), ("fixed", fit.fixed)):
+            if not np.array_equal(_places(marks, side)[mask], fitted):
+                raise MarkError(
+                    f"The marks in {Path(path).name} were changed after the registration was fitted to them. Register "
+                    "them again: planish register, or planish link --marks."
+                )
+        return registration
 
 
 # --- marks that are found ------------------------------------------------------------------------------------------
@@ -169,19 +169,18 @@ def register_marks(
     for holes, call in ((moving, "pl.register_marks({}, fixed)"), (fixed, "pl.register_marks(moving, {})")):
         check_dataset(holes, "x", "y", what="holes", maker="pl.find_holes(...)", call=call)
     r = params_of(RegistrationParams, params, "pl.register_marks")
-    pattern = read_design(r)
     designed = None
-    if pattern is not None:
+    if (pattern := read_design(r)) is not None:
         designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
-    found = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
-    marks = _all_marks(moving, fixed, found.pairs, list(found.labels))
+    match = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
+    marks = _all_marks(moving, fixed, match.pairs, match.labels)
     return Registration(
-        fit=found.fit, marks=_with_residuals(marks, found.fit), sentence=found.sentence,
-        second_best=found.second_best, design=found.design, tilt=hole_tilt(moving),
+        fit=match.fit, marks=_with_residuals(marks, match.fit), sentence=match.sentence,
+        second_best=match.second_best, design=match.design, tilt=hole_tilt(moving),
     )  # fmt: skip
 
 
-def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], labels: list[str]) -> xr.Dataset:
+def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], labels: tuple[str, ...]) -> xr.Dataset:
     """All holes of both layers: the pairs first, then those of the moving and of the fixed layer alone."""
     alone = [np.setdiff1d(np.arange(h.sizes["mark"]), pairs[:, k]) for k, h in enumerate((moving, fixed))]
     nowhere = [np.full(n.size, -1) for n in alone]
@@ -199,62 +198,69 @@ def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], l
     return make_marks(names, layers, about=about)
 
 
-def paired(marks: xr.Dataset) -> NDArray[np.bool_]:
+def _places(marks: xr.Dataset, side: str, axes: str = "xy") -> Floats:
+    """Places (mark, 2 or 3) of all marks in a layer, in um."""
+    return np.stack([marks[f"{side}_{axis}"].values for axis in axes], axis=1)
+
+
+def paired(marks: xr.Dataset) -> Bools:
     """Marks that are in use and lie in both layers."""
     moving = "volume" if "volume_x" in marks else "moving"  # places in a volume become places on the map of its sheet
-    there = [np.isfinite(marks[f"{side}_x"].values) for side in (moving, "fixed")]
-    return np.asarray(marks["used"].values, dtype=bool) & there[0] & there[1]
+    is_placed = [np.isfinite(marks[f"{side}_x"].values) for side in (moving, "fixed")]
+    return np.asarray(marks["used"].values, dtype=bool) & is_placed[0] & is_placed[1]
 
 
 def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
     """The marks with what the fit leaves of each."""
     used = paired(marks)
-    for name, values in (("residual", np.hypot(*fit.residuals_um.T)), ("leave_one_out", fit.leave_one_out_um)):
-        all_ = np.full(used.size, np.nan)
-        all_[used] = values
-        marks = marks.assign({name: ("mark", all_, {"units": "um", "long_name": RESULTS[name]})})
+    for name, of_pairs in (("residual", np.hypot(*fit.residuals_um.T)), ("leave_one_out", fit.leave_one_out_um)):
+        column = np.full(used.size, np.nan)
+        column[used] = of_pairs
+        marks = marks.assign({name: ("mark", column, {"units": "um", "long_name": RESULTS[name]})})
     return marks
 
 
 # --- marks of two layers ---------------------------------------------------------------------------------------------
 
 
-def register_layers(layer: Layer, to: Layer, study: Study) -> Registration:
+class Link(NamedTuple):
+    """How a layer comes to the reference: its registration to the next layer of the path, and all of them composed."""
+
+    path: list[Layer]
+    registration: Registration
+    chain: Chain
+
+
+def register_layers(layer: Layer, to: Layer, holes: LayerHoles, study: Study) -> Registration:
     """Register one layer to another one by the marks that the study names, or by the holes of both."""
-    r, params = study.registration, study.holes
-
-    def holes(of: Layer, other: Layer) -> xr.Dataset:
-        # A sheet is always seen from its top; its holes are searched in the face that the image shows.
-        return of.holes(params, other.side if other.kind == "image" else "top")
-
-    path = layer.params.marks or r.marks
+    params = study.registration
+    path = layer.params.marks or params.marks
     if path is None:
-        return register_marks(holes(layer, to), holes(to, layer), params=r, hole_um=params.hole_um)
+        return register_marks(holes.of(layer, to), holes.of(to, layer), params=params, hole_um=holes.params.hole_um)
     marks = read_given(path, layer, to)
     used = paired(marks)
-    sides = {"moving": "bottom" if layer.side != to.side else "top", "fixed": "top"}
-    both = [_marked(marks, side, used).assign_attrs(seen_from=seen) for side, seen in sides.items()]
-    fit = match_and_fit(*both, params=r, pairs=np.stack([np.flatnonzero(used)] * 2, axis=1)).fit
-    for side, one, other in (("moving", layer, to), ("fixed", to, layer)):
-        there = np.isfinite(marks[f"{side}_x"].values)
-        if f"{side}_diameter" not in marks or not np.isfinite(marks[f"{side}_diameter"].values[there]).all():
-            marks = _with_diameters(marks, side, holes(one, other), float(np.mean(params.hole_um)))
+    seen_from = {"moving": "bottom" if layer.side != to.side else "top", "fixed": "top"}
+    placed = [_marked(marks, side, used).assign_attrs(seen_from=seen) for side, seen in seen_from.items()]
+    fit = match_and_fit(*placed, params=params, pairs=np.stack([np.flatnonzero(used)] * 2, axis=1)).fit
+    for side, a, b in (("moving", layer, to), ("fixed", to, layer)):
+        is_placed = np.isfinite(marks[f"{side}_x"].values)
+        if f"{side}_diameter" not in marks or not np.isfinite(marks[f"{side}_diameter"].values[is_placed]).all():
+            marks = _with_diameters(marks, side, holes.of(a, b), float(np.mean(holes.params.hole_um)))
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
     return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
 
 
-def check_marks(layer: Layer | str, to: Layer | str, study: Study, marks: str | None) -> None:
+def check_marks(layer: Layer | str, to: Layer | str, holes: LayerHoles, path: str | None) -> None:
     """Refuse what cannot be registered, before a volume is mapped: too few holes in an image, or marks of no use.
 
-    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``marks`` is the file of this layer.
+    ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the file of their marks.
     """
-    path = marks or study.registration.marks
     if path is not None:
         _read_pairs(path, layer, to)
         return
-    for one in (layer, to):
-        if not isinstance(one, str) and one.kind == "image":
-            need_holes(one.holes(study.holes, one.side), study.holes.hole_um)
+    for image in (layer, to):
+        if not isinstance(image, str) and image.kind == "image":
+            need_holes(holes.of(image, image), holes.params.hole_um)
 
 
 def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
@@ -265,17 +271,17 @@ def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
 
 def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset:
     """Read three pairs or more."""
-    about = [
+    pixels = [
         LayerPixels()
         if isinstance(layer, str) or layer.image is None
         else LayerPixels(pixel_um=layer.grid.pixel_um, shape=layer.grid.shape)
         for layer in (moving, fixed)
     ]
-    marks = read_any(path, moving=about[0], fixed=about[1])
+    marks = read_any(path, moving=pixels[0], fixed=pixels[1])
     pair_of_layers(marks, name=Path(path).name)  # one layer alone is refused
-    if int(paired(marks).sum()) < 3:
+    if (count := int(paired(marks).sum())) < 3:
         raise MarkError(
-            f"{Path(path).name} holds {int(paired(marks).sum())} pairs of marks in use; a registration needs 3 to say "
+            f"{Path(path).name} holds {count} pairs of marks in use; a registration needs 3 to say "
             "how good it is. Add more, far apart."
         )
     return marks
@@ -288,22 +294,21 @@ def volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
             f"The marks have places in a volume, and {layer.name} is an image. Give marks with places in both images "
             "(moving_x_um, moving_y_um), or the volume."
         )
-    measured, flat = layer.groups["surfaces"], layer.groups["flat"]
-    frame = Frame.of(measured)
-    points = np.stack([marks[f"volume_{axis}"].values for axis in (frame.cols, frame.rows)], axis=1)
-    uv = values_at(flat, ("u", "v"), points)
-    known: NDArray[np.bool_] = np.asarray(np.isfinite(points).all(axis=1))
-    lost = [str(n) for n, p, k in zip(marks["label"].values, uv, known, strict=True) if k and not np.isfinite(p).all()]
-    if lost:
+    frame = Frame.of(layer.groups["surfaces"])
+    points = _places(marks, "volume", frame.cols + frame.rows)
+    uv = values_at(layer.groups["flat"], ("u", "v"), points)
+    off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
+    if off_sheet.any():
         raise MarkError(
-            f"The marks {', '.join(lost)} do not lie on the sheet. Check the axes and the unit (um) of the table."
+            f"The marks {', '.join(map(str, marks['label'].values[off_sheet]))} do not lie on the sheet. Check the "
+            "axes and the unit (um) of the table."
         )
     moved = marks.drop_vars("volume_z")
     moved = moved.rename({n: str(n).replace("volume_", "moving_") for n in moved if str(n).startswith("volume_")})
     return moved.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
 
 
-def _marked(marks: xr.Dataset, side: str, used: NDArray[np.bool_]) -> xr.Dataset:
+def _marked(marks: xr.Dataset, side: str, used: Bools) -> xr.Dataset:
     """Marks of one layer as holes; with covariances where those of all pairs are known."""
     names = ["x", "y"]
     spread = [f"cov_{k}" for k in ("xx", "xy", "yy")]
@@ -314,26 +319,26 @@ def _marked(marks: xr.Dataset, side: str, used: NDArray[np.bool_]) -> xr.Dataset
 
 def _with_diameters(marks: xr.Dataset, side: str, holes: xr.Dataset, usual_um: float) -> xr.Dataset:
     """Give the marks of a layer the diameters of the holes that they lie in, and add the holes without a mark."""
-    at = np.stack([marks[f"{side}_{k}"].values for k in "xy"], axis=1)
-    found = np.stack([holes["x"].values, holes["y"].values], axis=1)
+    places, centres = _places(marks, side), np.stack([holes["x"].values, holes["y"].values], axis=1)
     size = holes["diameter"].values.astype(np.float64)
-    diameter = np.where(np.isfinite(at[:, 0]), usual_um, np.nan)
-    free = np.ones(len(found), dtype=bool)
-    if len(found):
-        apart = np.linalg.norm(at[:, None] - found, axis=2)
-        inside = apart < 0.5 * size
-        nearest = np.argmin(np.where(inside, apart, np.inf), axis=1)
+    diameter = np.where(np.isfinite(places[:, 0]), usual_um, np.nan)
+    free = np.ones(len(centres), dtype=bool)
+    if len(centres):
+        distance = np.linalg.norm(places[:, None] - centres, axis=2)
+        inside = distance < 0.5 * size
+        nearest = np.argmin(np.where(inside, distance, np.inf), axis=1)
         diameter = np.where(inside.any(axis=1), size[nearest], diameter)
         free = ~inside.any(axis=0)
     marks = marks.assign({f"{side}_diameter": ("mark", diameter, {"units": "um"})})
     if not free.any():
         return marks
+    numbers = np.flatnonzero(free)
     extra = xr.Dataset(
         {
-            f"{side}_x": ("mark", found[free, 0]), f"{side}_y": ("mark", found[free, 1]),
-            f"{side}_diameter": ("mark", size[free]), "used": ("mark", np.ones(int(free.sum()), dtype=bool)),
-            "label": ("mark", np.array([f"{side} {k + 1}" for k in np.flatnonzero(free)])),
-            f"{side}_source": ("mark", np.array(["detected"] * int(free.sum()))),
+            f"{side}_x": ("mark", centres[free, 0]), f"{side}_y": ("mark", centres[free, 1]),
+            f"{side}_diameter": ("mark", size[free]), "used": ("mark", np.ones(numbers.size, dtype=bool)),
+            "label": ("mark", np.array([f"{side} {k + 1}" for k in numbers])),
+            f"{side}_source": ("mark", np.array(["detected"] * numbers.size)),
         }
     )  # fmt: skip
     joined = xr.concat([marks, extra], dim="mark", data_vars="all", join="outer", combine_attrs="override")

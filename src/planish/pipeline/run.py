@@ -114,10 +114,11 @@ class Run:
                 "or 'planish link VOLUME IMAGE'."
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
-        kept = {k: v for k, v in self.groups.items() if k in _SHEET_GROUPS}
-        md_deg = params.md_deg if params.volume is None else params.volume.md_deg
-        own = tuple(check for check in self.checks if check.layers == (facts.name,))
-        return Layer(params=params, source=facts.source, md_deg=md_deg, groups=kept, facts=facts.sheet, checks=own)
+        return Layer(
+            params=params, source=facts.source, md_deg=params.md_deg if params.volume is None else params.volume.md_deg,
+            groups={k: v for k, v in self.groups.items() if k in _SHEET_GROUPS}, facts=facts.sheet,
+            checks=tuple(check for check in self.checks if check.layers == (facts.name,)),
+        )  # fmt: skip
 
     def __repr__(self) -> str:
         """Return its folder, layers, checks, groups, and r where it is a link: ten lines at most."""
@@ -199,11 +200,9 @@ def open_sheet(path: str | Path) -> Layer:
     """
     folder = Path(path)
     results, study = open_results(folder), read_study(folder / RUN_TOML)
-    run = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder)
-    sheet, same = run.sheet(), results.is_of_this_code
-    return replace(
-        sheet, by_this_code=same, unchanged=dict.fromkeys(sheet.groups, folder / MAPS) if same else {}
-    )  # fmt: skip
+    sheet = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder).sheet()
+    unchanged = dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {}
+    return replace(sheet, by_this_code=results.is_of_this_code, unchanged=unchanged)
 
 
 def open_results(folder: Path) -> Results:

@@ -18,7 +18,7 @@ from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.io import find_place, read_volume
 from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
-from planish.pipeline.facts import section_facts
+from planish.pipeline.summaries import section_facts
 from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
 
 _SLICES = 3
@@ -108,42 +108,41 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
     fixed = None
     if params.fixed_rows is not None or params.fixed_cols is not None:
         fixed = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
-    found = align_sections(series, fixed=fixed)
-    gains = normalise_sections(series)
-    volume = regular_volume(series, alignment=found, gains=gains, attrs=stack.attrs)
-    um = {"units": "um"}
+    poses, gains = align_sections(series, fixed=fixed), normalise_sections(series)
+    volume = regular_volume(series, alignment=poses, gains=gains, attrs=stack.attrs)
     first = float(volume.attrs["first_position_um"])
+    columns = {
+        "position": (stack.positions_um - first, "Place along the volume", "um"),
+        "shift_row": (poses.shift_um[:, 0], "Shift taken off, rows", "um"),
+        "shift_col": (poses.shift_um[:, 1], "Shift taken off, columns", "um"),
+        "rotation": (poses.rotation_rad, "Rotation taken off", "rad"),
+        "aligned": (poses.aligned, "Aligned; others count as missing", None),
+        "gain": (gains.gain, "Gain put on the grey", "1"),
+    }
     sections = xr.Dataset(
         {
-            "position": ("section", stack.positions_um - first, um | {"long_name": "Place along the volume"}),
-            "shift_row": ("section", found.shift_um[:, 0], um | {"long_name": "Shift taken off, rows"}),
-            "shift_col": ("section", found.shift_um[:, 1], um | {"long_name": "Shift taken off, columns"}),
-            "rotation": ("section", found.rotation_rad, {"units": "rad", "long_name": "Rotation taken off"}),
-            "aligned": ("section", found.aligned, {"long_name": "Aligned; others count as missing"}),
-            "gain": ("section", gains.gain, {"units": "1", "long_name": "Gain put on the grey"}),
+            name: ("section", values, ({} if units is None else {"units": units}) | {"long_name": title})
+            for name, (values, title, units) in columns.items()
         },
         attrs={
-            "kind": stack.kind,
-            "first_position_um": first,
-            "cutoff_um": found.cutoff_um,
+            "kind": stack.kind, "first_position_um": first, "cutoff_um": poses.cutoff_um,
             "missing": int(volume.attrs["sections_missing"]),
-            "jitter_left_um": [float(v) for v in found.jitter_left_um],
-            "pairs_used": found.pairs_used,
-            "pairs_refused": found.pairs_refused,
-            "fixed": [name for name, held in zip(("row", "col", "rotation"), found.fixed, strict=True) if held],
+            "jitter_left_um": [float(v) for v in poses.jitter_left_um], "pairs_used": poses.pairs_used,
+            "pairs_refused": poses.pairs_refused,
+            "fixed": [name for name, held in zip(("row", "col", "rotation"), poses.fixed, strict=True) if held],
         },
-    )
+    )  # fmt: skip
     return volume, sections
 
 
 def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
     """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
     rows = volume.sizes[frame.rows] // step * step
-    at = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
-    parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in at]
+    shown = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
+    parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in shown]
     values = np.stack([np.ascontiguousarray(part.T) for part in parts])
     coords = {
-        "slice": volume.coords[frame.rows].values[at],
+        "slice": volume.coords[frame.rows].values[shown],
         "height": volume.coords[frame.through].values,
         "x": volume.coords[frame.cols].values,
     }
@@ -152,4 +151,4 @@ def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
         coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()},
         attrs=frame.attrs(),
     )
-    return data.assign(row=("slice", at // step))
+    return data.assign(row=("slice", shown // step))

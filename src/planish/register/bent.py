@@ -41,8 +41,8 @@ class Bent(NearSimilarity):
     size: float
     nodes: Floats
     affine: Floats
+    # True where the local changes end beside the marks, so that the inverse has a meaning far from them.
     everywhere: ClassVar[bool]
-    """True where the local changes end beside the marks, so that the inverse has a meaning far from them."""
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
@@ -210,9 +210,7 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     derivatives = transform.jacobian(points)
     sign = -1.0 if mirrored else 1.0
-    areas = sign * (
-        derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
-    )  # fmt: skip
+    areas = sign * (derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0])
     worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
     if not areas[worst] > 0:
         if isinstance(transform, Affine):

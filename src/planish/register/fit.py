@@ -126,9 +126,9 @@ def fit_transform(
     fitted_pairs = weighted.take(weighted.weights > 0)
     if model == "auto":
         model = AVERAGED.name if len(fitted_pairs) >= 6 else "similarity" if len(fitted_pairs) >= 3 else lowest
-    transform: Transform = MODELS[model].fit(fitted_pairs, mirrored) if field is None or model != AVERAGED.name else (
-        AVERAGED.of(field)
-    )  # fmt: skip
+    transform: Transform = (
+        MODELS[model].fit(fitted_pairs, mirrored) if field is None or model != AVERAGED.name else (AVERAGED.of(field))
+    )
     residuals = pairs.fixed - transform(pairs.moving)
     lengths = np.linalg.norm(residuals, axis=1)
     rms = weighted_rms(lengths, weighted.weights)

@@ -315,9 +315,7 @@ def _choose_hands(
     return [choices[k, best[k]] for k in range(2)], is_ambiguous
 
 
-def _on_design(
-    choice: BestMatch | None, points: Floats, holes: Floats, tolerances: Pair, name: str
-) -> Matched:  # fmt: skip
+def _on_design(choice: BestMatch | None, points: Floats, holes: Floats, tolerances: Pair, name: str) -> Matched:
     """Accept the best arrangement of a design on one side, or refuse it; its pairs begin with the row in the design."""
     sides = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
     count, needed = _agreement(choice, tolerances[1])

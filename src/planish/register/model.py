@@ -65,8 +65,8 @@ class Model(ABC):
 class ParametricModel(Model):
     """A transformation with a fixed number of parameters."""
 
+    # True where the image is linear in the parameters: leave-one-out errors then follow from the leverages.
     linear: ClassVar[bool] = False
-    """True where the image is linear in the parameters: leave-one-out errors then follow from the leverages."""
 
     @abstractmethod
     def design(self, transform: Any, frame: Frame, points: Floats, /) -> Floats:

@@ -235,9 +235,7 @@ def refine(
     return _judged(transform, points, fit, options)
 
 
-def _judged(
-    transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions
-) -> Refined:  # fmt: skip
+def _judged(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions) -> Refined:
     """Look at displacement and derivatives at the points; refuse folds and what the marks do not allow."""
     derivatives = transform.jacobian(points)
     areas = derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]

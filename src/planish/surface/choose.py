@@ -50,10 +50,10 @@ def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: Su
         pitch = voxel_pitch(volume, axis)
         index = (seed_um[axis] - float(values[0])) / pitch
         if not -0.5 <= index < values.size - 0.5:
-            ends = f"{float(values[0]):g} to {float(values[-1]):g}"
+            limits = f"{float(values[0]):g} to {float(values[-1]):g}"
             raise VolumeError(
                 f"The seed point lies outside the volume: its {axis} is {seed_um[axis]:g} um, the volume goes from "
-                f"{ends} um. Check --seed-um and --voxel-um."
+                f"{limits} um. Check --seed-um and --voxel-um."
             )
         seed.append(min(int((index + 0.5) / scale[axis]), most - 1))
     return replace(choice, seed=(seed[0], seed[1], seed[2]))

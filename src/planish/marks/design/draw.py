@@ -47,8 +47,8 @@ _STYLE: dict[str, Any] = {
     "svg.fonttype": "path",  # readable where the typeface is not installed
     "pdf.fonttype": 3,
 }
+# Draw in one style, whatever the user's settings; they are restored afterwards.
 house_style = partial(style.context, ["default", _STYLE])
-"""Draw in one style, whatever the user's settings; they are restored afterwards."""
 
 
 class Page:
@@ -61,7 +61,7 @@ class Page:
 
     def __init__(
         self, title: str, subtitle: str, low_um: Sequence[float], size_um: Sequence[float], *, note: str = ""
-    ) -> None:  # fmt: skip
+    ) -> None:
         self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white")
         self.text(12, 13, title, fontsize=14, fontweight="bold")
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)

@@ -75,6 +75,4 @@ class ImagingParams(Params):
         (5.0, 5.0), metavar="SIZE|A,B", repeat=True, help="Pixels of the two maps, for the predicted error."
     )
     roughness_um: float = option(5.0, ge=0, cli=None, help="Standard deviation of a rim's radius.")
-    rim_length_um: float = option(
-        30.0, gt=0, cli=None, help="Length along the rim over which it varies independently."
-    )  # fmt: skip
+    rim_length_um: float = option(30.0, gt=0, cli=None, help="Length along the rim over which it varies independently.")

@@ -173,7 +173,6 @@ CROP = 0.3
 SURVIVORS = 4
 RIVAL_SHARE = 0.5
 MARKER_DIAMETERS = 6.0
-
 _REMEDY = "use unequal pitches, or another seed"
 _FEWER = "take fewer or smaller holes, or a larger field"
 _LARGER = "take fewer or smaller holes, a larger field, or a larger margin"

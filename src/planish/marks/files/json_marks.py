@@ -23,7 +23,6 @@ from planish.marks.files.model import RESIDUAL, RESULTS, Places, check_marks
 FORMAT = "planish-marks"
 VERSION = 1
 _PAGE = "docs/marks-files.md describes the format."
-
 _POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
 
 Source = Literal["detected", "clicked", "predicted", "imported"]

@@ -101,7 +101,6 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
 
 
 UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
-
 _FIRST_NAMES = ("moving", "from", "source", "volume")
 _SECOND_NAMES = ("fixed", "to", "target", "image")
 
@@ -202,7 +201,7 @@ class LayerPixels:
 
 def join_lists(
     lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Join marks in um from one list, or from two whose points belong together in their order.
 
     Two are moving and fixed, exchanged where they are named in the other order or ``swap`` says so; ``unit`` takes the

@@ -19,7 +19,6 @@ from planish.marks.files.lists import Content, PointList
 
 # Variables that hold pairs; the second two are those of MATLAB before 2013.
 NAMES = (("movingPoints", "fixedPoints"), ("input_points", "base_points"))
-
 _SAVE = "Export the moving and fixed points of valid pairs, then save('marks.mat','movingPoints','fixedPoints')."
 
 

@@ -31,9 +31,7 @@ EXTRAS: dict[str, tuple[str, str]] = {
     "arc_coverage": ("1", "Share of the rim that was found"),
 }
 RESULTS = {"residual": "Distance left by the fit", "leave_one_out": "Distance left by the fit to all other marks"}
-
 RESIDUAL = "residual"  # no layer: a run's marks hold ``residual_x`` and ``residual_y``
-
 _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed": "in the image"}
 
 

@@ -25,7 +25,6 @@ from planish.core.tables import decode_text, raise_faults, read_bytes
 from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regions, Ring, nested, ring_of, text_of
 
 ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
-
 _HEAD, _SECOND = 64, 52  # bytes of the two headers
 _SPLINE, _SUBPIXEL, _SUBPIXEL_FROM, _SUBPIXEL_BOX_FROM = 1, 128, 222, 223  # options, and versions from which they hold
 _RECTANGLE, _OVAL, _POLYGONS = 1, 2, (0, 7, 8)  # drawn by points, freehand, traced

@@ -7,103 +7,88 @@ from dataclasses import dataclass
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.arrays import check_dataset, check_image
 from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
 from planish.core.tiles import Tile
+from planish.core.typing import Bools, Floats
 from planish.io.map_store import HeldMaps, map_tiles
 from planish.marks import cut_holes, hole_mask
 from planish.marks.files import about_layer, holes_of
 from planish.marks.regions import Regions
+from planish.pipeline.layers import Shown
 from planish.pipeline.position_error import PositionErrors
 from planish.pipeline.registration import Registration
 from planish.register import Chain
 from planish.resample import SheetOnto, image_attrs, resample_image
 from planish.resample import resample_maps as flat_maps
 
-Array = NDArray[np.float64]
-Mask = NDArray[np.bool_]
-
-Shown = xr.DataArray | Mapping[str, xr.Dataset]
-"""What is brought to the reference: an image, or the groups of a sheet; the maps only where it is the reference."""
-
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Away:
+class ValidMask:
     """Which pixels of a reference are away from holes and their burnt rims, and outside of declared regions.
 
     ``circles`` (n, 3: x, y, radius in um) are the holes with their rims, ``regions`` in um as well.
     """
 
-    circles: Array
+    circles: Floats
     regions: Regions | None = None
 
     @classmethod
-    def of(cls, circles: Iterable[Array], regions: Regions | None = None) -> Away:
+    def of(cls, circles: Iterable[Floats], regions: Regions | None = None) -> ValidMask:
         """From the circles of all layers."""
         return cls(np.concatenate([np.empty((0, 3)), *circles]), regions)
 
-    def __call__(self, part: Grid) -> Mask:
+    def __call__(self, part: Grid) -> Bools:
         """Say it of some pixels."""
-        away = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
-        return away if self.regions is None else away & ~self.regions.inside(part)
+        allowed = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+        return allowed if self.regions is None else allowed & ~self.regions.inside(part)
 
     @property
     def sentence(self) -> str:
         """What a valid pixel is."""
-        beside = "" if self.regions is None else ", outside of declared regions"
-        return f"Measured, and away from holes and their rims{beside}"
+        return f"Measured, and away from holes and their rims{', outside of declared regions' if self.regions else ''}"
 
 
-class _Layer:
-    """A layer that is brought onto the pixels of a reference, tile by tile."""
+class _MovingLayer:
+    """A layer that is brought onto the pixels of a reference, tile by tile; the reference itself without a chain."""
 
     def __init__(self, name: str, shown: Shown, chain: Chain | None, grid: Grid) -> None:
-        self.name, self._met = name, chain is None
-        self._on = _own_pixels(shown) if chain is None else _moved(shown, chain)
-        sheet = None if isinstance(shown, xr.DataArray) else shown
-        self._errors = None if chain is None else PositionErrors(sheet, chain, grid)
+        self.name, self.is_met, self._errors = name, chain is None, None
+        self._on: Callable[[Tile, Grid], xr.Dataset]
+        if chain is None:
+            maps = _reference_maps(shown)
+            self._on = lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
+            return
+        if isinstance(shown, xr.DataArray):
+            self._on = lambda _, part: resample_image(shown, part, chain, must_meet=False)
+            self._errors = PositionErrors(None, chain, grid)
+        else:
+            sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
+            self._on = lambda _, part: sheet.on(part)
+            self._errors = PositionErrors(shown, chain, grid)
 
     def on(self, tile: Tile, part: Grid) -> xr.Dataset:
         """Its maps on a tile of the reference, ``expected_error`` and its shares where it was moved."""
-        data = self._on(tile, part)
+        maps = self._on(tile, part)
         if self._errors is None:
-            return data
-        present = data["image" if "image" in data else "u"].values
-        self._met |= bool(np.isfinite(present).any())
-        return data.assign(self._errors.on(part, present))
-
-    def check_met(self) -> None:
-        """Raise CannotRegister where no tile shows it."""
-        if not self._met:
-            raise CannotRegister(
-                f"The layer {self.name} does not meet the reference: by its marks it lies beside it. Check the marks."
-            )
+            return maps
+        present = maps["image" if "image" in maps else "u"].values
+        self.is_met |= bool(np.isfinite(present).any())
+        return maps.assign(self._errors.on(part, present))
 
 
-def _own_pixels(shown: Shown) -> Callable[[Tile, Grid], xr.Dataset]:
-    """The reference itself, tile by tile."""
+def _reference_maps(shown: Shown) -> xr.Dataset:
+    """The maps of the reference on its own pixels."""
     if isinstance(shown, xr.DataArray):
-        data = xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
-    else:
-        maps = shown["maps"].rename({"v": "y", "u": "x"})
-        left = [n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))]
-        data = maps.drop_vars(left)
-    return lambda tile, _: data.isel(y=tile.rows, x=tile.cols)
+        return xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
+    maps = shown["maps"].rename({"v": "y", "u": "x"})
+    return maps.drop_vars([n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))])
 
 
-def _moved(shown: Shown, chain: Chain) -> Callable[[Tile, Grid], xr.Dataset]:
-    """A layer through its chain, tile by tile."""
-    if isinstance(shown, xr.DataArray):
-        return lambda _, part: resample_image(shown, part, chain, must_meet=False)
-    sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
-    return lambda _, part: sheet.on(part)
-
-
-def bring(
-    parts: Mapping[str, tuple[Shown, Chain | None]], away: Away, grid: Grid, sink: HeldMaps, *,
+def resample_layers(
+    parts: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: HeldMaps, *,
     together: str | None = None,
 ) -> dict[str, xr.Dataset]:  # fmt: skip
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
@@ -112,49 +97,45 @@ def bring(
     with its shares: as ``layers/NAME``, or a sheet and an image as one group ``together``. Returned are the maps of
     each layer.
     """
-    layers = [_Layer(name, *part, grid) for name, part in parts.items()]
+    layers = [_MovingLayer(name, *part, grid) for name, part in parts.items()]
+    meaning = {"long_name": mask.sentence}
     for tile in map_tiles(grid.shape):
         part = grid.part(tile.rows, tile.cols)
-        use = away(part)
-        found = {layer.name: _with_valid(layer.on(tile, part), use, away.sentence) for layer in layers}
-        if together is not None:
-            sink.add(together, grid, tile, merged(*found.values()))
-        else:
-            for name, data in found.items():
-                sink.add(f"layers/{name}", grid, tile, data)
-    for layer in layers:
-        layer.check_met()
+        allowed, maps = mask(part), dict[str, xr.Dataset]()
+        for layer in layers:
+            data = layer.on(tile, part)
+            is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
+            maps[layer.name] = data.assign(valid=(("y", "x"), is_measured & allowed, meaning))
+        groups = {f"layers/{name}": data for name, data in maps.items()}
+        for group, data in groups.items() if together is None else [(together, merged(*maps.values()))]:
+            sink.add(group, grid, tile, data)
+    if absent := next((layer.name for layer in layers if not layer.is_met), None):
+        raise CannotRegister(
+            f"The layer {absent} does not meet the reference: by its marks it lies beside it. Check the marks."
+        )
     if together is None:
         return {name: sink.group(f"layers/{name}") for name in parts}
-    both = sink.group(together)
-    return dict(zip(parts, (both.drop_vars("image"), both[["image", "valid"]]), strict=True))
-
-
-def _with_valid(data: xr.Dataset, use: Mask, meaning: str) -> xr.Dataset:
-    known = np.isfinite(data["thickness" if "thickness" in data else "image"].values) & use
-    return data.assign(valid=(("y", "x"), known, {"long_name": meaning}))
+    linked = sink.group(together)
+    return dict(zip(parts, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True))
 
 
 def hole_circles(
     marks: xr.Dataset, side: str, rim_um: float, *, chain: Chain | None = None, image: xr.DataArray | None = None
-) -> Array:
+) -> Floats:
     """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
 
     ``chain`` leads from the layer to the reference where it is another one; of the layer's own ``image``, the holes
     that its border cuts are included.
     """
     holes = holes_of(marks, side)
-    found = _circles(holes)
-    if image is not None:
-        found = np.concatenate([found, _circles(cut_holes(image, holes))])
+    every = [holes] if image is None else [holes, cut_holes(image, holes)]
+    circles = np.concatenate(
+        [np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1) for h in every]
+    )
     if chain is not None:
-        found = np.column_stack([chain(found[:, :2]), found[:, 2] * chain.similarity.scale])
-        found = found[np.isfinite(found).all(axis=1)]
-    return found + np.array([0.0, 0.0, rim_um])
-
-
-def _circles(holes: xr.Dataset) -> Array:
-    return np.stack([holes["x"].values, holes["y"].values, 0.5 * holes["diameter"].values], axis=1)
+        circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
+        circles = circles[np.isfinite(circles).all(axis=1)]
+    return circles + np.array([0.0, 0.0, rim_um])
 
 
 def merged(sheet: xr.Dataset, image: xr.Dataset) -> xr.Dataset:
@@ -220,7 +201,15 @@ def resample_maps(
             "pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
         )
     grid = Grid.of(onto)
-    _refuse_other_image(registration, grid)
+    # Marks beside the image show that the registration belongs to another one, or its pixels have another size.
+    fixed, pixel = registration.fit.fixed, max(grid.pixel_um)
+    least, most = np.array(grid.origin_um) - pixel, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel
+    outside = int(np.count_nonzero(((fixed < least) | (fixed > most)).any(axis=1)))
+    if outside:
+        raise MarkError(
+            f"{outside} of {len(fixed)} marks of the registration lie beside the image. It belongs to another image, "
+            "or the pixel size is another one: give the image that was registered."
+        )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
     circles = (
@@ -231,17 +220,5 @@ def resample_maps(
         "sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None),
     }  # fmt: skip
     sink = HeldMaps()
-    bring(parts, Away.of(circles), grid, sink, together="linked")
+    resample_layers(parts, ValidMask.of(circles), grid, sink, together="linked")
     return sink.group("linked")
-
-
-def _refuse_other_image(registration: Registration, grid: Grid) -> None:
-    """Marks beside the image show that the registration belongs to another one, or its pixels have another size."""
-    (x, y), fixed, pixel = grid.origin_um, registration.fit.fixed, max(grid.pixel_um)
-    least, most = np.array([x, y]) - pixel, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel
-    beside = int(np.count_nonzero(((fixed < least) | (fixed > most)).any(axis=1)))
-    if beside:
-        raise MarkError(
-            f"{beside} of {len(fixed)} marks of the registration lie beside the image. It belongs to another image, or "
-            "the pixel size is another one: give the image that was registered."
-        )

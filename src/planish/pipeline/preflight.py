@@ -11,9 +11,9 @@ from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
 from planish.marks.regions import read_regions
 from planish.measure import PROPERTIES, check_maps, possible_maps
-from planish.pipeline.corrections import asked_corrections
 from planish.pipeline.registration import read_design
-from planish.study import LayerParams, Study
+from planish.pipeline.sheet import asked_corrections
+from planish.study import Study
 
 # Each map is the sum of the others, or their difference: given all but one, that one says nothing new.
 _SUMS = (
@@ -77,23 +77,29 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
             each = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
             each += _HELD_BYTES if held else 0
             each += _COMPARED_BYTES if layer.image.dark_grey is not None or layer.image.screen_um is not None else 0
-            _check_fits(layer.name, rows * cols, each * rows * cols + LINK_BYTES, compute)
+            if (needed := each * rows * cols + LINK_BYTES) > compute.memory:
+                raise ResourceError(
+                    f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of "
+                    f"memory, {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory "
+                    f"{enough_gb(needed)}GB, or crop or bin it."
+                )
 
 
 def _check_beside(study: Study) -> None:
     """Raise InputError where the maps to stand beside hold one twice, or parts together with their sum."""
-    beside, side = study.correlate.beside, "bottom" if any(_shows_bottom(m) for m in study.layers) else "top"
-    leads = study.correlate.headline or f"coating_{side}"
-    if not beside:
+    names = study.correlate.beside
+    is_bottom = any(layer.image is not None and layer.image.side == "bottom" for layer in study.layers)
+    leads = study.correlate.headline or f"coating_{'bottom' if is_bottom else 'top'}"
+    if not names:
         return
-    if twice := sorted({name for name in beside if (leads, *beside).count(name) > 1}):
+    if twice := sorted({name for name in names if (leads, *names).count(name) > 1}):
         raise InputError(
             f"--beside {', '.join(twice)}: the map leads already, or stands there twice. Leave it out of --beside."
         )
     for whole, *parts in _SUMS:
-        if {whole, *parts} <= {leads, *beside}:
+        if {whole, *parts} <= {leads, *names}:
             raise InputError(
-                f"--beside {', '.join(beside)}: {whole} follows from {', '.join(parts)}. With {leads}, which leads, "
+                f"--beside {', '.join(names)}: {whole} follows from {', '.join(parts)}. With {leads}, which leads, "
                 "all of them are given, and nothing is left to correlate. Leave one of them out."
             )
 
@@ -132,17 +138,4 @@ def _check_light(study: Study) -> None:
         raise InputError(
             "--error-ratio is for two measurements of one quantity: the last layer and another one have to be volumes "
             "or runs. Leave it out."
-        )
-
-
-def _shows_bottom(layer: LayerParams) -> bool:
-    return layer.image is not None and layer.image.side == "bottom"
-
-
-def _check_fits(name: str, pixels: int, needed: int, compute: Compute) -> None:
-    if needed > compute.memory:
-        raise ResourceError(
-            f"The {name} of {pixels / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of memory, "
-            f"{compute.memory / 1e9:.1f} GB are allowed. Give more with --memory {enough_gb(needed)}GB, or crop or "
-            "bin it."
         )

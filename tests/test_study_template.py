@@ -9,7 +9,7 @@ import tifffile
 
 from planish.core.options import Params
 from planish.pipeline.build import study_of
-from planish.pipeline.draft import draft_study
+from planish.pipeline.study_template import draft_study
 from planish.study import Study, as_study, in_study_words, read_study
 
 KEY = re.compile(r"^#(\w+) = ([^#]*)", re.MULTILINE)
