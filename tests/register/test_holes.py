@@ -7,12 +7,7 @@ import xarray as xr
 import planish as pl
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.register import (
-    DesignedHoles,
-    RegistrationParams,
-    fit_transform,
-    register_marks,
-)
+from planish.register import DesignedHoles, RegistrationParams, fit_transform, register_marks
 from register.patterns import scattered
 
 TURN = Similarity(scale=1.01, rotation_rad=0.4, shift_um=(300.0, -120.0))

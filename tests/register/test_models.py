@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from planish.core.transform import Affine, Projective, Similarity
-from planish.register import (
-    fit_transform,
-    registration_from_json,
-    registration_to_json,
-)  # fmt: skip
+from planish.register import fit_transform, registration_from_json, registration_to_json
 from planish.register.models import MODELS
 from planish.register.pairs import Pairs
 

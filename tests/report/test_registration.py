@@ -10,13 +10,7 @@ import xarray as xr
 
 from planish.analyze import LagNumbers, Registration
 from planish.report.draw import FULL, HALF, levels_between
-from planish.report.registration import (
-    blank_ground,
-    draw_expected_error,
-    draw_lags,
-    lag_places,
-    machine_direction,
-)
+from planish.report.registration import blank_ground, draw_expected_error, draw_lags, lag_places, machine_direction
 from planish.report.summary import lag_verdict
 from planish.report.text import REGISTERED, capital, typeset
 from planish.results import RegistrationFacts
