@@ -1,13 +1,15 @@
 """What all tests share: specimens, measured data, repeatable property tests, studies, the limit on CPU time."""
 
-from __future__ import annotations
-
 import os
+import shutil
 import subprocess
 import sys
 from collections.abc import Callable, Generator
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
+
+from folders import make_once
 
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")  # as the command line has it; tests run side by side
 
@@ -20,7 +22,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from planish.cli import main
-from planish.pipeline import link
+from planish.pipeline import link, open_run
 from planish.synthetic import (
     CameraParams,
     HoleParams,
@@ -39,8 +41,6 @@ settings.load_profile("planish")
 
 
 # --- the fast set and the studies ----------------------------------------------------------------------------
-
-
 def pytest_addoption(parser: pytest.Parser) -> None:
     """Add ``--all`` and ``--cpu-limit``."""
     group = parser.getgroup("planish")
@@ -169,8 +169,6 @@ def compile_once(locks: Path) -> None:
 
 
 # --- what tests share ----------------------------------------------------------------------------------------
-
-
 @pytest.fixture(scope="session")
 def shared_data() -> Callable[[str], Path]:
     """Return a function from the name of a data set to its folder; it skips the test where the data are absent."""
@@ -242,15 +240,29 @@ def laid(specimen, tmp_path_factory) -> Files:
 
 @pytest.fixture(scope="session")
 def linked_run(specimen_files, tmp_path_factory):
-    """Link the small specimen once, for all workers; give its run folder, which no test may change."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / "linked"
-    folder.mkdir(exist_ok=True)
+    """The small specimen's link, made once for all workers; its run folder, which no test may change."""
     volume, image = specimen_files
-    with FileLock(folder / "lock"):
-        if not (folder / "run").exists():  # a run is whole or not there
-            link(volume, image, out=folder / "run")
-    return folder / "run"
+    return make_once(lambda folder: link(volume, image, out=folder / "run"), "linked", tmp_path_factory) / "run"
+
+
+@pytest.fixture(scope="session")
+def linked(linked_run):
+    """Its maps and its image on the pixels of the image, which no test may change."""
+    return open_run(linked_run).linked.load()
+
+
+@pytest.fixture
+def run_copy(linked_run, tmp_path) -> Path:
+    """A copy of that run, to be changed."""
+    return Path(shutil.copytree(linked_run, tmp_path / "run"))
+
+
+@pytest.fixture
+def unread(monkeypatch):
+    """No volume may be mapped; the package hides its modules behind functions of the same names."""
+    for module in ("linking", "save"):
+        pipeline = import_module(f"planish.pipeline.{module}")
+        monkeypatch.setattr(pipeline, "map_layer", lambda *_args, **_more: pytest.fail("the volume was mapped"))
 
 
 @pytest.fixture
@@ -262,5 +274,34 @@ def planish(capsys):
             main([str(a) for a in arguments])
         out, err = capsys.readouterr()
         return int(end.value.code or 0), out, err
+
+    return call
+
+
+@pytest.fixture
+def passes(planish):
+    """Call a command that ends well, by default without a check that fails: what it prints, and its messages."""
+
+    def call(*command: object, codes: tuple[int, ...] = (0,)) -> tuple[str, str]:
+        code, out, err = planish(*command)
+        assert code in codes, err
+        return out, err
+
+    return call
+
+
+@pytest.fixture
+def refuses(planish, tmp_path):
+    """Call a command, with a run to write, that is refused: its words, no traceback, nothing written; its message."""
+
+    def call(*command: object, words: str | tuple[str, ...], code: int = 3, out: bool = True) -> str:
+        before = sorted(tmp_path.rglob("*"))
+        exit_code, _, err = planish(*command, *(("--out", tmp_path / "run") if out else ()))
+        assert exit_code == code, err
+        message = " ".join(err.split())
+        assert [word for word in ((words,) if isinstance(words, str) else words) if word not in message] == [], err
+        assert "Traceback" not in err
+        assert sorted(tmp_path.rglob("*")) == before
+        return message
 
     return call

@@ -6,8 +6,6 @@ document shows in a block ``text FILE`` or ``toml FILE`` are written before the 
 with ``&`` runs until the page ends. Commands of programs that are not installed are passed over.
 """
 
-from __future__ import annotations
-
 import contextlib
 import doctest
 import io
@@ -20,6 +18,7 @@ import sys
 import time
 from dataclasses import dataclass, field
 from pathlib import Path
+from unittest import mock
 
 import click
 
@@ -119,10 +118,15 @@ def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
     words = shlex.split(step.text)
     if words[0] == "planish":
         printed, code = _planish(words[1:])
-    elif (program := _program(words[0])) is None:
+    elif (program := shutil.which(words[0], path=str(Path(sys.executable).parent)) or shutil.which(words[0])) is None:
         return Outcome(step, "", passed_over=f"{words[0]} is not installed")
     elif words[-1] == "&":
-        _start([program, *words[1:-1]], background)
+        process = subprocess.Popen(
+            [program, *words[1:-1]], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=_environment()
+        )
+        background.callback(process.wait)
+        background.callback(process.terminate)
+        time.sleep(2.0)  # a scheduler answers only when it listens
         return Outcome(step, "")
     else:
         done = subprocess.run([program, *words[1:]], capture_output=True, text=True, check=False, env=_environment())
@@ -131,40 +135,20 @@ def _command(step: Step, background: contextlib.ExitStack) -> Outcome:
     return Outcome(step, printed, code, faults)
 
 
-def _program(name: str) -> str | None:
-    """Where a program is: beside this Python, or on the path."""
-    return shutil.which(name, path=str(Path(sys.executable).parent)) or shutil.which(name)
-
-
 def _environment() -> dict[str, str]:
     """Return an environment in which other processes find the planish that is tested."""
     return os.environ | {"PYTHONPATH": str(Path(planish.__file__).resolve().parents[1])}
 
 
-def _start(words: list[str], background: contextlib.ExitStack) -> None:
-    """Run a program until the page ends."""
-    process = subprocess.Popen(words, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, env=_environment())
-    background.callback(process.wait)
-    background.callback(process.terminate)
-    time.sleep(2.0)  # a scheduler answers only when it listens; the commands after it wait no longer than they have to
-
-
 def _planish(arguments: list[str]) -> tuple[str, int]:
     """Call the command line in this process: everything that it prints, in its order, and its exit code."""
-    printed = io.StringIO()
-    before = os.environ.get("COLUMNS")
-    os.environ["COLUMNS"] = _COLUMNS
-    try:
-        with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
-            try:
-                main(arguments)
-            except SystemExit as end:
-                code = end.code if isinstance(end.code, int) else 0
-    finally:
-        if before is None:
-            del os.environ["COLUMNS"]
-        else:
-            os.environ["COLUMNS"] = before
+    printed, code = io.StringIO(), 0
+    columns = mock.patch.dict(os.environ, COLUMNS=_COLUMNS)
+    with columns, contextlib.redirect_stdout(printed), contextlib.redirect_stderr(printed):
+        try:
+            main(arguments)
+        except SystemExit as end:
+            code = end.code if isinstance(end.code, int) else 0
     return printed.getvalue(), code
 
 

@@ -1,11 +1,10 @@
 """One small volume in every format, written by the format's own library: where contract and damage start from."""
 
-from __future__ import annotations
-
 import gzip
 import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -301,46 +300,25 @@ def with_values(values: Volume) -> Volume:
     return (values >> 8).astype(np.uint8)
 
 
+def slices(suffix: str, dtype: str = "uint16", **options: Any) -> Case:
+    """A folder of images, which says nothing of the size of its voxels."""
+    write, data = partial(write_slices, suffix=suffix, **options), named(f"*{suffix}")
+    return Case(write=write, source="given", states_size=False, data=data, resize=remove(f"*{suffix}"), dtype=dtype)
+
+
 CASES: dict[str, Case] = {
     "OME-TIFF": Case(write=write_tiff, source="OME", lazy=False, resize=swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')),
     "OME-TIFF deflate": Case(
-        write=lambda f, v, s: write_tiff(f, v, s, compression="zlib"),
-        source="OME",
-        resize=swap("*.tif", b'SizeZ="12"', b'SizeZ="19"'),
+        write=partial(write_tiff, compression="zlib"), source="OME", resize=swap("*.tif", b'SizeZ="12"', b'SizeZ="19"')
     ),
     "ImageJ TIFF": Case(
         write=write_imagej, source="ImageJ", lazy=False, resize=swap("*.tif", b"images=12", b"images=19")
     ),
     "BigTIFF pages": Case(write=write_pages, source="given", states_size=False),
-    "TIFF slices": Case(
-        write=lambda f, v, s: write_slices(f, v, s, ".tif"),
-        source="given",
-        states_size=False,
-        data=named("*.tif"),
-        resize=remove("*.tif"),
-    ),
-    "TIFF deflate slices": Case(
-        write=lambda f, v, s: write_slices(f, v, s, ".tif", compression="zlib"),
-        source="given",
-        states_size=False,
-        data=named("*.tif"),
-        resize=remove("*.tif"),
-    ),
-    "PNG slices": Case(
-        write=lambda f, v, s: write_slices(f, v, s, ".png"),
-        source="given",
-        states_size=False,
-        data=named("*.png"),
-        resize=remove("*.png"),
-    ),
-    "BMP slices": Case(
-        write=lambda f, v, s: write_slices(f, v, s, ".bmp"),
-        source="given",
-        states_size=False,
-        data=named("*.bmp"),
-        resize=remove("*.bmp"),
-        dtype="uint8",
-    ),
+    "TIFF slices": slices(".tif"),
+    "TIFF deflate slices": slices(".tif", compression="zlib"),
+    "PNG slices": slices(".png"),
+    "BMP slices": slices(".bmp", dtype="uint8"),
     "NRecon": Case(
         write=write_nrecon,
         source="NRecon log",
@@ -349,49 +327,49 @@ CASES: dict[str, Case] = {
         resize=swap("*.log", b"Last Section=31", b"Last Section=39"),
     ),
     "OME-Zarr 0.4": Case(
-        write=lambda f, v, s: write_zarr(f, v, s, 2),
+        write=partial(write_zarr, version=2),
         source="OME-Zarr",
         data=named("0.0.2.1.1"),
         resize=lambda f: swap(".zarray", b"12,", b"52,")(f / f"{NAME}.ome.zarr" / "0"),
     ),
     "OME-Zarr 0.5": Case(
-        write=lambda f, v, s: write_zarr(f, v, s, 3),
+        write=partial(write_zarr, version=3),
         source="OME-Zarr",
         data=lambda f: next(p for p in (f / f"{NAME}.ome.zarr" / "0" / "c").rglob("1") if p.is_file()),
         resize=lambda f: swap("zarr.json", b"12,", b"52,")(f / f"{NAME}.ome.zarr" / "0"),
     ),
     "NRRD": Case(
-        write=lambda f, v, s: write_nrrd(f, v, s, ".nrrd", "raw"),
+        write=partial(write_nrrd, kind=".nrrd", packing="raw"),
         source="NRRD spacings",
         lazy=False,
         resize=swap("*.nrrd", b"sizes: 19 17 12", b"sizes: 19 17 21"),
     ),
     "NRRD gzip": Case(
-        write=lambda f, v, s: write_nrrd(f, v, s, ".nrrd", "gzip"),
+        write=partial(write_nrrd, kind=".nrrd", packing="gzip"),
         source="NRRD spacings",
         lazy=False,
         resize=swap("*.nrrd", b"sizes: 19 17 12", b"sizes: 19 17 11"),
     ),
     "NRRD detached": Case(
-        write=lambda f, v, s: write_nrrd(f, v, s, ".nhdr", "raw"),
+        write=partial(write_nrrd, kind=".nhdr", packing="raw"),
         source="NRRD space directions",
         lazy=False,
         data=named("*.raw"),
         resize=swap("*.nhdr", b"sizes: 19 17 12", b"sizes: 19 17 21"),
     ),
     "MetaImage": Case(
-        write=lambda f, v, s: write_meta(f, v, s, ".mha", False),
+        write=partial(write_meta, kind=".mha", packed=False),
         source="MetaImage",
         lazy=False,
         resize=swap("*.mha", b"DimSize = 19 17 12", b"DimSize = 19 17 21"),
     ),
     "MetaImage packed": Case(
-        write=lambda f, v, s: write_meta(f, v, s, ".mha", True),
+        write=partial(write_meta, kind=".mha", packed=True),
         source="MetaImage",
         resize=swap("*.mha", b"DimSize = 19 17 12", b"DimSize = 19 17 21"),
     ),
     "MetaImage detached": Case(
-        write=lambda f, v, s: write_meta(f, v, s, ".mhd", False),
+        write=partial(write_meta, kind=".mhd", packed=False),
         source="MetaImage",
         lazy=False,
         data=named("*.raw"),
@@ -399,38 +377,19 @@ CASES: dict[str, Case] = {
     ),
     "HDF5": Case(write=write_hdf5, source="attribute voxel_size", resize=reshape_hdf5),
     "NeXus": Case(write=write_nexus, source="NeXus axes", resize=reshape_hdf5),
-    "MATLAB 5": Case(write=lambda f, v, s: write_mat(f, v, s, False), source="voxel_um", lazy=False),
-    "MATLAB 7": Case(write=lambda f, v, s: write_mat(f, v, s, True), source="voxel_um", lazy=False),
+    "MATLAB 5": Case(write=partial(write_mat, packed=False), source="voxel_um", lazy=False),
+    "MATLAB 7": Case(write=partial(write_mat, packed=True), source="voxel_um", lazy=False),
     "MATLAB 7.3": Case(write=write_mat73, source="voxel_um", resize=reshape_hdf5),
     "NIfTI": Case(
-        write=lambda f, v, s: write_nifti(f, v, s, ".nii"),
-        source="NIfTI pixdim",
-        lazy=False,
-        resize=resize_at("*.nii", 46),
+        write=partial(write_nifti, kind=".nii"), source="NIfTI pixdim", lazy=False, resize=resize_at("*.nii", 46)
     ),
     "NIfTI gzip": Case(
-        write=lambda f, v, s: write_nifti(f, v, s, ".nii.gz"),
-        source="NIfTI pixdim",
-        lazy=False,
-        resize=resize_at("*.nii.gz", 46),
+        write=partial(write_nifti, kind=".nii.gz"), source="NIfTI pixdim", lazy=False, resize=resize_at("*.nii.gz", 46)
     ),
-    "MRC": Case(
-        write=lambda f, v, s: write_mrc(f, v, s, ".mrc"),
-        source="MRC cell",
-        lazy=False,
-        resize=resize_at("*.mrc", 8),
-    ),
+    "MRC": Case(write=partial(write_mrc, kind=".mrc"), source="MRC cell", lazy=False, resize=resize_at("*.mrc", 8)),
     "MRC gzip": Case(
-        write=lambda f, v, s: write_mrc(f, v, s, ".mrc.gz"),
-        source="MRC cell",
-        lazy=False,
-        resize=resize_at("*.mrc.gz", 8),
+        write=partial(write_mrc, kind=".mrc.gz"), source="MRC cell", lazy=False, resize=resize_at("*.mrc.gz", 8)
     ),
-    "MRC bzip2": Case(write=lambda f, v, s: write_mrc(f, v, s, ".mrc.bz2"), source="MRC cell", lazy=False),
-    "raw": Case(
-        write=write_raw,
-        source="TOML",
-        data=named("*.raw"),
-        resize=swap("*.toml", b"12,", b"13,"),
-    ),
+    "MRC bzip2": Case(write=partial(write_mrc, kind=".mrc.bz2"), source="MRC cell", lazy=False),
+    "raw": Case(write=write_raw, source="TOML", data=named("*.raw"), resize=swap("*.toml", b"12,", b"13,")),
 }

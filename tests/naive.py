@@ -1,7 +1,5 @@
 """Slow and obvious twins of the kernels: what the fast code is compared with."""
 
-from __future__ import annotations
-
 import numpy as np
 from scipy import optimize, special
 from scipy.interpolate import LinearNDInterpolator, RegularGridInterpolator

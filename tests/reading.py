@@ -1,7 +1,5 @@
 """Sentences of a document as a reader meets them: without code, tables, headings and addresses."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

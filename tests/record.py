@@ -1,7 +1,5 @@
 """Record the figures of a scenario, and name those that got worse: ``python tests/record.py FILE``."""
 
-from __future__ import annotations
-
 import sys
 import tomllib
 from pathlib import Path
@@ -58,9 +56,7 @@ def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
     faults: list[str] = []
     for name, old in recorded["figures"].items():
         figure = FIGURES.get(name)
-        if figure is None:
-            continue
-        if figure.better == "neither":
+        if figure is None or figure.better == "neither":
             continue
         if name not in found:
             faults.append(f"{name}: {old['mean']:.4g} was recorded, now there is none")

@@ -1,7 +1,5 @@
 """Runs of arrays and of words: the same numbers as from files and sections."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import tifffile
@@ -78,7 +76,7 @@ def test_a_mapped_array_needs_no_folder(tmp_path):
     assert sorted(path.name for path in tmp_path.iterdir()) == ["v.npy"]
 
 
-def test_words_are_those_of_the_command_line():
+def test_words_are_those_of_the_command_line_each_given_once():
     words = {"through": "y", "property": ["porosity"], "image_side": "bottom", "point_um": 50, "memory": "4GB",
              "labels": None, "label_air": [0], "hole_um": (80, 200)}  # fmt: skip
     sections, compute = sections_of(words, tuple(SECTIONS), None, call="pl.link")
@@ -87,18 +85,12 @@ def test_words_are_those_of_the_command_line():
         "correlate": {"point_um": 50}, "surface": {"labels": {"air": [0]}}, "holes": {"hole_um": (80, 200)},
     }  # fmt: skip
     assert compute.memory_bytes == 4 * 10**9
-
-
-def test_every_option_of_the_command_line_is_a_word():
     from planish.cli.runs import link as command
     from planish.pipeline.build import words_of
 
     own = {"out", "chain", "set", "figures", "strict", "json", "help"}
     flags = {flag[2:].replace("-", "_") for option in command.params for flag in option.opts if flag.startswith("--")}
     assert flags - own == {*words_of([*SECTIONS, "compute"])}
-
-
-def test_the_same_word_twice_is_refused():
     for words, compute in (({"through": "y", "volume": {"through": "x"}}, None), ({"threads": 2}, Compute(threads=1))):
         with pytest.raises(StudyError, match="is given twice, by itself and in"):
             sections_of(words, tuple(SECTIONS), compute, call="pl.link")

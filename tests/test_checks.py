@@ -44,8 +44,7 @@ def test_a_look_marks_the_figures_that_it_concerns_and_leaves_their_numbers():
     assert found.layers[0].sheet.properties["coating_top"].mean == before.layers[0].sheet.properties["coating_top"].mean
     assert found.passed
     for row, old in zip(found.correlations, before.correlations, strict=True):
-        assert row.trust == ("doubtful" if "coating_top" in (row.a_map, row.b_map) else "ok")
-        assert row.r == old.r
+        assert (row.trust, row.r) == ("doubtful" if "coating_top" in (row.a_map, row.b_map) else "ok", old.r)
 
 
 @pytest.mark.parametrize("figure", ["position", "correlation"])
@@ -54,25 +53,25 @@ def test_what_fails_is_withheld_from_all_that_rests_on_it(figure):
     assert not found.passed
     assert all(row.trust == "withheld" and math.isnan(row.r) and math.isnan(row.slope) for row in found.correlations)
     error = found.layers[0].registration.expected_error
-    assert (error.median_um is None) == (figure == "position")
-    assert set(trusts(found).values()) == {"ok"}
+    assert (error.median_um is None, set(trusts(found).values())) == (figure == "position", {"ok"})
     assert Results.model_validate_json(found.to_json()) == found
 
 
-def test_a_failed_scan_withholds_its_properties_and_not_those_of_another_layer():
+def test_a_failed_scan_withholds_its_properties_alone_and_other_states_change_nothing():
     found = run_with(check("fail", "properties", layers=("volume",)))
     assert set(trusts(found).values()) == {"withheld"}
     assert all(p.mean is None for p in found.layers[0].sheet.properties.values())
     assert found.layers[0].sheet.numbers is None
     assert set(trusts(run_with(check("fail", "properties", layers=("image",)))).values()) == {"ok"}
+    assert set(trusts(run_with(check("unknown", "properties"), check("pass", "position"))).values()) == {"ok"}
+    assert run_with(check("unknown", "properties")).state == "unknown"
 
 
 def test_the_table_of_figures_says_what_is_doubtful_and_why():
     found = run_with(check("look", "coating_top"), check("fail", "position"))
     rows = list(csv.DictReader(io.StringIO(figures_text(found))))
     at = {(row["figure"], row["statistic"]): row for row in rows}
-    assert at["coating_top", "mean"]["trust"] == "doubtful"
-    assert at["coating_top", "mean"]["checks"] == "x"
+    assert (at["coating_top", "mean"]["trust"], at["coating_top", "mean"]["checks"]) == ("doubtful", "x")
     assert float(at["coating_top", "mean"]["value"]) == found.layers[0].sheet.properties["coating_top"].mean
     assert (at["thickness", "mean"]["trust"], at["thickness", "mean"]["checks"]) == ("ok", "")
     error = at["expected error of the position", "median"]
@@ -92,19 +91,13 @@ def test_runs_whose_results_have_an_older_format_are_named(tmp_path):
     assert "made by planish 0.2.0: its results have an older format" in " ".join(run_lines(facts))
 
 
-def test_pass_and_unknown_change_nothing():
-    assert set(trusts(run_with(check("unknown", "properties"), check("pass", "position"))).values()) == {"ok"}
-    assert run_with(check("unknown", "properties")).state == "unknown"
-
-
 @pytest.mark.parametrize(
     ("value", "state"), [(0.5, "pass"), (1.0, "pass"), (1.1, "look"), (5.1, "fail"), (float("nan"), "look")]
 )
 def test_limits_belong_to_what_passes_and_nan_never_does(value, state):
     light = Light("x", object, ("position",), lambda rule, value: rule.at_most(value, look=1.0, sentence="x."))
     found = light.at_most(value, look=1.0, fail=5.0, sentence="x.", advice="Do it.")
-    assert found.state == state
-    assert found.limit == (5.0 if state == "fail" else 1.0)
+    assert (found.state, found.limit) == (state, 5.0 if state == "fail" else 1.0)
     assert bool(found.advice) == (state != "pass")
     assert (found.name, found.figures) == ("x", ("position",))
     assert light(value).state == ("look" if state == "fail" else state)

@@ -1,9 +1,6 @@
 """A run under other conditions: killed, on a cluster, with little memory. Its bytes are always the same."""
 
-from __future__ import annotations
-
 import gzip
-import hashlib
 import os
 import signal
 import subprocess
@@ -15,6 +12,7 @@ import nibabel
 import numpy as np
 import pytest
 
+from folders import bytes_of
 from planish.cli.show import fact_lines
 from planish.compute import Compute, column_step, engine
 from planish.core.errors import InputError, ResourceError
@@ -29,14 +27,6 @@ from planish.pipeline import map_sheet, read_whole, run_study
 from planish.study import as_study
 from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
-
-
-def bytes_of(run):
-    return {
-        p.relative_to(run).as_posix(): hashlib.sha256(p.read_bytes()).hexdigest()
-        for p in sorted(run.rglob("*"))
-        if p.is_file()
-    }
 
 
 @pytest.fixture(scope="module")
@@ -84,8 +74,7 @@ def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
     kept = len(list(tiles.rglob("*.npy")))
     assert kept >= wanted
     subprocess.run(command, check=True, capture_output=True)
-    assert bytes_of(out) == whole
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["run"]
+    assert (bytes_of(out), sorted(p.name for p in tmp_path.iterdir())) == (whole, ["run"])
 
 
 def test_two_runs_do_not_write_to_one_place(store, tmp_path):
@@ -199,7 +188,6 @@ def test_import_takes_a_scheduler(cluster, store, tmp_path, planish):
 
 @pytest.mark.study
 def test_a_scheduler_that_is_lost_is_a_sentence(cluster):
-    pytest.importorskip("distributed")
     with (
         pytest.raises(ResourceError, match="was lost"),
         engine(Compute(scheduler=cluster.scheduler_address)) as on,
@@ -218,15 +206,12 @@ def test_no_scheduler_is_a_sentence():
         pass
 
 
-def test_what_the_program_takes_comes_off_the_memory():
+def test_what_the_program_takes_comes_off_the_memory_and_columns_get_wider():
     assert Compute(memory_bytes=4 * 10**9).for_work == 37 * 10**8
     # Of little memory the program is not given more than half, and the blocks of an import get most of the rest.
     assert Compute(memory_bytes=3 * 10**8).for_work == 15 * 10**7
     assert Compute(memory_bytes=3 * 10**8).block_bytes == 10**8
     assert Compute(memory_bytes=9 * 10**9).block_bytes == Compute(memory_bytes=9 * 10**9).volume_bytes
-
-
-def test_columns_get_wider_where_the_memory_asks_for_it():
     grey, *_ = slab(shape=(40, 90, 120))
     data = volume(grey)
     data.attrs["voxel_um"] = [3.0] * 3

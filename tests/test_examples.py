@@ -1,7 +1,5 @@
 """The examples run as they stand, each writes its picture, and docs/examples.md names them all."""
 
-from __future__ import annotations
-
 import re
 import runpy
 import sys
@@ -45,14 +43,13 @@ def test_the_page_shows_every_example_with_its_picture():
     assert sorted(path.stem for path in (ROOT / "docs/images/examples").glob("*.png")) == [p.stem for p in EXAMPLES]
 
 
-@pytest.mark.parametrize("example", [p for p in EXAMPLES if p.stem.startswith(QUICK)], ids=lambda path: path.stem)
-def test_a_quick_example_runs(example, tmp_path, monkeypatch):
-    run(example, tmp_path, monkeypatch)
-
-
-@pytest.mark.study
 @pytest.mark.parametrize(
-    "example", [p for p in EXAMPLES if not p.stem.startswith((*QUICK, *MEASURED))], ids=lambda p: p.stem
+    "example",
+    [
+        pytest.param(path, id=path.stem, marks=() if path.stem.startswith(QUICK) else pytest.mark.study)
+        for path in EXAMPLES
+        if path.stem not in MEASURED
+    ],
 )
 def test_an_example_runs(example, tmp_path, monkeypatch):
     run(example, tmp_path, monkeypatch)

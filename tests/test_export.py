@@ -1,7 +1,5 @@
 """``planish export``: what is taken from a run, where it goes, what is refused."""
 
-from __future__ import annotations
-
 import csv
 import hashlib
 import json
@@ -15,6 +13,7 @@ import xarray as xr
 import zarr
 
 import planish as pl
+from folders import refused
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
 from planish.exports import FORMATS, ExportParams, formats_table, writer_of
@@ -150,8 +149,6 @@ def stored_run(linked_run, tmp_path):
 
 
 # --- what is worked out ----------------------------------------------------------------------------------------------
-
-
 def test_a_table_of_points_correlates_as_the_run_does(linked_run, tmp_path):
     path = tmp_path / "points.csv"
     pl.export(linked_run, path, to="csv")
@@ -159,8 +156,7 @@ def test_a_table_of_points_correlates_as_the_run_does(linked_run, tmp_path):
     a, b = (np.array([float(row[name]) for row in rows]) for name in ("coating_top_um", "image"))
     results = json.loads((linked_run / "results.json").read_text(encoding="utf-8"))
     expected = next(r for r in results["correlations"] if r["a_map"] == "coating_top" and r["point_um"] == 100.0)
-    assert len(rows) == expected["n"]
-    assert np.corrcoef(a, b)[0, 1] == pytest.approx(expected["r"], abs=1e-6)
+    assert (len(rows), np.corrcoef(a, b)[0, 1]) == (expected["n"], pytest.approx(expected["r"], abs=1e-6))
     assert {"x_um", "y_um", "volume_x_um", "volume_z_um", "u_um", "tilt_deg", "valid_share"} <= set(rows[0])
 
 
@@ -199,8 +195,7 @@ def test_the_sheet_lies_flat_in_the_straightened_volume(linked_run, flat):
     values, heights, (scale, first) = flat
     run = open_run(linked_run)
     grid = Grid.of(run.maps)
-    assert values.shape[1:] == grid.shape
-    assert scale == [4.0, *grid.pixel_um]
+    assert (values.shape[1:], scale) == (grid.shape, [4.0, *grid.pixel_um])
     assert first[1:] == list(grid.origin_um[::-1])
     thickness = run.maps["thickness"].values
     known = np.isfinite(thickness) & np.isfinite(values).all(axis=0)
@@ -240,35 +235,20 @@ def test_depths_of_a_straightened_volume(linked_run, tmp_path, flat):
         pl.export(linked_run, tmp_path / "no.tif", to="tiff", group="straightened", depth_um=(12.0, -8.0))
 
 
-def moved(linked_run, tmp_path, volume):
-    """A copy of a run whose volume lies elsewhere."""
-    import shutil
-
-    run = tmp_path / "run"
-    shutil.copytree(linked_run, run)
-    text = (run / "run.toml").read_text(encoding="utf-8")
+@pytest.mark.study
+def test_an_export_needs_the_very_volume_that_was_mapped(run_copy, specimen_files, tmp_path):
+    text = (run_copy / "run.toml").read_text(encoding="utf-8")
     old = next(line for line in text.splitlines() if line.startswith("path") and "volume.tif" in line)
-    (run / "run.toml").write_text(text.replace(old, f"path = {json.dumps(str(volume))}"), encoding="utf-8")
-    return run
-
-
-@pytest.mark.study
-def test_a_volume_that_is_gone_is_named(linked_run, tmp_path):
-    run = moved(linked_run, tmp_path, tmp_path / "gone.tif")
-    with pytest.raises(
-        FileError, match=r"volume.tif of this run is needed, and .*gone.tif is not there. Put it back, or write where"
-    ):
-        pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
-
-
-@pytest.mark.study
-def test_another_volume_in_its_place_is_refused(linked_run, specimen_files, tmp_path):
     data = bytearray(specimen_files[0].read_bytes())
     data[-1] ^= 1
-    (tmp_path / "volume.tif").write_bytes(data)
-    run = moved(linked_run, tmp_path, tmp_path / "volume.tif")
-    with pytest.raises(FileError, match="is another file than the one that was mapped"):
-        pl.export(run, tmp_path / "flat.tif", to="tiff", group="straightened")
+    (tmp_path / "other.tif").write_bytes(data)
+    for name, words in (
+        ("gone.tif", r"volume.tif of this run is needed, and .*gone.tif is not there. Put it back, or write where"),
+        ("other.tif", "is another file than the one that was mapped"),
+    ):
+        path = json.dumps(str(tmp_path / name))
+        (run_copy / "run.toml").write_text(text.replace(old, f"path = {path}"), encoding="utf-8")
+        refused(FileError, words, pl.export, run_copy, tmp_path / "flat.tif", to="tiff", group="straightened")
 
 
 @pytest.mark.study
@@ -301,18 +281,14 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
     action = entities["#run"]
     assert action["@type"] == "CreateAction"
     assert {one["@id"] for one in action["object"]} == {"#input-sheet", "#input-image"}
-    assert entities["#input-sheet"]["sha256"] == open_run(linked_run).results.layers[0].source.sha256
-    assert (
-        xr.open_datatree(tmp_path / "crate" / "maps.zarr", engine="zarr")["linked"].sizes
-        == open_run(linked_run).linked.sizes
-    )
+    run = open_run(linked_run)
+    assert entities["#input-sheet"]["sha256"] == run.results.layers[0].source.sha256
+    assert xr.open_datatree(tmp_path / "crate/maps.zarr", engine="zarr")["linked"].sizes == run.linked.sizes
     pl.export(linked_run, tmp_path / "again", to="crate")
     assert files_of(tmp_path / "crate") == files_of(tmp_path / "again")
 
 
 # --- what is refused -------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("options", "out", "error", "words"),
     [
@@ -339,8 +315,7 @@ def test_a_crate_describes_the_run(linked_run, tmp_path):
     ],
 )  # fmt: skip
 def test_what_cannot_be_is_refused(linked_run, tmp_path, options, out, error, words):
-    with pytest.raises(error, match=words):
-        pl.export(linked_run, tmp_path / out, **options)
+    refused(error, words, pl.export, linked_run, tmp_path / out, **options)
     assert list(tmp_path.iterdir()) == []
 
 
@@ -374,23 +349,17 @@ def test_an_export_that_fails_leaves_nothing(linked_run, tmp_path, monkeypatch, 
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr(sys.modules[write.__module__], write.__name__, broken)
-    with pytest.raises(ResourceError, match="The disk is full while writing"):
-        pl.export(linked_run, tmp_path / out, to=to)
+    refused(ResourceError, "The disk is full while writing", pl.export, linked_run, tmp_path / out, to=to)
     assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.study
 @pytest.mark.parametrize("to", [to for to, form in FORMATS.items() if form.most is not None])
-def test_what_is_too_large_for_a_format_is_refused_before_work(planish, linked_run, tmp_path, monkeypatch, to):
+def test_what_is_too_large_for_a_format_is_refused_before_work(refuses, linked_run, monkeypatch, to):
     monkeypatch.setitem(FORMATS, to, replace(FORMATS[to], most=1000))
-    code, _, error = planish("export", linked_run, "--to", to, "--out", tmp_path / "o")
-    assert code == 5
-    assert f"{FORMATS[to].title} is written of at most 0 million" in " ".join(error.split())
+    refuses("export", linked_run, "--to", to, words=f"{FORMATS[to].title} is written of at most 0 million", code=5)
     monkeypatch.setitem(FORMATS, to, replace(FORMATS[to], most=10**9, byte_cost=10**12))
-    code, _, error = planish("export", linked_run, "--to", to, "--out", tmp_path / "o")
-    assert code == 5
-    assert "Allow more with --memory" in " ".join(error.split())
-    assert list(tmp_path.iterdir()) == []
+    refuses("export", linked_run, "--to", to, words="Allow more with --memory", code=5)
 
 
 def test_a_library_of_the_extra_is_named(linked_run, tmp_path, monkeypatch):
@@ -400,14 +369,10 @@ def test_a_library_of_the_extra_is_named(linked_run, tmp_path, monkeypatch):
 
 
 @pytest.mark.study
-def test_a_damaged_store_is_refused(linked_run, tmp_path):
-    import shutil
-
-    run = tmp_path / "run"
-    shutil.copytree(linked_run, run)
-    (run / "maps.zarr" / "linked" / "coating_top" / "c" / "0" / "0").unlink()
+def test_a_damaged_store_is_refused(run_copy, tmp_path):
+    (run_copy / "maps.zarr" / "linked" / "coating_top" / "c" / "0" / "0").unlink()
     with pytest.raises(FileError, match="is damaged: 1 of 1 chunks of linked/coating_top are not there"):
-        pl.export(run, tmp_path / "o", to="tiff")
+        pl.export(run_copy, tmp_path / "o", to="tiff")
 
 
 def test_a_run_without_a_link_has_maps_and_no_registration(linked_run, tmp_path):
@@ -416,32 +381,22 @@ def test_a_run_without_a_link_has_maps_and_no_registration(linked_run, tmp_path)
     alone = replace(run, results=sheet, groups={k: v for k, v in run.groups.items() if k != "linked"}, registrations={})
     made = pl.export(alone, tmp_path / "o", to="tiff", maps=["thickness"])
     np.testing.assert_array_equal(tifffile.imread(made[0]), run.maps["thickness"].values)
-    with pytest.raises(InputError, match="nothing is registered"):
-        pl.export(alone, tmp_path / "no", to="itk")
+    refused(InputError, "nothing is registered", pl.export, alone, tmp_path / "no", to="itk")
     with pytest.raises(InputError, match="no map 'image' in the group maps"):
         pl.export(alone, tmp_path / "no", to="tiff", maps=["image"])
 
 
 # --- the command -----------------------------------------------------------------------------------------------------
-
-
-def test_the_command_says_what_it_made(planish, linked_run, tmp_path):
-    code, out, error = planish("export", linked_run, "--to", "gwy", "--map", "coating_top", "--out", tmp_path / "c.gwy")
-    assert code == 0, error
-    assert (
-        out.strip() == f"{tmp_path / 'c.gwy'}: Gwyddion, 1 file; missing values: the mask; below it the mean of the map"
-    )
-    code, out, error = planish("export", linked_run, "--to", "elastix", "--out", tmp_path / "e", "--json")
-    assert code == 0, error
-    assert [name.rpartition("/")[2] for name in json.loads(out)["files"]] == [
-        "sheet_to_image.txt", "image_to_sheet.txt",
-    ]  # fmt: skip
-    code, _, error = planish("export", linked_run, "--to", "png", "--out", tmp_path / "p.png")
-    assert code == 2
-    assert "holds one map, and 23 are asked for" in " ".join(error.split())
-    code, _, error = planish("export", linked_run, "--to", "tiff", "--map", "coating", "--out", tmp_path / "t")
-    assert code == 3
-    assert "Did you mean coating_top?" in " ".join(error.split())
+def test_the_command_reports_what_it_made(passes, refuses, linked_run, tmp_path):
+    made = tmp_path / "c.gwy"
+    out, _ = passes("export", linked_run, "--to", "gwy", "--map", "coating_top", "--out", made)
+    assert out.strip() == f"{made}: Gwyddion, 1 file; missing values: the mask; below it the mean of the map"
+    out, _ = passes("export", linked_run, "--to", "elastix", "--out", tmp_path / "e", "--json")
+    files = [name.rpartition("/")[2] for name in json.loads(out)["files"]]
+    assert files == ["sheet_to_image.txt", "image_to_sheet.txt"]
+    png = ("--to", "png", "--out", tmp_path / "p.png")
+    refuses("export", linked_run, *png, words="holds one map, and 23 are asked for", code=2, out=False)
+    refuses("export", linked_run, "--to", "tiff", "--map", "coating", words="Did you mean coating_top?")
 
 
 def test_the_table_of_the_documents_is_that_of_the_program():

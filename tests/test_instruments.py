@@ -55,8 +55,7 @@ def test_a_scan_across_the_axis_of_rotation_keeps_its_hand(tmp_path):
 def test_sections_are_aligned_and_joined(tmp_path):
     specimen, _, run, ledger = _link(PARAMS, "sections", tmp_path)
     facts = run.results.layers[0].sheet.sections
-    assert facts.count == specimen.poses.index.size
-    assert facts.missing == 191 - specimen.poses.index.size
+    assert (facts.count, facts.missing) == (specimen.poses.index.size, 191 - specimen.poses.index.size)
     assert facts.not_aligned == 0
     assert not run.results.layers[0].registration.mirrored
     assert ledger["tre_p95"] < 8.0

@@ -1,7 +1,5 @@
 """What a link says of light on request: references, screens, curves, spread, mottle; and what is refused before."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -37,16 +35,18 @@ def given(**options):
 
 
 # --- the image as it is compared -------------------------------------------------------------------------------------
-
-
-def test_two_references_make_reflectance():
+def test_references_make_reflectance_and_results_state_the_quantity():
     image = image_of(np.array([[200.0, 1200.0], [2200.0, np.nan]]), title="Relative grey, red")
     found = compared_image(image, given(dark_grey=200, white_grey=2200))
     np.testing.assert_allclose(found, [[0.0, 0.5], [1.0, np.nan]])
-    assert found.dtype == np.float32
-    assert found.attrs["long_name"] == "Reflectance, red"
+    assert (found.dtype, found.attrs["long_name"]) == (np.float32, "Reflectance, red")
     assert image.attrs["long_name"] == "Relative grey, red"
     assert compared_image(image, given()) is image
+    assert image_facts(given()).sentence.startswith("relative grey, as stored")
+    facts = image_facts(given(dark_grey=100, white_grey=40000, screen_um=167))
+    assert (facts.quantity, facts.sigma_um) == ("reflectance", pytest.approx(70.1, abs=0.1))
+    assert "grey 100 is 0, grey 40000 is 1" in facts.sentence
+    assert "210 um more around holes" in facts.sentence
 
 
 def test_a_screen_is_taken_off_over_what_may_count():
@@ -64,14 +64,6 @@ def test_a_screen_is_taken_off_over_what_may_count():
         compared_image(image_of(values, um=100.0), given(screen_um=100.0))
 
 
-def test_results_say_what_the_values_are():
-    assert image_facts(given()).sentence.startswith("relative grey, as stored")
-    facts = image_facts(given(dark_grey=100, white_grey=40000, screen_um=167))
-    assert (facts.quantity, facts.sigma_um) == ("reflectance", pytest.approx(70.1, abs=0.1))
-    assert "grey 100 is 0, grey 40000 is 1" in facts.sentence
-    assert "210 um more around holes" in facts.sentence
-
-
 @pytest.mark.parametrize(
     "options", [{"dark_grey": 10}, {"white_grey": 10}, {"dark_grey": 50, "white_grey": 50}, {"screen_um": 0}]
 )
@@ -80,17 +72,20 @@ def test_references_that_mean_nothing_are_refused(options):
         given(**options)
 
 
-def test_regions_come_before_a_screen_is_taken_off(tmp_path):
+def test_refining_and_regions_come_before_a_screen_is_taken_off(tmp_path):
     (tmp_path / "r.json").write_text(json.dumps({"type": "Polygon", "coordinates": [[[0, 0], [40, 0], [40, 40]]]}))
     image = image_of(np.random.default_rng(0).normal(size=(30, 30)))
     linked = xr.Dataset({"image": image.assign_attrs(reach_um=210.0), "valid": image > -99})
     with pytest.raises(InputError, match="Give regions= to 'planish link'"):
         correlate_maps(linked, params=CorrelateParams(regions=str(tmp_path / "r.json")))
+    study = as_study({
+        "volume": {"path": "v.tif"}, "image": {"path": "i.tif", "screen_um": 167}, "registration": {"refine": "affine"}
+    })  # fmt: skip
+    with pytest.raises(InputError, match="refine= aligns the fine texture"):
+        check_request(study, Compute())
 
 
 # --- light over the coating ------------------------------------------------------------------------------------------
-
-
 def coated(seed=0, *, shape=(80, 100), spread_um=None):
     """Coating of 17 um at points of 20 um, and the reflectance that S = 0.24 per um over 0.79 gives it."""
     rng = np.random.default_rng(seed)
@@ -107,8 +102,7 @@ def test_the_curve_has_the_units_of_the_coating():
     assert per_um.scattering_interval[0] < 0.24 < per_um.scattering_interval[1]
     in_grams = kubelka_munk_of((coating, image), point_um=20.0, ratio=0.002, density=1.6)
     assert in_grams.scattering == pytest.approx(1000 * per_um.scattering / 1.6, rel=1e-4)
-    assert (per_um.weight, in_grams.weight) == (False, True)
-    assert in_grams.backing == pytest.approx(0.79, abs=0.03)
+    assert (per_um.weight, in_grams.weight, in_grams.backing) == (False, True, pytest.approx(0.79, abs=0.03))
     outside = kubelka_munk_of((coating, 255 * image), point_um=20.0, ratio=0.002, density=None)
     assert math.isnan(outside.scattering)
     assert "not within 0 and 1" in outside.silence
@@ -148,9 +142,8 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
     valid = np.ones(image.shape, bool)
     valid[:60] = False
     image[:60] = 5e5
-    found = mottle_of(
-        "print", xr.Dataset({"image": image_of(image, um=5.0), "valid": (("y", "x"), valid)}), quantity="relative grey"
-    )
+    layer = xr.Dataset({"image": image_of(image, um=5.0), "valid": (("y", "x"), valid)})
+    found = mottle_of("print", layer, quantity="relative grey")
     assert [(b.shortest_um, b.longest_um) for b in found.bands] == [(250.0, 500.0)]
     assert 0.004 < found.bands[0].coefficient_of_variation < 0.02
     assert found.mean == pytest.approx(1000, rel=0.02)
@@ -160,8 +153,6 @@ def test_mottle_is_of_valid_pixels_and_says_why_there_is_none():
 
 
 # --- what is refused before anything is read -------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("layers", "correlate", "said"),
     [
@@ -181,45 +172,29 @@ def test_requests_that_lack_something_are_refused(layers, correlate, said):
         check_request(study, Compute())
 
 
-def test_refining_needs_the_texture_that_a_screen_takes_away():
-    study = as_study({
-        "volume": {"path": "v.tif"}, "image": {"path": "i.tif", "screen_um": 167}, "registration": {"refine": "affine"}
-    })  # fmt: skip
-    with pytest.raises(InputError, match="refine= aligns the fine texture"):
-        check_request(study, Compute())
-
-
 @pytest.mark.parametrize("dark", ["100", "0"])  # 0 is given, too
-def test_half_of_the_references_is_wrong_usage(planish, specimen_files, tmp_path, dark):
-    code, _, said = planish("link", *specimen_files, "--out", tmp_path / "run", "--dark-grey", dark)
-    assert code == 2
-    assert "belong together" in " ".join(said.split())
-    assert not (tmp_path / "run").exists()
+def test_half_of_the_references_is_wrong_usage(refuses, specimen_files, dark):
+    refuses("link", *specimen_files, "--dark-grey", dark, words="belong together", code=2)
 
 
 # --- in a run --------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.study
-def test_a_run_with_all_of_it(planish, specimen_files, tmp_path):
+def test_a_run_with_all_of_it(planish, passes, specimen_files, tmp_path):
     options = ("--dark-grey", "1000", "--white-grey", "65000", "--kubelka-munk", "0.002", "--light-spread-um", "60",
                "--mottle", "--coating-density", "1.6", "--figures")  # fmt: skip
     assert planish("link", *specimen_files, "--out", tmp_path / "run", *options)[0] in (0, 4)
     results = Results.read(tmp_path / "run" / "results.json")
     (found,), image = results.evidence, results.layers[-1].image
-    assert image.quantity == "reflectance"
-    assert found.density_g_cm3 == 1.6
+    assert (image.quantity, found.density_g_cm3) == ("reflectance", 1.6)
     assert found.kubelka_munk.silence or found.kubelka_munk.weight
-    assert found.light_spread.width_um == 60
-    assert len(results.mottle) == 1
+    assert (found.light_spread.width_um, len(results.mottle)) == (60, 1)
     page = (tmp_path / "run" / "report.html").read_text(encoding="utf-8")
     assert "at 1.6 g/cm³ / g/m²" in page
     assert "relative grey" not in page.lower()
     assert "Light in the coating" in page
     assert any(p.name.endswith("curve.csv") for p in (tmp_path / "run" / "figures").iterdir()) or \
         found.kubelka_munk.silence  # fmt: skip
-    code, _, _ = planish("run", tmp_path / "run", "-o", tmp_path / "again")
-    assert code in (0, 4)
+    passes("run", tmp_path / "run", "-o", tmp_path / "again", codes=(0, 4))
     assert (tmp_path / "again" / "results.json").read_bytes() == (tmp_path / "run" / "results.json").read_bytes()
 
 

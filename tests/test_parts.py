@@ -1,7 +1,5 @@
 """Volumes that are a part of a file, ``scan.h5:/entry/data``, in a folder with a colon: wherever a path is source."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -14,6 +12,7 @@ import tifffile
 import xarray as xr
 import zarr
 
+from folders import refused
 from planish.compute import silent
 from planish.core.errors import FileError, StudyError
 from planish.exports import ExportSource
@@ -47,14 +46,11 @@ def volume(specimen_files, tmp_path_factory) -> str:
     return in_hdf5(tmp_path_factory.mktemp("parts"), tifffile.imread(specimen_files[0]))
 
 
-def test_name_and_stem_of_a_place() -> None:
+def test_name_stem_and_slashes_of_a_place(monkeypatch: pytest.MonkeyPatch) -> None:
     place = find_place("C:/scan: 1/scan.h5:/entry/a")
     assert (place.name, place.stem) == ("scan.h5:/entry/a", "scan-entry-a")
     assert (find_place("v.ome.tif").name, find_place("v.ome.tif").stem) == ("v.ome.tif", "v.ome")
-
-
-def test_a_part_keeps_its_slashes_on_windows(monkeypatch: pytest.MonkeyPatch) -> None:
-    """There, a path turns the slashes of the part round; names within HDF5 and Zarr have slashes."""
+    # There, a path turns the slashes of the part round; names within HDF5 and Zarr have slashes.
     monkeypatch.setattr(os, "sep", "\\")
     assert find_place("C:\\scans\\scan.h5:\\entry\\a").part == PART
 
@@ -86,8 +82,7 @@ def test_an_export_finds_the_part_that_was_mapped(linked_run, volume, tmp_path) 
         if not words:
             assert source.volume_of(source.results.layers[0], silent).path == path
             continue
-        with pytest.raises(FileError, match=words):
-            source.volume_of(source.results.layers[0], silent)
+        refused(FileError, words, source.volume_of, source.results.layers[0], silent)
 
 
 def test_a_study_keeps_the_part_beside_a_relative_path(volume, tmp_path) -> None:
@@ -114,11 +109,12 @@ def test_layers_are_named_after_file_and_part(tmp_path) -> None:
     assert names(part, f"{other}:{PART}") == ["scan-entry-a", "a-b-entry-a", "i"]
     assert names(part, f"{part[:-1]}b") == ["scan-entry-a", "scan-entry-b", "i"]
     assert names(f"ct={part}", f"{other}:{PART}")[0] == "ct"
-    with pytest.raises(StudyError, match="'häh' is no name of a layer"):
-        study_of((f"häh={part}", str(tmp_path / "i.tif")), {})
+    refused(StudyError, "'häh' is no name of a layer", study_of, (f"häh={part}", str(tmp_path / "i.tif")), {})
 
 
-def test_a_sign_of_equality_in_the_name_of_a_file_with_parts_names_no_layer(tmp_path, monkeypatch) -> None:
+def test_specimens_are_named_after_file_and_part_and_a_sign_of_equality_names_no_layer(tmp_path, monkeypatch) -> None:
+    (tmp_path / "t.csv").write_text("volume,sheet\none.h5:/entry/a,1\ntwo.h5:/entry/a,1\n", encoding="utf-8")
+    assert [one.name for one in read_plan(tmp_path / "t.csv").specimens] == ["one-entry-a", "two-entry-a"]
     monkeypatch.chdir(tmp_path)
     with h5py.File("a=b.h5", "w") as file:
         file[PART] = np.zeros((9, 8, 7), np.uint8)
@@ -128,22 +124,13 @@ def test_a_sign_of_equality_in_the_name_of_a_file_with_parts_names_no_layer(tmp_
     assert read_plan(tmp_path / "t.csv").specimens[0].files == (str(tmp_path / "a=b.h5:/entry/a"),)
 
 
-def test_specimens_are_named_after_file_and_part(tmp_path) -> None:
-    (tmp_path / "t.csv").write_text("volume,sheet\none.h5:/entry/a,1\ntwo.h5:/entry/a,1\n", encoding="utf-8")
-    assert [one.name for one in read_plan(tmp_path / "t.csv").specimens] == ["one-entry-a", "two-entry-a"]
-
-
-def test_nothing_is_written_into_a_store_of_which_a_part_is_read(tmp_path) -> None:
-    store = tmp_path / "scan.zarr"
-    zarr.create_group(store)
-    with pytest.raises(FileError, match="which is read; nothing is written there"):
-        refuse_inside(store / "run", [f"{store}:/0"])
-
-
-def test_parts_of_a_store_with_checksums_have_hashes_of_their_own(tmp_path) -> None:
+def test_parts_of_a_store_have_hashes_of_their_own_and_nothing_is_written_into_it(tmp_path) -> None:
     values = xr.DataArray(
         np.arange(504, dtype=np.uint8).reshape(9, 8, 7), dims=("z", "y", "x"), attrs={"voxel_um": [1.0] * 3}
     )
     write_store(values, tmp_path / "s.zarr")
     hashes = {fingerprint(tmp_path / "s.zarr"), *(fingerprint(f"{tmp_path}/s.zarr:{part}") for part in ("/0", "/1"))}
     assert len(hashes) == 3
+    store = tmp_path / "scan.zarr"
+    zarr.create_group(store)
+    refused(FileError, "which is read; nothing is written there", refuse_inside, store / "run", [f"{store}:/0"])

@@ -1,7 +1,5 @@
 """The project's own files agree with each other: version, locks, citation."""
 
-from __future__ import annotations
-
 import hashlib
 import os
 import re
@@ -40,27 +38,21 @@ def names(requirements: list[str]) -> set[str]:
     return {re.sub(r"[-_.]+", "-", re.split(r"[\[<>=]", r)[0]).lower() for r in requirements}
 
 
-def test_locks_hold_everything_that_pyproject_names() -> None:
+def test_locks_hold_everything_that_pyproject_names_in_the_same_versions() -> None:
     run = names([*PROJECT["dependencies"], *BUILD])
     assert run <= locked("run.lock").keys()
     assert run | names(PROJECT["optional-dependencies"]["dev"]) <= locked("dev.lock").keys()
-
-
-def test_dev_lock_holds_the_run_lock_in_the_same_versions() -> None:
     dev = locked("dev.lock")
     assert {package: dev.get(package) for package in locked("run.lock")} == locked("run.lock")
+    assert f"\nversion: {planish.__version__}\n" in read("CITATION.cff")
+    changes = read("CHANGELOG.md")
+    assert f"\n## [{planish.__version__}]" in changes
 
 
 @pytest.mark.parametrize("name", ["run.lock", "dev.lock"])
 def test_locks_hold_names_versions_and_hashes_only(name: str) -> None:
     line = re.compile(r"[\w.-]+==[\w.]+( ; [\w .<>='!()*]+)? \\|    --hash=sha256:[0-9a-f]{64}( \\)?")
     assert [text for text in read(f"requirements/{name}").splitlines() if not line.fullmatch(text)] == []
-
-
-def test_citation_and_changelog_name_the_version() -> None:
-    assert f"\nversion: {planish.__version__}\n" in read("CITATION.cff")
-    changes = read("CHANGELOG.md")
-    assert f"\n## [{planish.__version__}]" in changes
 
 
 def test_a_benchmark_needs_the_libraries_of_no_other() -> None:

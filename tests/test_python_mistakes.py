@@ -1,7 +1,5 @@
 """What is easily written wrong in Python, and the sentence that each gets: given, needed, what to write."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -149,22 +147,18 @@ def test_a_registration_the_other_way_round_is_refused(linked_run):
     run = pl.open_run(linked_run)
     sheet, image = pl.find_holes(run.maps), pl.find_holes(run.linked.image.assign_attrs(pixel_um=(5.0, 5.0)))
     swapped = pl.register_marks(image, sheet)
-    with pytest.raises(
-        pl.PlanishError, match="goes from the image to the sheet; needed is one from the sheet to the image"
-    ):
+    words = "goes from the image to the sheet; needed is one from the sheet to the image"
+    with pytest.raises(pl.PlanishError, match=words):
         pl.resample_maps(run.groups["surfaces"], run.groups["flat"], onto=run.linked.image, registration=swapped)
     with pytest.raises(pl.PlanishError, match=r"takes an image, and a path \('i.tif'\) was given.*onto=pl.read_image"):
         pl.resample_maps(run.groups["surfaces"], run.groups["flat"], onto="i.tif", registration=swapped)
 
 
-def test_maps_without_a_value_have_no_correlation_and_say_so():
+def test_maps_without_a_value_and_words_of_the_command_line(linked_run, tmp_path):
     nothing = xr.DataArray(np.full((30, 40), np.nan), dims=("y", "x"), coords=IMAGE.coords)
     found = pl.correlate(nothing, IMAGE)
     assert np.isnan(found.r)
     assert found.support_um == 5.0  # by the coordinates
     assert found.warnings == ("Only 0 points are valid in both maps.",)
-
-
-def test_words_of_the_command_line_are_taken_for_fields(linked_run, tmp_path):
     files = pl.export(linked_run, tmp_path / "map.csv", to="csv", map=["coating_top"])
     assert [path.name for path in files] == ["map.csv"]

@@ -1,7 +1,5 @@
 """Measured data: a lab X-ray scan of a wound cell, whose can wall was measured independently."""
 
-from __future__ import annotations
-
 import json
 
 import numpy as np
@@ -37,14 +35,11 @@ def wall(shared_data, tmp_path_factory):
         return json.loads((out / "results.json").read_text())["layers"][0]["sheet"], tree.load()
 
 
-def test_wall_thickness(wall):
+def test_the_wall_is_measured_in_every_slice_on_its_circle(wall):
     results, _ = wall
     median = results["properties"]["thickness"]["median"]
     print(f"thickness of the wall: median {median:.2f} px; measured independently 6.6 px")
     assert median == pytest.approx(6.6, abs=0.3)
-
-
-def test_outer_face_lies_on_the_circle_in_every_slice(wall):
     surfaces = wall[1]["surfaces"].to_dataset()
     x = surfaces["top"].values + FIRST_X - CENTRE_X
     y = surfaces["x"].values[None, :] + FIRST_Y - CENTRE_Y
@@ -52,30 +47,18 @@ def test_outer_face_lies_on_the_circle_in_every_slice(wall):
     print(f"outer radius by slice: {radius.min():.2f} to {radius.max():.2f} px; measured independently {RADIUS} px")
     assert radius.size == 45
     assert np.abs(radius - RADIUS).max() < 1.0
-
-
-def test_every_slice_is_mapped(wall):
-    """Electrode layers lie behind the wall from the middle of the stack on; they change nothing."""
+    # Electrode layers lie behind the wall from the middle of the stack on; they change nothing.
     status = wall[1]["surfaces"].to_dataset()["status"].values
     share = (status == 0).mean(axis=1)
     print(f"measured share of a slice: {share.min():.3f} at least")
     assert share.min() > 0.9
-
-
-def test_flattened_without_strain(wall):
     flatten = wall[0]["flatten"]
-    print(
-        f"edge strain: {100 * flatten['edge_strain_p95']:.4f} % (p95), "
-        f"{100 * flatten['edge_strain_max']:.4f} % (largest)"
-    )
+    strain = flatten["edge_strain_p95"], flatten["edge_strain_max"]
+    print("edge strain: {:.4%} (p95), {:.4%} (largest)".format(*strain))
     assert flatten["outcome"] == "RESTED"
     assert flatten["edge_strain_max"] < 1e-3
 
 
-def test_without_the_grey_range_the_way_out_is_named(shared_data, planish, tmp_path):
-    code, _, err = planish(
-        "map", shared_data("battery_sector_right"), "--voxel-um", 1, "--through", "x", "--out", tmp_path / "run"
-    )
-    assert code == 3
-    assert "several sheets" in err
-    assert "--sheet-grey LOW,HIGH" in err
+def test_without_the_grey_range_the_way_out_is_named(shared_data, refuses):
+    command = ("map", shared_data("battery_sector_right"), "--voxel-um", 1, "--through", "x")
+    refuses(*command, words=("several sheets", "--sheet-grey LOW,HIGH"))

@@ -1,13 +1,10 @@
 """Declared artefacts: what files say of them, which pixels they cover, and that no figure of a run counts these."""
 
-from __future__ import annotations
-
 import io
 import json
 import struct
 import zipfile
 from fractions import Fraction
-from importlib import import_module
 from pathlib import Path
 
 import numpy as np
@@ -15,6 +12,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from folders import refused
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.grid import Grid
@@ -87,8 +85,6 @@ TRIANGLE = roi(0, (4, 6, 9, 12), [(0, 0), (6, 0), (6, 5)], name="crease")
 
 
 # --- which pixels ----------------------------------------------------------------------------------------------------
-
-
 def slow_mask(polygons, grid):
     """Every pixel and every edge in exact numbers: inside where an odd number of crossings lies to the right."""
     found = np.zeros(grid.shape, dtype=bool)
@@ -125,16 +121,13 @@ def test_the_mask_is_that_of_exact_numbers_whole_and_in_bands(polygons):
     np.testing.assert_array_equal(np.vstack(parts), whole)
 
 
-def test_regions_side_by_side_share_no_pixel_and_leave_none_out():
+def test_regions_side_by_side_share_no_pixel_and_overlaps_count_once():
     middle = np.array([4.5, 3.0])  # a pixel's centre
     corners = np.array([[-1.0, -1.0], [10.0, -1.0], [10.0, 8.0], [-1.0, 8.0]])
     grid = Grid.regular((7, 10), 1.0)
     parts = [Region(name=str(k), polygons=((np.array([middle + 0.5, corners[k - 1], corners[k]]),),)) for k in range(4)]
     counts = sum(Regions(declared=(one,)).inside(grid).astype(int) for one in parts)
     np.testing.assert_array_equal(counts, np.ones(grid.shape))
-
-
-def test_shares_are_of_all_pixels_and_overlaps_count_once():
     grid = Grid.regular((1300, 10), 1.0)  # several bands
 
     def rows(name, first, last):
@@ -145,8 +138,6 @@ def test_shares_are_of_all_pixels_and_overlaps_count_once():
 
 
 # --- GeoJSON ---------------------------------------------------------------------------------------------------------
-
-
 def test_all_forms_of_geojson_are_read(tmp_path):
     texts = {"name": "stain", "reason": "coffee", "author": "A. Author"}
     several = {"type": "MultiPolygon", "coordinates": [POLYGON["coordinates"], [[[0, 0, 7], [1, 0, 7], [1, 1, 7]]]]}
@@ -176,8 +167,6 @@ def test_what_is_written_reads_back_to_the_same_bytes(tmp_path):
 
 
 # --- ImageJ ----------------------------------------------------------------------------------------------------------
-
-
 def test_a_rectangle_of_imagej_covers_its_own_pixels(tmp_path):
     """Left 2, top 1, 3 pixels wide, 2 high, on a grid whose first pixel has its middle at (100, 50) um."""
     grid = Grid.regular((5, 8), (2.5, 4.0), (100.0, 50.0))
@@ -212,9 +201,8 @@ def test_places_names_and_properties_of_imagej(tmp_path):
     np.testing.assert_allclose(first.polygons[0][0], [[6, 4], [12, 4], [12, 9]], rtol=0, atol=2e-8)
     np.testing.assert_allclose(second.polygons[0][0], fine, rtol=0, atol=2e-8)
     far = roi(0, (40000 - 65536, 2, 0, 0), [(0, 0), (9, 0), (9, 40000 - 65536)])
-    np.testing.assert_allclose(
-        read(tmp_path, far).declared[0].polygons[0][0], [[2, 4e4], [11, 4e4], [11, 8e4]], rtol=1e-8
-    )
+    corners = read(tmp_path, far).declared[0].polygons[0][0]
+    np.testing.assert_allclose(corners, [[2, 4e4], [11, 4e4], [11, 8e4]], rtol=1e-8)
 
 
 SELECTIONS = Path(__file__).parent / "imagej"  # of ImageJ 1.53t, with the pixels that it fills (Make.java)
@@ -233,33 +221,26 @@ def test_a_selection_of_imagej_covers_the_pixels_that_imagej_fills(tmp_path, pat
     np.testing.assert_array_equal(stored.inside(grid), filled)
 
 
-def test_parts_of_a_composite_selection_are_outer_borders_with_their_holes():
+def test_a_manager_of_imagej_and_parts_of_a_composite_are_read():
     def borders(name):
         return [len(rings) for rings in read_regions(SELECTIONS / f"{name}.roi").declared[0].polygons]
 
-    assert borders("composite-hole") == [2]
-    assert borders("composite-two") == [1, 1]
+    assert (borders("composite-hole"), borders("composite-two")) == ([2], [1, 1])
     assert borders("composite-joined") == [1]
     squares = [np.array([[k, k], [9 - k, k], [9 - k, 9 - k], [k, 9 - k]], float) for k in (2, 0, 3, 1)]
     beside = squares[1] + 20
     parts = nested([*squares, beside])
     assert [[ring[0, 0] for ring in rings] for rings in parts] == [[2, 3], [0, 1], [20]]
-
-
-def test_the_manager_of_imagej_saves_several():
     found = read_regions(SELECTIONS / "RoiSet.zip").declared
     assert [one.name for one in found] == ["polygon", "freehand", "composite-hole"]
 
 
 @pytest.mark.parametrize(("name", "words"), [("rounded", "rounded corners"), ("spline", "fitted with a spline")])
 def test_selections_of_imagej_that_are_not_read_are_named(name, words):
-    with pytest.raises(FileError, match=rf"'{name}.roi': it is .*{words}"):
-        read_regions(SELECTIONS / f"{name}.roi")
+    refused(FileError, rf"'{name}.roi': it is .*{words}", read_regions, SELECTIONS / f"{name}.roi")
 
 
 # --- files that are of no use ----------------------------------------------------------------------------------------
-
-
 def bent(*places):
     return {"type": "Polygon", "coordinates": [list(places)]}
 
@@ -330,16 +311,14 @@ def test_a_wrong_file_is_refused_with_its_faults(tmp_path, content, words):
 
 def test_all_faults_are_named_at_once(tmp_path):
     content = {"type": "FeatureCollection", "features": [feature(bent([0, 0])), feature(), feature(author=1)]}
-    with pytest.raises(FileError, match=r"region 1: .*1 different.*region 3: author is no text"):
-        read(tmp_path, content)
+    refused(FileError, r"region 1: .*1 different.*region 3: author is no text", read, tmp_path, content)
 
 
 @given(st.data())
 def test_damaged_bytes_are_read_or_refused(tmp_path_factory, data):
     folder = tmp_path_factory.getbasetemp()
-    whole = data.draw(
-        st.sampled_from([TRIANGLE, roi(2, (0, 0, 9, 9)), composite(0, 1, 1, 1, 5, 1, 1, 5, 5, 4), archive(a=TRIANGLE)])
-    )
+    files = [TRIANGLE, roi(2, (0, 0, 9, 9)), composite(0, 1, 1, 1, 5, 1, 1, 5, 5, 4), archive(a=TRIANGLE)]
+    whole = data.draw(st.sampled_from(files))
     damaged = bytearray(whole)
     for at, value in data.draw(st.lists(st.tuples(st.integers(0, len(whole) - 1), st.integers(0, 255)), max_size=4)):
         damaged[at] = value
@@ -360,8 +339,6 @@ def test_regions_off_the_reference_or_all_over_it_are_refused(tmp_path):
 
 
 # --- studies and runs ------------------------------------------------------------------------------------------------
-
-
 def test_a_study_names_them_by_a_relative_path(tmp_path):
     volume, image = VolumeParams(path=str(tmp_path / "v.tif")), ImageParams(path=str(tmp_path / "i.tif"))
     layers = (LayerParams(name="sheet", volume=volume), LayerParams(name="image", image=image))
@@ -369,23 +346,14 @@ def test_a_study_names_them_by_a_relative_path(tmp_path):
     write_study(study, tmp_path, home=tmp_path, version="")
     assert 'regions = "in/r.json"' in (tmp_path / "run.toml").read_text()
     assert read_study(tmp_path / "run.toml") == study
-    with pytest.raises(ValueError, match="a single layer has none"):
-        Study(layers=layers[:1], correlate=study.correlate)
+    refused(ValueError, "a single layer has none", Study, layers=layers[:1], correlate=study.correlate)
 
 
 @pytest.mark.parametrize(("content", "words"), [(b"{}", "no GeoJSON"), (bent([-9, 0], [-1, 0], [-1, 9]), "no pixel")])
-def test_a_file_of_no_use_is_refused_before_the_volume_is_read(
-    planish, specimen_files, tmp_path, monkeypatch, content, words
-):
-    def mapped(*_args, **_more):
-        pytest.fail("the volume was mapped")
-
-    for module in ("linking", "save"):
-        monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", mapped)
+@pytest.mark.usefixtures("unread")
+def test_a_file_of_no_use_is_refused_before_the_volume_is_read(refuses, specimen_files, tmp_path, content, words):
     path = written(tmp_path / "r.json", content)
-    code, _, err = planish("link", *specimen_files, "--regions", path, "-o", tmp_path / "run")
-    assert (code, words in err, "r.json" in err) == (3, True, True), err
-    assert [one.name for one in tmp_path.iterdir()] == ["r.json"]
+    refuses("link", *specimen_files, "--regions", path, words=(words, "r.json"))
 
 
 @pytest.fixture(scope="module")
@@ -433,26 +401,24 @@ def test_the_stage_takes_them_out_as_the_run_does(stain, linked_run, stained_run
 
 
 @pytest.mark.study
-def test_a_run_with_regions_repeats_to_the_same_bytes(planish, linked_run, stained_run, tmp_path):
+def test_a_run_with_regions_repeats_to_the_same_bytes(passes, linked_run, stained_run, tmp_path):
     """They are read from the run; taken out, they leave the run as it was without."""
     assert 'regions = "regions.geojson"' in (stained_run / "run.toml").read_text()
-    code, _, err = planish("run", stained_run, "-o", tmp_path / "again")
-    assert (code in (0, 4), f"same bytes as {stained_run}" in err) == (True, True), err
+    _, err = passes("run", stained_run, "-o", tmp_path / "again", codes=(0, 4))
+    assert f"same bytes as {stained_run}" in err
     corners = [[597.5, 497.5], [897.5, 497.5], [897.5, 747.5], [597.5, 747.5]]
     np.testing.assert_array_equal(open_run(tmp_path / "again").regions.declared[0].polygons[0][0], corners)
-    code, _, err = planish("run", stained_run, "--set", "correlate.regions=", "-o", tmp_path / "without")
-    assert code in (0, 4), err
+    passes("run", stained_run, "--set", "correlate.regions=", "-o", tmp_path / "without", codes=(0, 4))
     assert open_run(tmp_path / "without").results == open_run(linked_run).results
     assert not (tmp_path / "without" / "regions.geojson").exists()
 
 
 @pytest.mark.study
-def test_regions_count_in_no_pair_of_images(planish, specimen_files, tmp_path):
+def test_regions_count_in_no_pair_of_images(passes, specimen_files, tmp_path):
     path = written(tmp_path / "r.json", bent([600, 500], [900, 500], [900, 750], [600, 750]))
     layers = [f"{name}={specimen_files[1]}" for name in ("one", "two")]
     for options, out in ((("--regions", path), "with"), ((), "without")):
-        code, _, err = planish("link", *layers, *options, "-o", tmp_path / out)
-        assert code in (0, 4), err
+        passes("link", *layers, *options, "-o", tmp_path / out, codes=(0, 4))
     less, all_ = (open_run(tmp_path / name) for name in ("with", "without"))
     inside = less.regions.inside(Grid.of(less.layers["one"]))
     assert inside.sum() == 3000

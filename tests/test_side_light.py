@@ -1,7 +1,5 @@
 """Light from one side: a map that is displaced towards it can correlate more, and the page cautions of it."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from scipy import ndimage
@@ -67,9 +65,8 @@ def sentence_with(light: float) -> str:
     lag = layer.registration.lag.model_copy(update={"light": light})
     registration = layer.registration.model_copy(update={"lag": lag})
     layers = (layer.model_copy(update={"registration": registration}), *results.layers[1:])
-    rows = tuple(
-        row.model_copy(update={"difference": 0.1, "difference_interval": (0.05, 0.15)}) for row in results.comparison
-    )
+    apart = {"difference": 0.1, "difference_interval": (0.05, 0.15)}
+    rows = tuple(row.model_copy(update=apart) for row in results.comparison)
     return comparison_sentence(results.model_copy(update={"layers": layers, "comparison": rows}))
 
 

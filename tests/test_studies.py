@@ -1,7 +1,5 @@
 """The studies of the paper: each runs as it stands and on other files, and states a number with its interval."""
 
-from __future__ import annotations
-
 import importlib
 import re
 import sys
@@ -48,8 +46,6 @@ def numbers(pattern: str, said: str) -> list[float]:
 
 
 # --- what costs nothing ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("path", TOML, ids=lambda path: path.stem)
 def test_a_study_reads_whatever_files_it_is_given(path, tmp_path):
     text = path.read_text(encoding="utf-8")
@@ -63,24 +59,20 @@ def test_a_study_reads_whatever_files_it_is_given(path, tmp_path):
     assert all(file.is_relative_to(tmp_path / "scans" / "of march") for file in files)
 
 
-def test_every_study_has_its_specimens_and_its_statement(make):
+def test_every_study_has_its_specimens_statement_and_figure(make):
     assert {path.stem for path in TOML} == set(make.specimens.STUDIES)
-    assert set(make.DEFAULT) == set(make.statements.STATEMENTS)
-    assert (*make.DEFAULT, "large") == NAMES
+    assert (set(make.DEFAULT), (*make.DEFAULT, "large")) == (set(make.statements.STATEMENTS), NAMES)
     for path in TOML:
         made = {f"specimens/{path.stem}/{one.name}" for one in make.specimens.STUDIES[path.stem]("full")}
         text = path.read_text(encoding="utf-8")
         assert {found.rsplit("/", 1)[0] for found in re.findall(r"specimens/[\w-]+/[\w-]+/\w+", text)} == made
-
-
-def test_the_page_shows_every_study_with_its_figure():
     page = (ROOT / "docs" / "studies.md").read_text(encoding="utf-8")
     assert re.findall(r"```\npython examples/studies/make\.py ([\w-]+)(?: --size full)?\n```", page) == list(NAMES)
     assert re.findall(r"\(images/studies/([\w-]+)\.png\)", page) == list(NAMES)
     assert {path.stem for path in (ROOT / "docs" / "images" / "studies").glob("*.png")} == set(NAMES)
 
 
-def test_a_study_keeps_the_specimens_that_were_made(make, tmp_path):
+def test_a_study_keeps_its_specimens_and_files_of_ones_own_belong_to_one_study(make, tmp_path, capsys):
     text = (STUDIES / "flattening.toml").read_text(encoding="utf-8")
     assert "\n[[specimens]]\n" not in make.shortened(text, tmp_path)
     made = tmp_path / "specimens" / "flattening" / "sheet-2" / "volume.tif"
@@ -88,25 +80,19 @@ def test_a_study_keeps_the_specimens_that_were_made(make, tmp_path):
     made.touch()
     (tmp_path / "own.toml").write_text(make.shortened(text, tmp_path), encoding="utf-8")
     assert [one.name for one in read_plan(tmp_path / "own.toml").specimens] == ["sheet-2"]
-
-
-@pytest.mark.parametrize("low_high", [None, (None, None), (np.nan, np.nan)])
-def test_no_interval_is_written_as_none(make, low_high):
-    common = importlib.import_module("statements.common")
-    assert common.interval(low_high) == "no interval"
-    assert common.interval((0.125, 0.5), 1) == "0.1 to 0.5"
-    assert make.cpu_s() > 0
-
-
-def test_a_series_of_ones_own_belongs_to_one_study(make, tmp_path, capsys):
     with pytest.raises(SystemExit):
         make.main(["fig-06", "fig-07", "--of", str(tmp_path), "--out", str(tmp_path / "out")])
     assert "--of needs one study" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("low_high", [None, (None, None), (np.nan, np.nan)])
+def test_no_interval_is_written_as_none(make, low_high):
+    common = importlib.import_module("statements.common")
+    assert (common.interval(low_high), common.interval((0.125, 0.5), 1)) == ("no interval", "0.1 to 0.5")
+    assert make.cpu_s() > 0
+
+
 # --- the studies, small ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.study
 def test_fig_06_on_files_of_ones_own(make, tmp_path, capsys):
     make.specimens.make("fig-06", "small", tmp_path / "made")
@@ -144,15 +130,11 @@ def test_fig_07_and_the_design_that_reads_it(make, tmp_path, capsys):
 
 
 @pytest.mark.study
-def test_fig_09_print(make, tmp_path, capsys):
+def test_fig_09_print_and_fig_11_two_instruments(make, tmp_path, capsys):
     said = stated(make, capsys, "fig-09", tmp_path)
     r, low, high = numbers(rf"r = {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\)", said)
     assert low < r < high
     assert "no octave of wavelength" in said  # the field is too small for them
-
-
-@pytest.mark.study
-def test_fig_11_two_instruments(make, tmp_path, capsys):
     said = stated(make, capsys, "fig-11", tmp_path)
     r, low, high = numbers(rf"r = {NUMBER} \(95 % interval {NUMBER} to {NUMBER}\) over \d+ points of 14 um", said)
     assert 0.3 < low < r < high  # one coating, seen twice
@@ -162,16 +144,12 @@ def test_fig_11_two_instruments(make, tmp_path, capsys):
 
 
 @pytest.mark.study
-def test_the_discussion(make, tmp_path, capsys):
+def test_the_discussion_and_a_large_sheet(make, tmp_path, capsys):
     said = stated(make, capsys, "flattening", tmp_path)
     projected, flattened = numbers(rf"Projection: r² {NUMBER}, flattened {NUMBER}", said)
     assert 0 <= projected < flattened
     low, high = numbers(rf"scaled projection by [+-][\d.]+ \(95 % interval {NUMBER} to {NUMBER}\)", said)
     assert low < high
-
-
-@pytest.mark.study
-def test_a_large_sheet(make, tmp_path, capsys):
     said = stated(make, capsys, "large", tmp_path)
     projected, flattened = numbers(rf"projection: r² {NUMBER} .*flattened: r² {NUMBER}", said)
     assert projected < flattened

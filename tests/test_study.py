@@ -16,16 +16,13 @@ def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):
     assert read_study(tmp_path / "run" / "run.toml") == study
 
 
-def test_all_faults_are_named_at_once(tmp_path):
+def test_faults_of_a_study_are_named_at_once_and_other_files_refused(tmp_path):
     path = tmp_path / "s.toml"
     path.write_text('[volume]\npath = "v.tif"\naxsi = 3\nvoxel_um = [1.0, -1.0, 1.0]\n[surface]\nrim_um = -4\n')
     with pytest.raises(InputError) as error:
         read_study(path)
     for word in ("volume.axsi", "voxel_um.1", "surface.rim_um", "3 wrong parameters"):
         assert word in str(error.value)
-
-
-def test_what_is_no_study(tmp_path):
     with pytest.raises(FileError, match="cannot be read"):
         read_study(tmp_path / "none.toml")
     (tmp_path / "bad.toml").write_text("= 3")
@@ -35,26 +32,17 @@ def test_what_is_no_study(tmp_path):
 
 def test_the_files_of_planish_0_1_are_read():
     """As that version wrote them: one volume and an image without a list, layers with their volume in ``map``."""
-    one = as_study(
-        {
-            "volume": {"path": "v.tif", "voxel_um": [3.0, 3.0, 3.0]}, "image": {"path": "i.tif"},
-            "surface": {"cutoff_um": 300.0}, "registration": {"hole_um": [80.0, 200.0], "model": "affine"},
-        }
-    )  # fmt: skip
+    one = as_study({
+        "volume": {"path": "v.tif", "voxel_um": [3.0, 3.0, 3.0]}, "image": {"path": "i.tif"},
+        "surface": {"cutoff_um": 300.0}, "registration": {"hole_um": [80.0, 200.0], "model": "affine"},
+    })  # fmt: skip
     assert [layer.kind for layer in one.layers] == ["volume", "image"]
     assert one.layers[0].surface.cutoff_um == 300.0
     assert (one.holes.hole_um, one.registration.model) == ((80.0, 200.0), "affine")
-    several = as_study(
-        {
-            "layers": [
-                {
-                    "name": "ct", "marks": "pairs.csv",
-                    "map": {"volume": {"path": "v.tif"}, "flatten": {"rest": "chord"}},
-                },
-                {"name": "lm", "run": "lm"},
-            ],
-            "chain": False, "rim_um": 100.0, "registration": {"hole_um": [100.0, 300.0]},
-        }
-    )  # fmt: skip
+    ct = {"volume": {"path": "v.tif"}, "flatten": {"rest": "chord"}}
+    several = as_study({
+        "layers": [{"name": "ct", "marks": "pairs.csv", "map": ct}, {"name": "lm", "run": "lm"}],
+        "chain": False, "rim_um": 100.0, "registration": {"hole_um": [100.0, 300.0]},
+    })  # fmt: skip
     assert [layer.kind for layer in several.layers] == ["volume", "run"]
     assert several.layers[0].flatten.rest == "chord"

@@ -1,7 +1,5 @@
 """``planish new`` writes a study that can be run, and ``planish run`` runs it."""
 
-from __future__ import annotations
-
 import re
 import tomllib
 
@@ -25,11 +23,8 @@ def draft(specimen_files, tmp_path_factory):
     return draft, home / "study.toml"
 
 
-def test_it_is_the_study_that_link_makes(draft, specimen_files):
+def test_it_is_the_study_of_link_with_what_the_files_state(draft, specimen_files):
     assert read_study(draft[1]) == study_of(specimen_files, {})
-
-
-def test_what_the_files_say_stands_in_it(draft):
     text = draft[0].text
     assert 'through = "z"  # along which the grey changes most' in text
     assert "#voxel_um = [4.0, 4.0, 4.0]  # um; as stated" in text
@@ -84,12 +79,14 @@ def test_every_option_stands_in_it_with_its_default(draft):
         assert {name[-1] for name in fields(model)} <= names | {"labels"}, model
 
 
-def test_labels_are_a_table_of_their_own_at_the_end_of_theirs(draft):
+def test_options_in_messages_become_keys_and_labels_a_table_at_the_end_of_theirs(draft):
+    text = "Give --voxel-um SIZE or --image-side, and --out."
+    assert in_study_words(text) == "Give volume.voxel_um SIZE or image.side, and --out."
     text = draft[0].text.replace("#[surface.labels]", "[surface.labels]").replace("#base = [1]", "base = [1, 3]")
     assert as_study(tomllib.loads(text)).layers[0].surface.labels.base == (1, 3)
 
 
-def test_what_is_missing_is_listed_with_its_line(planish, tmp_path):
+def test_what_is_missing_is_listed_with_its_line(planish, refuses, tmp_path):
     values = np.random.default_rng(0).integers(0, 255, (12, 20, 30)).astype(np.uint8)
     tifffile.imwrite(tmp_path / "scan.tif", values)
     study = tmp_path / "study.toml"
@@ -103,9 +100,7 @@ def test_what_is_missing_is_listed_with_its_line(planish, tmp_path):
     assert f"#   line {line}: volume.voxel_um: scan.tif states no voxel size" in "\n".join(lines)
     assert "the axis through the sheet, which the grey does not tell" in out
     assert "--" not in "\n".join(lines), "keys, no options of the command line"
-    code, _, err = planish("run", study)
-    assert code == 3
-    assert "Give it with volume.voxel_um" in err
+    refuses("run", study, words="Give it with volume.voxel_um", out=False)
 
 
 @pytest.mark.parametrize(
@@ -128,26 +123,18 @@ def test_what_is_refused_writes_nothing(planish, specimen_files, linked_run, tmp
     assert list(tmp_path.iterdir()) == []
 
 
-def test_mistakes_come_before_work(planish, draft, tmp_path):
+def test_mistakes_come_before_work(refuses, draft, tmp_path):
     path = tmp_path / "study.toml"
     text = draft[0].text.replace('through = "z"', 'thruogh = "z"')
     path.write_text(text, encoding="utf-8", newline="\n")
     line = text[: text.index("thruogh")].count("\n") + 1
-    code, _, err = planish("run", path)
-    assert code == 3
-    assert f"line {line}, volume.thruogh: unknown; did you mean through?" in err
-
-
-def test_options_in_messages_become_keys():
-    text = "Give --voxel-um SIZE or --image-side, and --out."
-    assert in_study_words(text) == "Give volume.voxel_um SIZE or image.side, and --out."
+    refuses("run", path, words=f"line {line}, volume.thruogh: unknown; did you mean through?", out=False)
 
 
 @pytest.mark.study
-def test_the_study_gives_what_link_gives(planish, draft, linked_run, monkeypatch):
+def test_the_study_gives_what_link_gives(passes, draft, linked_run, monkeypatch):
     monkeypatch.chdir(draft[1].parent)
-    code, out, err = planish("run", "study.toml")
-    assert code in (0, 4), err
+    out, _ = passes("run", "study.toml", codes=(0, 4))
     assert "report: study/report.html" in out.replace("\\", "/")
     for name in ("results.json", "marks.json", "figures.csv"):
         assert (draft[1].parent / "study" / name).read_bytes() == (linked_run / name).read_bytes()

@@ -39,10 +39,8 @@ def test_a_sheet_and_its_image_in_either_order():
         lag, (side, position) = texture_of(a, b, names)
         assert side.state == "pass"
         assert side.sentence.startswith("The photo goes with the coating of the top side (r = -0.6")
-        assert position.state == "look"
-        assert position.figures == ("position", "correlation")
-        assert lag.lag_um == pytest.approx((15.0, 0.0), abs=1.0)
-        assert lag.property == "coating_top"
+        assert (position.state, position.figures) == ("look", ("position", "correlation"))
+        assert (lag.lag_um, lag.property) == (pytest.approx((15.0, 0.0), abs=1.0), "coating_top")
     far = layer(image=200 - 20 * np.roll(field(0), 16, axis=1) + 10 * field(9))
     lost, displaced = texture_of(sheet, far, ("sheet", "photo")).checks
     assert (lost.state, displaced.state) == ("look", "look")
@@ -51,15 +49,18 @@ def test_a_sheet_and_its_image_in_either_order():
     assert [check.state for check in turned.checks] == ["fail", "look"]  # the lag is that of the face that goes with it
 
 
-def test_a_coating_that_is_no_thicker_than_its_error_is_not_seen():
+def test_coatings_within_their_error_and_pixels_too_large_for_texture_are_inconclusive():
     sheet = a_sheet()
-    noise = sheet.assign(
-        coating_top_se=sheet["coating_top"] * 0 + 5.0, coating_bottom_se=sheet["coating_bottom"] * 0 + 5.0
-    )
+    errors = {f"coating_{side}_se": sheet["coating_top"] * 0 + 5.0 for side in ("top", "bottom")}
+    noise = sheet.assign(errors)
     side = texture_of(noise, layer(image=field(30)), ("sheet", "photo")).checks[0]
     assert side.state == "unknown"
     assert "no coating is seen on the top side" in side.sentence
     assert texture_of(sheet, layer(image=field(30)), ("sheet", "photo")).checks[0].state == "look"
+    coarse = layer(image=field(0)).assign_coords(y=80.0 * np.arange(180), x=80.0 * np.arange(220))
+    lag, (only,) = texture_of(coarse, coarse, ("a", "b"))
+    assert (lag, only.state) == (None, "unknown")
+    assert "pixels of 62.5 um or less" in only.sentence
 
 
 @pytest.mark.parametrize("other", [a_sheet(), layer(image=field(30))], ids=["sheet", "image"])
@@ -67,14 +68,6 @@ def test_layers_without_a_valid_pixel_in_common_are_inconclusive(other):
     checks = texture_of(a_sheet(), other.assign(valid=other["valid"] & False), ("sheet", "other")).checks
     assert [check.state for check in checks] == ["unknown"] * len(checks)
     assert "inconclusive" in checks[0].sentence
-
-
-def test_pixels_that_are_too_large_for_texture_are_named():
-    coarse = layer(image=field(0)).assign_coords(y=80.0 * np.arange(180), x=80.0 * np.arange(220))
-    lag, (only,) = texture_of(coarse, coarse, ("a", "b"))
-    assert lag is None
-    assert only.state == "unknown"
-    assert "pixels of 62.5 um or less" in only.sentence
 
 
 def test_two_real_images_and_one_of_them_flipped(shared_data):

@@ -1,7 +1,5 @@
 """A sheet that is searched along a wrong axis: the message names the right one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import tifffile
@@ -24,10 +22,9 @@ def test_a_search_along_a_wrong_axis_names_the_right_one(slope, rim_um, error, t
     sheet = abs(y - 45 - slope * (z - 80) - 3 * np.sin(x / 20)) < 6
     values = np.where(sheet, 120.0, 20.0) + np.random.default_rng(3).normal(0, 6, (160, 90, 120))
     tifffile.imwrite(tmp_path / "sheet.tif", values.astype(np.float32))
+    sizes = {"voxel_um": (5.0, 5.0, 5.0), "through": "z"}
     with pytest.raises(error, match='The grey changes most along y: try through="y"'):
-        map_sheet(
-            tmp_path / "sheet.tif", volume={"voxel_um": (5.0, 5.0, 5.0), "through": "z"}, surface={"rim_um": rim_um}
-        )
+        map_sheet(tmp_path / "sheet.tif", volume=sizes, surface={"rim_um": rim_um})
 
 
 def test_a_sheet_seen_edge_on_is_refused_before_every_column_is_searched(monkeypatch):
@@ -50,8 +47,5 @@ def test_a_function_refuses_what_the_command_line_refuses():
     thin = pl.volume(values.astype(np.float32), voxel_um=0.1)
     with pytest.raises(VolumeError, match=r"would be 1.\d+ um thick; sheets of 2 to 5000 um .* unusual_size=True"):
         pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0})
-    assert (
-        0.9
-        < pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0}, unusual_size=True).attrs["thickness_um"]
-        < 1.5
-    )
+    found = pl.find_surfaces(thin, params={"rim_um": 0.1, "cutoff_um": 2.0}, unusual_size=True)
+    assert 0.9 < found.attrs["thickness_um"] < 1.5

@@ -1,7 +1,5 @@
 """What was wrong with an input and came out unnoticed once: what planish says now, how it ends, what it withholds."""
 
-from __future__ import annotations
-
 import json
 import re
 
@@ -10,13 +8,8 @@ import numpy as np
 import pytest
 import tifffile
 
+from folders import write_image, write_volume
 from planish.pipeline import open_run
-
-
-def write_volume(path, volume, voxel=4.0):
-    meta = {"spacing": voxel, "unit": "um", "axes": "ZYX"}
-    tifffile.imwrite(path, volume, imagej=True, resolution=(1 / voxel, 1 / voxel), metadata=meta)
-    return path
 
 
 def marks_file(path, specimen, count, *, error_um=0.5, wrong=None, wrong_um=80.0):
@@ -28,10 +21,8 @@ def marks_file(path, specimen, count, *, error_um=0.5, wrong=None, wrong_um=80.0
     if wrong is not None:
         image[wrong, 0] += wrong_um
     rows = ["label,volume_x_um,volume_y_um,volume_z_um,fixed_x_um,fixed_y_um"]
-    rows += [
-        f"{chr(97 + k)},{','.join(f'{v:.3f}' for v in (*p, *q))}"
-        for k, (p, q) in enumerate(zip(volume, image, strict=True))
-    ]
+    for k, place in enumerate(np.hstack([volume, image])):
+        rows.append(",".join([chr(97 + k), *(f"{v:.3f}" for v in place)]))
     path.write_text("\n".join(rows))
     return path
 
@@ -91,36 +82,14 @@ def test_six_pairs_by_hand_with_one_that_is_80_um_off(ended, specimen, specimen_
 
 
 # --- volumes ---------------------------------------------------------------------------------------------------------
-
-
-def pair_after_pair(volume, _top):
-    return volume[np.clip(np.arange(len(volume)) ^ 1, 0, len(volume) - 1)]
-
-
-def five_twice(volume, _top):
-    k = len(volume) // 2
-    return np.concatenate([volume[:k], volume[k - 5 : k], volume[k:]])
-
-
-def three_missing(volume, _top):
-    return np.delete(volume, np.arange(3) + len(volume) // 2, axis=0)
-
-
-def five_rows_twice(volume, _top):
-    return np.concatenate([volume[:, :100], volume[:, 95:100], volume[:, 100:]], axis=1)
-
-
-def blocks_of_rows_exchanged(volume, _top):
-    return np.concatenate([volume[:, :80], volume[:, 120:160], volume[:, 80:120], volume[:, 160:]], axis=1)
+def in_order_of(volume, *parts, axis=0):
+    """The volume put together anew of these slices (from, to) along an axis."""
+    return np.concatenate([volume.take(range(first, last), axis) for first, last in parts], axis=axis)
 
 
 def cut_off(volume, _top):
     """Grey clipped where the coating begins."""
     return np.minimum(volume, np.percentile(volume, 97)).astype(volume.dtype)
-
-
-def cut_off_as_floats(volume, _top):
-    return cut_off(volume, None).astype(np.float32) / 200
 
 
 def cut_off_in_12_bits(volume, _top):
@@ -152,26 +121,32 @@ def dusty(volume, top):
 
 
 MAPPED = {
-    pair_after_pair: ("slices along z", "fail", "exchanged"),
-    second_sheet: ("one sheet", "fail", "sheets? lies? on"),
-    five_twice: ("slices along z", "look", "are copies of"),
-    three_missing: ("slices along z", "look", "missing"),
-    five_rows_twice: ("slices along y", "look", "are copies of"),
-    blocks_of_rows_exchanged: ("slices along y", "fail", "not in order"),
-    cut_off: ("clipped grey", "look", "where the scale was cut off"),
-    cut_off_as_floats: ("clipped grey", "look", "where the scale was cut off"),
-    cut_off_in_12_bits: ("clipped grey", "look", "have the grey 4095, where the scale was cut off"),
-    dusty: ("dust, top", "look", "particles stand out of the top coating"),
-}
+    "pairs exchanged": (lambda v, _: v[np.clip(np.arange(len(v)) ^ 1, 0, len(v) - 1)],
+                        "slices along z", "fail", "exchanged"),
+    "second sheet": (second_sheet, "one sheet", "fail", "sheets? lies? on"),
+    "five twice": (lambda v, _: in_order_of(v, (0, len(v) // 2), (len(v) // 2 - 5, len(v))),
+                   "slices along z", "look", "are copies of"),
+    "three missing": (lambda v, _: np.delete(v, np.arange(3) + len(v) // 2, axis=0),
+                      "slices along z", "look", "missing"),
+    "five rows twice": (lambda v, _: in_order_of(v, (0, 100), (95, v.shape[1]), axis=1),
+                        "slices along y", "look", "are copies of"),
+    "rows exchanged": (lambda v, _: in_order_of(v, (0, 80), (120, 160), (80, 120), (160, v.shape[1]), axis=1),
+                       "slices along y", "fail", "not in order"),
+    "cut off": (cut_off, "clipped grey", "look", "where the scale was cut off"),
+    "cut off as floats": (lambda v, _: cut_off(v, None).astype(np.float32) / 200,
+                          "clipped grey", "look", "where the scale was cut off"),
+    "cut off in 12 bits": (cut_off_in_12_bits,
+                           "clipped grey", "look", "have the grey 4095, where the scale was cut off"),
+    "dusty": (dusty, "dust, top", "look", "particles stand out of the top coating"),
+}  # fmt: skip
 
 
 @pytest.mark.study
-@pytest.mark.parametrize("change", MAPPED)
-def test_a_wrong_volume(change, ended, specimen, linked_run, tmp_path):
+@pytest.mark.parametrize(("change", "name", "state", "words"), MAPPED.values(), ids=MAPPED)
+def test_a_wrong_volume(change, name, state, words, ended, specimen, linked_run, tmp_path):
     """What fails is withheld and ends with 4; what is doubtful is said, and with --strict it ends with 4 too."""
     top = open_run(linked_run).sheet().groups["surfaces"]["top"].values
     volume = write_volume(tmp_path / "v.tif", np.ascontiguousarray(change(specimen.volume.values, top)))
-    name, state, words = MAPPED[change]
     code, results, checks, printed = ended("map", volume)
     check = checks[name]
     assert check["state"] == state, [c for c in checks.values() if c["state"] != "pass"]
@@ -211,8 +186,6 @@ def test_a_short_cut_off_is_the_one_that_is_stated(ended, specimen_files, linked
 
 
 # --- sides and specimens ---------------------------------------------------------------------------------------------
-
-
 @pytest.mark.study
 def test_a_stack_of_the_wrong_hand(ended, specimen, specimen_files, tmp_path):
     """Its slices the other way round, and the mirror declared: top and bottom coating are exchanged."""
@@ -233,9 +206,7 @@ def foreign_image(specimen, specimen_files, tmp_path_factory):
     sheet = image[far > 34]
     other = np.where(far > 34, image, np.random.default_rng(1).choice(sheet, image.shape)).astype(image.dtype)
     made = np.where(far > 34, other[::-1, ::-1], image)
-    path = tmp_path_factory.mktemp("foreign") / "other.tif"
-    tifffile.imwrite(path, made, resolution=(1e4 / 5.0, 1e4 / 5.0), resolutionunit="CENTIMETER")
-    return path
+    return write_image(tmp_path_factory.mktemp("foreign") / "other.tif", made)
 
 
 @pytest.mark.study
@@ -266,6 +237,5 @@ def test_a_left_handed_volume_is_marked(sign, ended, specimen, tmp_path):
     image.header.set_xyzt_units("micron")
     nibabel.save(image, tmp_path / "v.nii")
     code, _, checks, printed = ended("map", tmp_path / "v.nii")
-    assert code == 0
-    assert ("hand of the volume" in checks) == (sign < 0)
+    assert (code, "hand of the volume" in checks) == (0, sign < 0)
     assert ("mirror image of the specimen" in printed) == (sign < 0)

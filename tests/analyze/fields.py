@@ -1,7 +1,5 @@
 """Random maps of known covariance."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 from scipy import fft, ndimage

@@ -19,8 +19,7 @@ def test_white_differences_have_the_textbook_numbers():
     d = 1 + 0.5 * rng.normal(size=a.shape)
     found = bland_altman(a, a + d, pixel_um=1.0)
     n = d.size
-    assert found.n == n
-    assert found.bias == pytest.approx(d.mean(), abs=1e-12)
+    assert (found.n, found.bias) == (n, pytest.approx(d.mean(), abs=1e-12))
     assert found.sd == pytest.approx(d.std(ddof=1), abs=1e-12)
     assert found.limits == pytest.approx([d.mean() + k * 1.96 * d.std(ddof=1) for k in (-1, 1)], abs=1e-9)
     assert found.n_eff == pytest.approx(n, rel=0.25)
@@ -33,15 +32,20 @@ def test_white_differences_have_the_textbook_numbers():
     assert wide == pytest.approx(t * found.sd * math.sqrt(1 / found.n_eff + 1.96**2 / 2 / found.n_eff_sd), rel=0.01)
 
 
-def test_both_lines_stand_beside():
+def test_lines_of_both_directions_stand_beside_and_a_swap_turns_the_sign():
     rng = np.random.default_rng(1)
     a, b = measured(rng, (60, 80))
     found = bland_altman(a, b, pixel_um=1.0)
     assert found.slope == pytest.approx(np.polyfit(a.ravel(), b.ravel(), 1)[0])
     assert found.slope_x_on_y == pytest.approx(np.polyfit(b.ravel(), a.ravel(), 1)[0])
+    a, b = measured(np.random.default_rng(3), (60, 80))
+    one, two = bland_altman(a, b, pixel_um=1.0), bland_altman(b, a, pixel_um=1.0)
+    assert (two.bias, two.limits) == (pytest.approx(-one.bias), pytest.approx((-one.limits[1], -one.limits[0])))
+    assert two.limit_intervals[0] == pytest.approx((-one.limit_intervals[1][1], -one.limit_intervals[1][0]))
+    assert (two.slope, two.slope_x_on_y) == pytest.approx((one.slope_x_on_y, one.slope))
 
 
-def test_texture_widens_the_intervals():
+def test_texture_widens_the_intervals_until_nothing_is_claimed():
     rng = np.random.default_rng(2)
     rough, smooth = (
         bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0) for length in (1.0, 6.0)
@@ -50,41 +54,23 @@ def test_texture_widens_the_intervals():
     assert np.diff(smooth.bias_interval) > 3 * np.diff(rough.bias_interval)
     # Squares vary faster than the map itself.
     assert smooth.n_eff_sd > smooth.n_eff
-
-
-def test_swapping_turns_the_sign():
-    a, b = measured(np.random.default_rng(3), (60, 80))
-    one, two = bland_altman(a, b, pixel_um=1.0), bland_altman(b, a, pixel_um=1.0)
-    assert two.bias == pytest.approx(-one.bias)
-    assert two.limits == pytest.approx((-one.limits[1], -one.limits[0]))
-    assert two.limit_intervals[0] == pytest.approx((-one.limit_intervals[1][1], -one.limit_intervals[1][0]))
-    assert (two.slope, two.slope_x_on_y) == pytest.approx((one.slope_x_on_y, one.slope))
-
-
-def test_what_is_missing_does_not_count():
-    a, b = measured(np.random.default_rng(4), (60, 80))
-    known = np.ones(a.shape, bool)
-    known[20:30, 10:60] = False
-    one = bland_altman(np.where(known, a, np.nan), b, pixel_um=1.0)
-    assert one == bland_altman(a, np.where(known, b, 1e9), mask=known, pixel_um=1.0)
-    assert one.n == known.sum()
-
-
-def test_the_same_map_twice_differs_by_its_offset_alone():
-    a = gaussian_maps(np.random.default_rng(5), (30, 40), 3.0)[0]
-    found = bland_altman(a, a + 2, pixel_um=1.0)
-    assert found.sd == 0
-    assert found.limits == pytest.approx((2, 2))
-    assert found.bias_interval == pytest.approx((2, 2))
-
-
-def test_long_waves_claim_nothing():
     rng = np.random.default_rng(6)
     a = gaussian_maps(rng, (40, 50), 3.0)[0]
     found = bland_altman(a, a + gaussian_maps(rng, a.shape, 40.0, kind="gauss")[0], pixel_um=1.0)
     assert found.n_eff < 10
     assert np.isnan([*found.bias_interval, *found.sd_interval, *found.limit_intervals[0]]).all()
     assert math.isfinite(found.bias)
+
+
+def test_missing_pixels_do_not_count_and_an_offset_alone_has_no_spread():
+    a, b = measured(np.random.default_rng(4), (60, 80))
+    known = np.ones(a.shape, bool)
+    known[20:30, 10:60] = False
+    one = bland_altman(np.where(known, a, np.nan), b, pixel_um=1.0)
+    assert (one, one.n) == (bland_altman(a, np.where(known, b, 1e9), mask=known, pixel_um=1.0), known.sum())
+    a = gaussian_maps(np.random.default_rng(5), (30, 40), 3.0)[0]
+    found = bland_altman(a, a + 2, pixel_um=1.0)
+    assert (found.sd, found.limits, found.bias_interval) == (0, pytest.approx((2, 2)), pytest.approx((2, 2)))
 
 
 def test_wrong_input_is_refused():

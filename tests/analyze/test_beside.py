@@ -3,6 +3,7 @@ import pytest
 from scipy import ndimage
 
 from analyze.fields import gaussian_maps, related_maps
+from folders import refused
 from planish.analyze import ceiling, commonality, correlate, of_short_waves, origins, partial, without_trends
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
@@ -28,28 +29,21 @@ def test_the_ceiling_is_the_r_of_a_displaced_map(kind, length, error, point):
     assert np.mean(said) == pytest.approx(np.mean(seen), abs=0.03)
 
 
-def test_without_error_there_is_no_ceiling_but_noise():
+def test_a_ceiling_needs_a_map_and_an_error_and_lies_between_those_of_its_errors():
     a = gaussian_maps(np.random.default_rng(1), (60, 80), 4.0)[0]
     assert ceiling(a, error_um=0.0, pixel_um=1.0).r == pytest.approx(1)
     found = ceiling(a, error_um=0.0, pixel_um=1.0, reliability=0.64)
     assert found.r == pytest.approx(0.8)
     assert "r = 0.80" in found.sentence
-
-
-def test_a_map_of_errors_lies_between_its_ends():
     a = gaussian_maps(np.random.default_rng(2), (60, 80), 6.0)[0]
     errors = np.broadcast_to(np.linspace(1.0, 5.0, 80), a.shape)
     low, high = (ceiling(a, error_um=e, pixel_um=1.0).r for e in (5.0, 1.0))
     assert low < ceiling(a, error_um=errors, pixel_um=1.0).r < high
-
-
-def test_a_ceiling_needs_an_error_and_a_map():
     a = gaussian_maps(np.random.default_rng(2), (20, 30), 6.0)[0]
     for given in ({"error_um": -1.0}, {"error_um": np.full(a.shape, np.nan)}, {"error_um": 1.0, "reliability": 0.0}):
         with pytest.raises(InputError):
             ceiling(a, pixel_um=1.0, **given)
-    with pytest.raises(CannotMeasure, match="constant"):
-        ceiling(np.ones((9, 9)), error_um=1.0, pixel_um=1.0)
+    refused(CannotMeasure, "constant", ceiling, np.ones((9, 9)), error_um=1.0, pixel_um=1.0)
 
 
 def test_origins_scatter_about_r():
@@ -58,22 +52,17 @@ def test_origins_scatter_about_r():
     assert found.count == 16
     assert found.least < found.r < found.largest
     assert found.least <= correlate(a, b, pixel_um=2.0, point_um=24.0).r <= found.largest
-    with pytest.raises(SizeError, match="smaller points"):
-        origins(a[:4, :4], b[:4, :4], pixel_um=2.0, point_um=24.0)
+    refused(SizeError, "smaller points", origins, a[:4, :4], b[:4, :4], pixel_um=2.0, point_um=24.0)
 
 
-def test_short_waves_alone_make_long_ones_harmless():
+def test_long_waves_and_trends_are_taken_off():
     rng = np.random.default_rng(4)
     a, b = related_maps(rng, (90, 120), 2.0, 0.6)
     waves = gaussian_maps(rng, (90, 120), 40.0, kind="gauss")
     found, longest = of_short_waves(a + 3 * waves[0], b + 3 * waves[1], pixel_um=1.0)
-    assert longest == pytest.approx(18)
-    assert found.r == pytest.approx(0.6, abs=0.1)
+    assert (longest, found.r) == (pytest.approx(18), pytest.approx(0.6, abs=0.1))
     whole = correlate(a + 3 * waves[0], b + 3 * waves[1], pixel_um=1.0)
     assert found.n_eff > 10 * whole.n_eff
-
-
-def test_without_trends_a_slope_is_gone():
     a, b = related_maps(np.random.default_rng(5), (60, 80), 2.0, 0.5)
     slope = np.linspace(0, 9, 80)
     assert correlate(a + slope, b - slope, pixel_um=1.0).r < -0.5
@@ -87,8 +76,7 @@ def test_partial_r_leaves_what_the_others_do_not_explain():
     assert correlate(a + 2 * third, b + 2 * third, pixel_um=1.0).r > 0.6
     found = partial(a + 2 * third, b + 2 * third, [third], pixel_um=1.0)
     assert found.interval[0] < 0 < found.interval[1]
-    with pytest.raises(InputError, match="sum"):
-        partial(a, b, [a - third, third], pixel_um=1.0)
+    refused(InputError, "sum", partial, a, b, [a - third, third], pixel_um=1.0)
 
 
 def test_maps_without_common_pixels_are_refused():
@@ -103,8 +91,7 @@ def test_maps_without_common_pixels_are_refused():
     ):
         with pytest.raises(CannotMeasure):
             call()
-    with pytest.raises(SizeError, match="longest wave"):
-        of_short_waves(a, b, pixel_um=1.0, longest_um=-5.0)
+    refused(SizeError, "longest wave", of_short_waves, a, b, pixel_um=1.0, longest_um=-5.0)
 
 
 def test_commonality_adds_up_and_knows_two_predictors():
@@ -122,9 +109,6 @@ def test_commonality_adds_up_and_knows_two_predictors():
     assert two["x"] == pytest.approx(explained("x", "both") - explained("both"))
     assert two["x and both"] == pytest.approx(explained("x") + explained("both") - explained("x", "both"))
     three = commonality(b, maps)
-    assert len(three) == 7
-    assert sum(three.values()) == pytest.approx(explained(*maps))
-    with pytest.raises(InputError, match="sum of others"):
-        commonality(b, {"x": x, "y": y, "sum": x + y})
-    with pytest.raises(InputError, match="2 to 4"):
-        commonality(b, {"x": x})
+    assert (len(three), sum(three.values())) == (7, pytest.approx(explained(*maps)))
+    refused(InputError, "sum of others", commonality, b, {"x": x, "y": y, "sum": x + y})
+    refused(InputError, "2 to 4", commonality, b, {"x": x})

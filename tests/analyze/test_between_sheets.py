@@ -13,48 +13,37 @@ def fields(values, *, each=1, names=()):
     return Fields(list(values), [f"S{k // each}" for k in range(len(values))], names)
 
 
-def test_before_and_after_is_the_paired_test_over_sheets():
+def test_two_papers_are_compared_by_the_paired_test_and_after_welch():
     rng = np.random.default_rng(0)
     one, two = rng.normal(size=(5, 3)), rng.normal(size=(5, 3)) + 1
     found = paired_over_sheets(fields(one.ravel(), each=3), fields(two.ravel(), each=3))
     before, after = one.mean(axis=1), two.mean(axis=1)
     direct = stats.ttest_rel(after, before)
-    assert found.sheets == (5, 5)
-    assert found.difference == pytest.approx((after - before).mean(), abs=1e-12)
+    assert (found.sheets, found.difference) == ((5, 5), pytest.approx((after - before).mean(), abs=1e-12))
     assert found.p == pytest.approx(direct.pvalue, rel=1e-9)
     assert found.interval == pytest.approx([*direct.confidence_interval(0.95)], abs=1e-12)
     assert found.means == pytest.approx((before.mean(), after.mean()))
-
-
-def test_two_papers_are_compared_after_welch():
     rng = np.random.default_rng(1)
     one, two = rng.normal(size=(4, 2)), 3 * rng.normal(size=(7, 2)) + 1
     found = two_groups(fields(one.ravel(), each=2), fields(two.ravel(), each=2))
     direct = stats.ttest_ind(two.mean(axis=1), one.mean(axis=1), equal_var=False)
-    assert found.sheets == (4, 7)
-    assert found.free == pytest.approx(direct.df, rel=1e-12)
+    assert (found.sheets, found.free) == ((4, 7), pytest.approx(direct.df, rel=1e-12))
     assert found.p == pytest.approx(direct.pvalue, rel=1e-9)
     assert found.interval == pytest.approx([*direct.confidence_interval(0.95)], abs=1e-12)
 
 
-def test_fields_pair_by_their_names():
+def test_fields_pair_by_their_names_and_a_missing_value_takes_its_partner_along():
     before = Fields([1.0, 5.0, 2.0, 3.0], ["A", "A", "B", "C"], ["1", "2", "1", "1"])
     after = Fields([1.5, 2.8, 3.1, 9.0], ["A", "B", "C", "D"], ["1", "1", "1", "1"])
     found = paired_over_sheets(before, after)
     # Field 2 of sheet A has no partner, nor has sheet D.
-    assert found.means == pytest.approx((2.0, (1.5 + 2.8 + 3.1) / 3))
-    assert found.unpaired == ("D",)
+    assert (found.means, found.unpaired) == (pytest.approx((2.0, (1.5 + 2.8 + 3.1) / 3)), ("D",))
     unnamed = paired_over_sheets(Fields(before.values, before.sheets), Fields(after.values, after.sheets))
     assert unnamed.means[0] == pytest.approx((3.0 + 2.0 + 3.0) / 3)
-
-
-def test_a_missing_value_takes_its_partner_along():
     before = Fields([1.0, math.nan, 2.0, 3.0, 4.0], [*"ABCDE"], ["1"] * 5)
     after = Fields([2.0, 9.0, 2.5, math.nan, 6.0], [*"ABCDE"], ["1"] * 5)
     found = paired_over_sheets(before, after)
-    assert found.sheets == (3, 3)
-    assert found.unpaired == ("B", "D")
-    assert found.means == pytest.approx((7 / 3, 3.5))
+    assert (found.sheets, found.unpaired, found.means) == ((3, 3), ("B", "D"), pytest.approx((7 / 3, 3.5)))
 
 
 @pytest.mark.parametrize(("one", "two", "why"), [
@@ -64,19 +53,15 @@ def test_a_missing_value_takes_its_partner_along():
 ])  # fmt: skip
 def test_a_pair_without_interval_says_why(one, two, why):
     found = paired_over_sheets(fields(one), fields(two))
-    assert found.reason == why
-    assert found.distinguishable is None
+    assert (found.reason, found.distinguishable) == (why, None)
     assert math.isnan(found.smallest_seen())
     assert equivalence(found, margin=1.0).verdict == "unknown"
 
 
-def test_groups_without_interval_say_why():
+def test_groups_without_interval_state_the_reason_and_p_is_adjusted_for_the_table():
     assert two_groups(fields([1.0, 2.0, 3.0]), fields([1.0])).reason == "1 of at least 3 sheets"
     assert two_groups(fields([2.0] * 3), fields([1.0] * 3)).reason == "all sheets have the same value"
     assert two_groups(fields([]), fields([1.0] * 3)).reason == "one of the two has no field with a value"
-
-
-def test_p_is_put_right_for_the_whole_table():
     rng = np.random.default_rng(2)
     all_ = [two_groups(fields(rng.normal(size=4)), fields(rng.normal(size=4) + k)) for k in range(3)]
     all_.append(two_groups(fields([1.0]), fields([2.0])))
@@ -97,21 +82,14 @@ def test_equivalence_is_two_one_sided_tests(shift, margin, verdict):
         stats.ttest_1samp(change, -margin, alternative="greater").pvalue,
         stats.ttest_1samp(change, margin, alternative="less").pvalue,
     ]
-    assert found.verdict == verdict
-    assert found.p == pytest.approx(max(sides), rel=1e-6)
+    assert (found.verdict, found.p) == (verdict, pytest.approx(max(sides), rel=1e-6))
     assert (found.p < 0.05) == (verdict == "equivalent")
     assert found.interval == pytest.approx(
         stats.t.interval(0.9, 5, change.mean(), stats.sem(change)), abs=1e-12
     )  # fmt: skip
 
 
-def test_a_margin_is_above_0():
-    found = paired_over_sheets(fields([1.0, 2.0, 3.0]), fields([1.0, 2.5, 3.1]))
-    with pytest.raises(InputError, match="margin is 0"):
-        equivalence(found, margin=0.0)
-
-
-def test_the_smallest_difference_that_is_seen_has_the_power():
+def test_the_smallest_difference_that_is_seen_has_the_power_and_a_margin_is_above_0():
     rng = np.random.default_rng(3)
     found = two_groups(fields(rng.normal(size=5)), fields(rng.normal(size=5)))
     quantile = stats.t.ppf(0.975, found.free)
@@ -121,6 +99,9 @@ def test_the_smallest_difference_that_is_seen_has_the_power():
         assert seen == pytest.approx(power, abs=1e-6)
     with pytest.raises(InputError, match="The power is 1"):
         found.smallest_seen(1.0)
+    found = paired_over_sheets(fields([1.0, 2.0, 3.0]), fields([1.0, 2.5, 3.1]))
+    with pytest.raises(InputError, match="margin is 0"):
+        equivalence(found, margin=0.0)
 
 
 @pytest.mark.parametrize("free", [2.0, 3.0, 3.9, 4.0, 7.3, 40.0, 3000.0])

@@ -26,8 +26,7 @@ def test_two_instruments_are_compared_over_points():
     found = compare_instruments(a, b, mask=mask, pixel_um=5.0, point_um=20.0, error_ratio=1.0)
     known = mask & np.isfinite(a)
     one, two = (area_mean(np.where(known, m, np.nan), (4.0, 4.0)) for m in (a, b))
-    assert found.point_um == 20.0
-    assert found.agreement == bland_altman(one, two, pixel_um=20.0)
+    assert (found.point_um, found.agreement) == (20.0, bland_altman(one, two, pixel_um=20.0))
     assert found.correlation == correlate(a, b, mask=mask, pixel_um=5.0, point_um=20.0)
     n_eff = independent_points(one, two, pixel_um=20.0).n_eff
     assert found.line == deming(one, two, error_ratio=1.0, n_eff=n_eff)
@@ -35,21 +34,16 @@ def test_two_instruments_are_compared_over_points():
     assert found.notes == ()
 
 
-def test_the_scale_that_they_share_is_coarser_than_the_blur():
+def test_the_shared_scale_is_coarser_than_the_blur_or_reported_as_missing():
     a, b = measured(np.random.default_rng(1))
     found = compare_instruments(a, b, pixel_um=5.0)
     assert found.rings is not None
     assert found.shared_um == found.rings.resolution_um
     assert 20.0 < found.shared_um < 150.0  # a blur of 10 um (sd) takes 9/10 of waves of 30 um away
-    assert found.line is None
-    assert found.point_um == 5.0
-
-
-def test_what_cannot_be_told_is_said():
+    assert (found.line, found.point_um) == (None, 5.0)
     a, b = measured(np.random.default_rng(2), (4, 5))
     found = compare_instruments(a, b, pixel_um=1.0)
-    assert found.rings is None
-    assert found.shared_um is None
+    assert (found.rings, found.shared_um) == (None, None)
     assert any("rings" in note for note in found.notes)
     assert math.isfinite(found.agreement.bias)
     with pytest.raises(CannotMeasure):

@@ -21,17 +21,13 @@ def pair(r, shape=(200, 300), seed=0):
 def test_a_known_correlation_of_independent_points_is_found(r):
     found = correlate(*pair(r), pixel_um=4.0)
     standard_error = (1 - r * r) / np.sqrt(60_000)
-    assert found.r == pytest.approx(r, abs=4 * standard_error + 1e-12)
-    assert found.r2 == pytest.approx(found.r**2)
-    assert found.n == 60_000
-    assert found.support_um == 4.0
-    assert found.n_eff == pytest.approx(60_000, rel=0.05)
+    assert (found.r, found.r2) == (pytest.approx(r, abs=4 * standard_error + 1e-12), pytest.approx(found.r**2))
+    assert (found.n, found.support_um, found.n_eff) == (60_000, 4.0, pytest.approx(60_000, rel=0.05))
     assert found.n_eff_interval == pytest.approx(60_000, rel=0.12)
     low, high = found.interval
     assert high - low == pytest.approx(2 * 1.96 * (1 - found.r**2) / np.sqrt(60_000), rel=0.08)
     assert low < r < high
-    assert found.warnings == ()
-    assert found.direction == np.sign(r)
+    assert (found.warnings, found.direction) == ((), np.sign(r))
 
 
 @given(scale=st.floats(0.01, 100), shift=st.floats(-1e3, 1e3))
@@ -44,9 +40,8 @@ def test_slopes_are_those_of_the_lines():
     x = np.random.default_rng(2).normal(size=(30, 40))
     found = correlate(x, 3 * x - 2, pixel_um=1)
     assert (found.slope, found.intercept, found.r, found.slope_x_on_y) == pytest.approx((3, -2, 1, 1 / 3))
-    assert found.interval == (found.r, found.r)
-    assert found.p == 0
-    assert correlate(x, -x, pixel_um=1).interval == (-1, -1)
+    assert (found.interval, found.p, correlate(x, -x, pixel_um=1).interval) == ((found.r, found.r), 0, (-1, -1))
+    assert pearson(np.arange(5.0), -np.arange(5.0)) == pytest.approx(-1)
 
 
 def test_missing_points_do_not_count():
@@ -55,8 +50,7 @@ def test_missing_points_do_not_count():
     b[:, ::7] = np.inf
     keep = np.isfinite(a) & np.isfinite(b)
     found = correlate(a, b, pixel_um=1)
-    assert found.r == pytest.approx(np.corrcoef(a[keep], b[keep])[0, 1])
-    assert found.n == keep.sum()
+    assert (found.r, found.n) == (pytest.approx(np.corrcoef(a[keep], b[keep])[0, 1]), keep.sum())
 
 
 @pytest.mark.parametrize(
@@ -83,8 +77,7 @@ def test_points_are_means_over_pixels_valid_in_both():
     pairs = PairAtSizes((40, 60), pixel_um=(5.0, 5.0), point_um=50.0)
     pairs.add(0, a, b)
     x, y = pairs.points()
-    assert x.shape == (4, 6)
-    assert x[1, 2] == pytest.approx(a[10:20, 20:30].mean())
+    assert (x.shape, x[1, 2]) == ((4, 6), pytest.approx(a[10:20, 20:30].mean()))
     assert np.array_equal(np.isnan(x), np.isnan(y))
     missing = rng.random(a.shape) < 0.2
     for one, other in ((a, np.where(missing, np.nan, b)), (np.where(missing, np.nan, a), b)):
@@ -104,16 +97,13 @@ def test_sums_of_parts_are_those_of_the_whole():
         sums.add(a[part], b[part])
     known = np.isfinite(b)
     off = (b - a)[known]
-    assert sums.n == known.sum()
-    assert sums.r == pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12)
+    assert (sums.n, sums.r) == (known.sum(), pytest.approx(np.corrcoef(a[known], b[known])[0, 1], abs=1e-12))
     assert sums.lines[:2] == pytest.approx(np.polyfit(a[known], b[known], 1), rel=1e-6)
     assert sums.lines[2] == pytest.approx(np.polyfit(b[known], a[known], 1)[0], rel=1e-6)
     assert sums.difference == pytest.approx((off.mean(), off.std(ddof=1)))
 
 
 # --- independent points ----------------------------------------------------------------------------------------------
-
-
 def holed(shape, rng):
     return rng.random(shape) > 0.15
 
@@ -177,8 +167,7 @@ def test_the_interval_holds_the_truth_and_unrelated_maps_are_not_significant():
 def test_large_maps_by_cells_say_the_same():
     a, b = related_maps(np.random.default_rng(9), (240, 300), 12.0, 0.5)
     whole, cells = correlate(a, b, pixel_um=2.0), correlate(a, b, pixel_um=2.0, most_cells=8000)
-    assert cells.r == whole.r
-    assert cells.n_eff == pytest.approx(whole.n_eff, rel=0.03)
+    assert (cells.r, cells.n_eff) == (whole.r, pytest.approx(whole.n_eff, rel=0.03))
     assert cells.interval == pytest.approx(whole.interval, abs=0.005)
     assert cells.rho == pytest.approx(whole.rho, abs=0.02)
 
@@ -192,54 +181,30 @@ def numbers(found):
     return np.array([*(getattr(found, name) for name in NUMBERS), *found.interval])
 
 
-def made(seed=10):
-    rng = np.random.default_rng(seed)
-    return *related_maps(rng, (60, 80), 4.0, 0.5), holed((60, 80), rng)
-
-
-def test_exchange_of_the_maps():
-    a, b, known = made()
-    one, two = correlate(a, b, mask=known, pixel_um=1), correlate(b, a, mask=known, pixel_um=1)
-    np.testing.assert_allclose(numbers(two)[[0, 1, 3, 2, 4, 5, 6, 7]], numbers(one), rtol=1e-12)
-    assert two.p == pytest.approx(one.p, rel=1e-9)
-
-
-def test_junk_under_the_mask():
-    a, b, known = made()
+def test_masks_scale_places_exchange_and_transposition_change_no_number():
+    rng = np.random.default_rng(10)
+    (a, b), known = related_maps(rng, (60, 80), 4.0, 0.5), holed((60, 80), rng)
     one = correlate(a, b, mask=known, pixel_um=1)
     for junk in (np.nan, 1e30, -np.inf):
         two = correlate(np.where(known, a, junk), np.where(known, b, -junk), mask=known, pixel_um=1)
         np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-12)
-
-
-def test_a_scale_and_a_large_constant():
-    a, b, known = made()
-    one = correlate(a, b, mask=known, pixel_um=1)
     scaled = correlate(3.7 * a, b / 11, mask=known, pixel_um=1)
     np.testing.assert_allclose(numbers(scaled)[[0, 1, 4, 5, 6, 7]], numbers(one)[[0, 1, 4, 5, 6, 7]], rtol=1e-12)
     moved = correlate(a + 1e4, b - 1e4, mask=known, pixel_um=1)
     np.testing.assert_allclose(numbers(moved), numbers(one), rtol=1e-9)
     assert moved.p == pytest.approx(one.p, rel=1e-8)
-
-
-def test_transposition():
-    a, b, known = made()
+    coords = {"y": np.arange(60.0), "x": np.arange(80.0)}
+    p, q, m = (xr.DataArray(v, dims=("y", "x"), coords=coords) for v in (a, b, known))
+    assert pl.correlate(p, q, mask=m, pixel_um=1) == one
+    one, two = correlate(a, b, mask=known, pixel_um=1), correlate(b, a, mask=known, pixel_um=1)
+    np.testing.assert_allclose(numbers(two)[[0, 1, 3, 2, 4, 5, 6, 7]], numbers(one), rtol=1e-12)
+    assert two.p == pytest.approx(one.p, rel=1e-9)
     one = correlate(a, b, mask=known, pixel_um=(1.0, 1.5))
     two = correlate(a.T, b.T, mask=known.T, pixel_um=(1.5, 1.0))
     np.testing.assert_allclose(numbers(two), numbers(one), rtol=1e-6)
 
 
-def test_maps_with_places_and_maps_without_say_the_same():
-    a, b, known = made()
-    one = correlate(a, b, mask=known, pixel_um=1)
-    coords = {"y": np.arange(60.0), "x": np.arange(80.0)}
-    p, q, m = (xr.DataArray(v, dims=("y", "x"), coords=coords) for v in (a, b, known))
-    assert pl.correlate(p, q, mask=m, pixel_um=1) == one
-
-
 # --- what is said ----------------------------------------------------------------------------------------------------
-
-
 def test_two_planes_say_nothing():
     rows, cols = np.mgrid[:60, :80].astype(float)
     found = correlate(rows + cols, rows + 2 * cols, pixel_um=1)
@@ -249,12 +214,9 @@ def test_two_planes_say_nothing():
     assert "nothing is claimed" in found.warnings[0]
 
 
-def test_few_independent_points_are_named():
+def test_few_points_trends_uneven_spread_and_constant_maps_are_named():
     found = [correlate(*gaussian_maps(np.random.default_rng(k), (60, 80), 13.0), pixel_um=1) for k in range(20)]
     assert any("independent points" in w for c in found for w in c.warnings)
-
-
-def test_a_trend_in_both_is_named():
     a, b = gaussian_maps(np.random.default_rng(1), (60, 80), 2.0)
     slope = np.linspace(0, 4, 80)
     found = correlate(a + slope, b + slope, pixel_um=1)
@@ -263,17 +225,11 @@ def test_a_trend_in_both_is_named():
     assert warned
     assert abs(float(warned[0].rpartition("r is ")[2].rstrip("."))) < 0.2
     assert not correlate(a + slope, b, pixel_um=1).warnings
-
-
-def test_a_spread_that_is_not_the_same_everywhere_is_named():
     a, b = gaussian_maps(np.random.default_rng(2), (90, 120), 4.0)
     spread = np.ones((90, 120))
     spread[30:55, 40:70] = 6.0
     found = correlate(a * spread, b * spread, pixel_um=1)
     assert any("do not vary alike" in w for w in found.warnings)
-
-
-def test_a_map_that_is_nearly_constant_is_named():
     a, b = pair(0.5, (30, 40))
     a[np.random.default_rng(0).random(a.shape) < 0.95] = 0.0
     assert any("of map a have one value" in w for w in correlate(a, b, pixel_um=1).warnings)
@@ -308,7 +264,3 @@ def test_maps_at_other_places_are_refused():
     for b in (a.assign_coords(x=np.arange(5.0) + 1), a.rename(x="u")):
         with pytest.raises(InputError, match="other places"):
             correlate(a, b, pixel_um=1)
-
-
-def test_pearson_takes_any_shape():
-    assert pearson(np.arange(5.0), -np.arange(5.0)) == pytest.approx(-1)

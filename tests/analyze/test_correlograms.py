@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import correlate, cross_correlogram, pearson
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
@@ -32,25 +33,26 @@ def test_every_lag_is_the_r_of_its_pairs():
     a, b = gaussian_maps(rng, (14, 17), 2.0)
     a[3:5, 2:9], b[8, 4:6] = np.nan, np.nan
     found = cross_correlogram(a, b + 0.3 * np.nan_to_num(a), pixel_um=(2.0, 1.0), reach_um=4.0)
-    assert found.lag_y_um.tolist() == [-4, -2, 0, 2, 4]
-    assert found.lag_x_um.tolist() == list(range(-4, 5))
+    assert (found.lag_y_um.tolist(), found.lag_x_um.tolist()) == ([-4, -2, 0, 2, 4], list(range(-4, 5)))
     twin = [[at_lag(a, b + 0.3 * np.nan_to_num(a), (i, j)) for j in range(-4, 5)] for i in range(-2, 3)]
     assert found.r == pytest.approx(np.array(twin), abs=1e-9)
 
 
-def test_the_peak_is_where_the_map_was_moved_to():
+def test_the_peak_is_where_the_map_was_moved_to_also_between_pixels_but_not_beyond_the_reach():
     a, b = moved(np.random.default_rng(1), (90, 120), 5.0, (6, -4))
     found = cross_correlogram(a, -b, pixel_um=(2.0, 3.0), reach_um=40.0)
     assert found.lag_um == pytest.approx((12.0, -12.0), abs=0.1)
     assert (found.sign, found.inner, found.beyond_chance) == (-1, True, True)
     # The 3 x 3 parabola is a little flatter than the summit of exp(-(h / 5)^2).
     assert found.peak_r == pytest.approx(-1, abs=0.02)
-
-
-def test_the_summit_between_pixels_is_that_of_a_parabola():
     fine, other = moved(np.random.default_rng(2), (240, 320), 24.0, (2, -5))
     found = cross_correlogram(fine[::4, ::4], other[::4, ::4], pixel_um=1.0, reach_um=10.0)
     assert found.lag_um == pytest.approx((0.5, -1.25), abs=0.05)
+    a, b = moved(np.random.default_rng(4), (60, 80), 12.0, (9, 0))
+    found = cross_correlogram(a, b, pixel_um=1.0, reach_um=6.0)
+    assert not found.inner
+    assert found.lag_um[0] == 6.0
+    assert np.isnan(found.widths_um).all()
 
 
 @pytest.mark.parametrize(("length", "angle"), [((4, 9), 0.0), ((9, 4), 90.0)])
@@ -71,30 +73,17 @@ def test_a_turned_texture_has_a_turned_axis():
     along, across = x * math.cos(turn) + y * math.sin(turn), -x * math.sin(turn) + y * math.cos(turn)
     a = np.exp(-((along / 12) ** 2) - (across / 5) ** 2)
     found = cross_correlogram(a, a, pixel_um=1.0, reach_um=35.0)
-    assert found.angle_deg == pytest.approx(30, abs=2)
-    assert found.anisotropy == pytest.approx(12 / 5, rel=0.1)
+    assert (found.angle_deg, found.anisotropy) == (pytest.approx(30, abs=2), pytest.approx(12 / 5, rel=0.1))
 
 
-def test_a_peak_beyond_the_reach_is_no_summit():
-    a, b = moved(np.random.default_rng(4), (60, 80), 12.0, (9, 0))
-    found = cross_correlogram(a, b, pixel_um=1.0, reach_um=6.0)
-    assert not found.inner
-    assert found.lag_um[0] == 6.0
-    assert np.isnan(found.widths_um).all()
-
-
-def test_limits_are_those_of_r_and_wider_far_away():
+def test_limits_are_those_of_r_wider_far_away_and_missing_for_long_waves():
     a, b = gaussian_maps(np.random.default_rng(5), (90, 120), 4.0)
     found = cross_correlogram(a, b, pixel_um=2.0, reach_um=60.0)
     alone = correlate(a, b, pixel_um=2.0)
-    assert found.n_eff == pytest.approx(alone.n_eff)
-    assert found.r[30, 30] == pytest.approx(alone.r)
+    assert (found.n_eff, found.r[30, 30]) == (pytest.approx(alone.n_eff), pytest.approx(alone.r))
     assert found.band_99[30, 30] == pytest.approx(2.576 / math.sqrt(found.n_eff), rel=0.02)
     assert found.band_99[0, 0] == pytest.approx(found.band_99[30, 30] * math.sqrt(120 * 90 / 90 / 60), rel=0.02)
     assert (found.band_99_of_any > 1.2 * found.band_99).all()
-
-
-def test_long_waves_claim_nothing():
     a, b = gaussian_maps(np.random.default_rng(6), (40, 50), 30.0, kind="gauss")
     found = cross_correlogram(a, b, pixel_um=1.0, reach_um=10.0)
     assert np.isnan(found.band_99).all()
@@ -108,20 +97,15 @@ def test_a_mask_counts_in_both():
     mask[10:20, 15:30] = False
     one = cross_correlogram(a, np.where(mask, b, 1e6), mask=mask, pixel_um=1.0, reach_um=5.0)
     two = cross_correlogram(np.where(mask, a, np.nan), np.where(mask, b, np.nan), pixel_um=1.0, reach_um=5.0)
-    assert one.r == pytest.approx(two.r, abs=1e-9)
-    assert one.peak_r == pytest.approx(two.peak_r)
+    assert (one.r, one.peak_r) == (pytest.approx(two.r, abs=1e-9), pytest.approx(two.peak_r))
 
 
 def test_wrong_input_is_refused():
     a = gaussian_maps(np.random.default_rng(8), (30, 40), 3.0)[0]
-    with pytest.raises(SizeError, match="reach of a pixel"):
-        cross_correlogram(a, a, pixel_um=2.0, reach_um=1.0)
-    with pytest.raises(InputError, match="one grid"):
-        cross_correlogram(a, a[:, 1:], pixel_um=2.0)
-    with pytest.raises(CannotMeasure, match="map b is constant"):
-        cross_correlogram(a, np.ones(a.shape), pixel_um=2.0)
-    with pytest.raises(CannotMeasure, match="0 pixels"):
-        cross_correlogram(a, np.full(a.shape, np.nan), pixel_um=2.0)
+    refused(SizeError, "reach of a pixel", cross_correlogram, a, a, pixel_um=2.0, reach_um=1.0)
+    refused(InputError, "one grid", cross_correlogram, a, a[:, 1:], pixel_um=2.0)
+    refused(CannotMeasure, "map b is constant", cross_correlogram, a, np.ones(a.shape), pixel_um=2.0)
+    refused(CannotMeasure, "0 pixels", cross_correlogram, a, np.full(a.shape, np.nan), pixel_um=2.0)
 
 
 @pytest.mark.study

@@ -33,7 +33,7 @@ def test_with_independent_points_it_is_the_textbook(x):
     assert found.mean_x == pytest.approx(x.mean())
 
 
-def test_fewer_independent_points_make_it_wider(x):
+def test_fewer_independent_points_widen_and_missing_points_do_not_count(x):
     y = with_noise(x)
     wide, narrow = (straight_or_curved(x, y, n_eff=n) for n in (100, 1000))
     ratio = np.ptp(wide.interval) / np.ptp(narrow.interval)
@@ -41,6 +41,10 @@ def test_fewer_independent_points_make_it_wider(x):
     assert wide.curvature == narrow.curvature
     both = straight_or_curved(x, y, n_eff=100, n_eff_square=1000)
     assert (both.slope_interval, both.interval) == (wide.slope_interval, narrow.interval)
+    holed_x, holed_y = x.copy(), y.copy()
+    holed_x[:100], holed_y[100:150] = np.nan, np.inf
+    assert straight_or_curved(holed_x, holed_y, n_eff=50) == straight_or_curved(x[150:], y[150:], n_eff=50)
+    assert fit_kubelka_munk(holed_x, holed_y, n_eff=50) == fit_kubelka_munk(x[150:], y[150:], n_eff=50)
 
 
 @pytest.mark.parametrize(
@@ -59,26 +63,14 @@ def test_words(x, curve, words):
     assert straight_or_curved(x, curve(x) + scatter, n_eff=200).words == words
 
 
-def test_a_valley_neither_saturates_nor_grows(x):
-    y = (x - x.mean()) ** 2 - np.mean((x - x.mean()) ** 3) / x.var() * x  # its straight line is level
-    assert straight_or_curved(x, y, n_eff=200).words == "curved, without a slope"
-
-
-def test_shift_and_scale_carry_over(x):
+def test_shift_and_scale_carry_over_and_a_valley_has_no_slope(x):
     y = with_noise(x)
     one, other = straight_or_curved(x, y, n_eff=100), straight_or_curved(10 * x + 5, 3 - 2 * y, n_eff=100)
-    assert other.slope == pytest.approx(-one.slope / 5)
-    assert other.curvature == pytest.approx(-one.curvature / 50)
+    assert (other.slope, other.curvature) == (pytest.approx(-one.slope / 5), pytest.approx(-one.curvature / 50))
     assert other.interval == pytest.approx(tuple(-v / 50 for v in one.interval[::-1]))
     assert other.words == one.words
-
-
-def test_points_that_miss_one_of_the_two_do_not_count(x):
-    y = with_noise(x)
-    holed_x, holed_y = x.copy(), y.copy()
-    holed_x[:100], holed_y[100:150] = np.nan, np.inf
-    assert straight_or_curved(holed_x, holed_y, n_eff=50) == straight_or_curved(x[150:], y[150:], n_eff=50)
-    assert fit_kubelka_munk(holed_x, holed_y, n_eff=50) == fit_kubelka_munk(x[150:], y[150:], n_eff=50)
+    y = (x - x.mean()) ** 2 - np.mean((x - x.mean()) ** 3) / x.var() * x  # its straight line is level
+    assert straight_or_curved(x, y, n_eff=200).words == "curved, without a slope"
 
 
 @pytest.mark.parametrize(
@@ -88,8 +80,7 @@ def test_points_that_miss_one_of_the_two_do_not_count(x):
 def test_a_layer_without_noise_is_found(x, s, ratio, backing):
     y = bright(x, s, ratio, backing)
     found = fit_kubelka_munk(x, y, n_eff=100, absorption_over_scattering=ratio)
-    assert found.scattering == pytest.approx(s, rel=0.02)
-    assert found.backing == pytest.approx(backing, abs=0.02)
+    assert (found.scattering, found.backing) == (pytest.approx(s, rel=0.02), pytest.approx(backing, abs=0.02))
     assert found(x) == pytest.approx(y, abs=1e-6)
     assert found.rms < 1e-6
 
@@ -102,15 +93,12 @@ def test_the_backing_beside_an_end_of_the_interval_leaves_least_there(x):
         assert left[1] == min(left)
 
 
-def test_a_unit_of_x_is_a_unit_of_scattering(x):
+def test_a_unit_of_x_is_a_unit_of_scattering_which_absorption_left_out_lowers(x):
     y = with_noise(x)
     one, other = fit_kubelka_munk(x, y, n_eff=100), fit_kubelka_munk(x / 1000, y, n_eff=100)
     assert other.scattering == pytest.approx(1000 * one.scattering, rel=1e-6)
     assert other.scattering_interval == pytest.approx(tuple(1000 * v for v in one.scattering_interval), rel=1e-4)
     assert other.backing_interval == pytest.approx(one.backing_interval, rel=1e-4)
-
-
-def test_absorption_that_is_left_out_lowers_the_scattering(x):
     # As the docstring says. The slope of the layer is S [(1 - R)^2 - 2 R K/S].
     found = fit_kubelka_munk(x, bright(x), n_eff=100)
     assert found.scattering / 0.15 == pytest.approx(0.84, abs=0.01)
@@ -181,9 +169,6 @@ def test_intervals_end_at_what_is_possible(x):
     assert found.scattering_interval[0] == 0
     assert found.scattering_interval[1] > found.scattering
     assert 0 <= found.backing_interval[0] < found.backing < found.backing_interval[1] <= 1
-
-
-def test_a_curve_that_is_flat_from_the_start_has_no_upper_end():
     # From the first point on the layer hides its backing, so any larger S fits as well.
     x = np.linspace(5.0, 30.0, 400)
     y = bright(x, 10.0, 0.05, 0.2) + np.random.default_rng(4).normal(0, 0.01, 400)

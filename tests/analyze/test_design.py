@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from folders import refused
 from planish.analyze import Fields, difference_of_pooled_r, expected_n_eff, power_of_study, sheets_needed
 from planish.core.errors import InputError, SizeError
 
 
-def test_n_eff_is_that_of_the_matrix_of_all_points():
+def test_n_eff_is_that_of_the_matrix_of_all_points_also_for_fine_texture():
     shape, length, parts = (5, 6), 2.5, 8
     at = np.stack(np.meshgrid(*((np.arange(k * parts) + 0.5) / parts for k in shape), indexing="ij"), axis=-1)
     cells = at.reshape(shape[0], parts, shape[1], parts, 2).transpose(0, 2, 1, 3, 4).reshape(30, parts**2, 2)
@@ -18,9 +19,6 @@ def test_n_eff_is_that_of_the_matrix_of_all_points():
     matrix = matrix - matrix.mean(axis=0) - matrix.mean(axis=1)[:, None] + matrix.mean()
     found = expected_n_eff((shape[0] * 20.0 + 3, shape[1] * 20.0 + 19), length_um=length * 20, point_um=20.0)
     assert found == pytest.approx(1 + np.trace(matrix) ** 2 / np.sum(matrix * matrix), rel=1e-9)
-
-
-def test_fine_texture_leaves_every_point_independent():
     assert expected_n_eff((2000.0, 3000.0), length_um=(1.0, 1.0), point_um=100.0) == pytest.approx(600, rel=0.01)
     # Of unlike maps the shorter one counts more.
     mixed = expected_n_eff((2000.0, 3000.0), length_um=(20.0, 300.0), point_um=100.0)
@@ -63,17 +61,14 @@ def test_the_fewest_sheets_are_found(paired):
 ])  # fmt: skip
 def test_wrong_designs_are_refused(change, why):
     given = {"r2": (0.21, 0.26), "fields": 3, "n_eff": 100.0, "between_sheets": 0.1, "paired": True} | change
-    with pytest.raises(InputError, match=why):
-        sheets_needed(**given)
+    refused(InputError, why, sheets_needed, **given)
 
 
 def test_wrong_fields_are_refused():
     with pytest.raises(InputError, match="2 sheets"):
         power_of_study((0.2, 0.3), sheets=2, fields=1, n_eff=100, between_sheets=0.1, paired=True)
-    with pytest.raises(SizeError, match="above 0"):
-        expected_n_eff((0.0, 1.0), length_um=1.0, point_um=1.0)
-    with pytest.raises(SizeError, match="holds 1 points"):
-        expected_n_eff((1.0, 1.0), length_um=1.0, point_um=1.0)
+    refused(SizeError, "above 0", expected_n_eff, (0.0, 1.0), length_um=1.0, point_um=1.0)
+    refused(SizeError, "holds 1 points", expected_n_eff, (1.0, 1.0), length_um=1.0, point_um=1.0)
 
 
 @pytest.mark.study

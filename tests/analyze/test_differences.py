@@ -6,12 +6,13 @@ from planish.analyze import correlate, difference_of, holm, paired_difference
 from planish.core.errors import InputError
 
 
-def test_the_same_pair_does_not_differ():
+def test_the_same_pair_does_not_differ_also_with_missing_pixels():
     a, b = related_maps(np.random.default_rng(0), (40, 50), 3.0, 0.5)
     found = paired_difference((a, b), (a, b), pixel_um=1)
-    assert found.difference == 0
-    assert found.interval == (0, 0)
-    assert found.words == "not distinguishable"
+    assert (found.difference, found.interval, found.words) == (0, (0, 0), "not distinguishable")
+    a, b = related_maps(np.random.default_rng(3), (40, 50), 3.0, 0.5)
+    holed = np.where(np.random.default_rng(4).random(a.shape) < 0.3, np.nan, a)
+    assert paired_difference((holed, b), (a, b), pixel_um=1).difference == 0
 
 
 def test_what_two_pairs_share_makes_the_interval_narrow():
@@ -38,28 +39,17 @@ def test_the_paired_interval_holds_the_truth():
     assert 0.89 < np.mean(inside) < 0.995
 
 
-def test_missing_pixels_are_missing_in_both():
-    a, b = related_maps(np.random.default_rng(3), (40, 50), 3.0, 0.5)
-    holed = np.where(np.random.default_rng(4).random(a.shape) < 0.3, np.nan, a)
-    assert paired_difference((holed, b), (a, b), pixel_um=1).difference == 0
-
-
-def test_sizes_of_points_must_agree():
+def test_points_of_other_sizes_and_planes_are_not_compared():
     a, b = related_maps(np.random.default_rng(0), (40, 50), 3.0, 0.5)
     with pytest.raises(InputError, match="same point_um"):
         difference_of(correlate(a, b, pixel_um=1), correlate(a, b, pixel_um=1, point_um=5))
-
-
-def test_two_planes_are_not_compared():
     rows, cols = np.mgrid[:40, :50].astype(float)
     found = paired_difference((rows, cols + rows), (cols, cols + rows), pixel_um=1)
-    assert found.distinguishable is None
-    assert found.words == "unknown"
+    assert (found.distinguishable, found.words) == (None, "unknown")
 
 
 def test_holm():
     found = holm([0.01, 0.04, float("nan"), 0.03])
     assert found[:2] == pytest.approx([0.04, 0.09])
     assert np.isnan(found[2])
-    assert found[3] == pytest.approx(0.09)
-    assert holm([0.6, 0.7]) == [1.0, 1.0]
+    assert (found[3], holm([0.6, 0.7])) == (pytest.approx(0.09), [1.0, 1.0])

@@ -16,13 +16,10 @@ def by_cotangent(weight, s, k, below):
     return (1 - below * (a - b * coth)) / (a - below + b * coth)
 
 
-def test_a_coating_over_a_pile_of_its_base():
+def test_a_coating_over_a_pile_of_its_base_in_any_units():
     base = pile(scattering=45.0, absorption=1.2)
     found = reflectance(np.array([0, 5, 10, 20, 30]) * 1e-3, scattering=150.0, absorption=0.3, backing=base)
     assert found == pytest.approx([0.794, 0.8195, 0.8388, 0.866, 0.884], abs=1e-3)
-
-
-def test_only_the_units_of_weight_and_coefficients_have_to_agree():
     # 1 um of 1.6 g/cm3 is 1.6e-3 kg/m2, so 150 m2/kg are 0.24 per um.
     um = np.array([3.0, 12.0])
     by_weight = reflectance(1.6e-3 * um, scattering=150.0, absorption=0.3, backing=0.8)
@@ -53,31 +50,25 @@ def test_without_absorption_there_is_no_step():
     assert np.all(np.diff(loss) > -1e-15)
 
 
-def test_layers_are_put_on_from_the_bottom():
+def test_layers_are_put_on_from_the_bottom_up_to_a_pile():
     pre, top = Layer(weight=0.010, scattering=90.0, absorption=0.3), Layer(weight=0.008, scattering=150.0)
     over = reflectance(0.010, scattering=90.0, absorption=0.3, backing=0.5)
     assert stack([pre, top], 0.5) == reflectance(0.008, scattering=150.0, backing=over)
     assert stack([pre, top], 0.5) != pytest.approx(stack([top, pre], 0.5), abs=1e-4)
     halves = [Layer(weight=0.005, scattering=90.0, absorption=0.3)] * 2
-    assert stack(halves, 0.5) == pytest.approx(over, abs=1e-14)
-    assert stack([], 0.5) == 0.5
-
-
-def test_a_pile_is_what_more_layers_do_not_change():
+    assert (stack(halves, 0.5), stack([], 0.5)) == (pytest.approx(over, abs=1e-14), 0.5)
     known = pile(scattering=45.0, absorption=1.2)
     q = 1.2 / 45
     assert known == pytest.approx(1 + q - np.sqrt(q * q + 2 * q), abs=1e-14)
     assert reflectance(0.02, scattering=45.0, absorption=1.2, backing=known) == pytest.approx(known, abs=1e-14)
     assert stack([Layer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0) == pytest.approx(known, abs=1e-12)
-    assert pile(scattering=45.0, absorption=0.0) == 1
-    assert pile(scattering=0.0, absorption=1.0) == 0
+    assert (pile(scattering=45.0, absorption=0.0), pile(scattering=0.0, absorption=1.0)) == (1, 0)
 
 
 def test_maps_broadcast_and_what_is_missing_stays_so():
     weight = np.array([[0.0, 0.01, np.nan]])
     found = reflectance(weight, scattering=150.0, backing=np.array([[0.7], [0.8]]))
-    assert found.shape == (2, 3)
-    assert found[:, 0] == pytest.approx([0.7, 0.8])
+    assert (found.shape, found[:, 0]) == ((2, 3), pytest.approx([0.7, 0.8]))
     assert np.isnan(found[:, 2]).all()
     assert np.isfinite(found[:, :2]).all()
 

@@ -24,13 +24,10 @@ def test_it_is_the_mean_with_an_exponential_kernel_over_the_known_pixels():
         assert found[i, j] == pytest.approx(np.sum(kernel * values[known]) / kernel.sum(), abs=0.02)
 
 
-def test_a_constant_stays_and_a_mean_too():
+def test_a_constant_stays_and_a_single_pixel_becomes_an_exponential():
     flat = np.full((30, 40), 3.25)
     flat[:5, :9] = np.nan
     np.testing.assert_allclose(spread_light(flat, pixel_um=(8.0, 12.0), width_um=50.0)[6:], 3.25, rtol=1e-12)
-
-
-def test_of_a_single_pixel_an_exponential_is_left():
     dot = np.zeros((201, 201))
     dot[100, 100] = 1.0
     found = spread_light(dot, pixel_um=5.0, width_um=40.0)[100, 103:150]

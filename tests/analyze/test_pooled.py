@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import optimize, stats
 
+from folders import refused
 from planish.analyze import (
     Fields,
     difference_of_pooled_r,
@@ -83,7 +84,7 @@ def test_effects_are_pooled_as_statsmodels_does():
     assert compared > 800
 
 
-def test_r_is_pooled_by_sheets():
+def test_r_is_pooled_by_sheets_of_fields_with_a_value():
     r = [0.5, 0.6, 0.4, 0.7, 0.6, 0.65, 0.3]
     sheets = [*"AABBCCC"]
     found = pooled_r(Fields(r, sheets), [53, 103, 53, 53, 83, 83, 13])
@@ -96,12 +97,8 @@ def test_r_is_pooled_by_sheets():
     for one, two in ((found.between_sheets, random_effects(means, own)), (found.between_fields, of_fields)):
         assert dataclasses.astuple(one)[1:4] == pytest.approx(dataclasses.astuple(two)[1:4])
         assert (one.effects, one.q) == (two.effects, pytest.approx(two.q))
-
-
-def test_a_field_that_says_nothing_does_not_count():
     found = pooled_r(Fields([0.5, math.nan, 0.4, 1.0, 0.6, 0.2], [*"ABBCCD"]), [50, 50, math.nan, 50, 50, 4.0])
-    assert (found.sheets, found.fields, found.missing) == (2, 2, 4)
-    assert found.reason == "2 of at least 3 sheets"
+    assert (found.sheets, found.fields, found.missing, found.reason) == (2, 2, 4, "2 of at least 3 sheets")
     assert found.between_fields is not None
     none = pooled_r(Fields([math.nan], ["A"]), [50])
     assert none.between_sheets is None
@@ -126,12 +123,9 @@ def test_a_difference_of_r_is_linear_in_z():
 
 
 def test_wrong_correlations_are_refused():
-    with pytest.raises(InputError, match="1 effects and 1 variances"):
-        random_effects([1.0], [1.0])
-    with pytest.raises(InputError, match="above 0"):
-        random_effects([1.0, 2.0], [1.0, 0.0])
-    with pytest.raises(InputError, match="infinite"):
-        random_effects([1.0, 2.0], [1.0, math.inf])
+    refused(InputError, "1 effects and 1 variances", random_effects, [1.0], [1.0])
+    refused(InputError, "above 0", random_effects, [1.0, 2.0], [1.0, 0.0])
+    refused(InputError, "infinite", random_effects, [1.0, 2.0], [1.0, math.inf])
     with pytest.raises(InputError, match="1 correlations and 2 n_eff"):
         pooled_r(Fields([0.1], ["A"]), [10, 20])
     with pytest.raises(InputError, match="beyond 1"):

@@ -5,6 +5,7 @@ import pytest
 from scipy import optimize
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import deming, independent_points, split_reliability
 from planish.core.errors import CannotMeasure, InputError
 
@@ -34,25 +35,17 @@ def test_shared_errors_make_it_an_upper_bound():
     assert "upper bound" in found.sentence
 
 
-def test_larger_points_are_more_reliable():
+def test_larger_points_are_more_reliable_and_halves_that_share_nothing_or_are_constant_are_not():
     pair = halves(np.random.default_rng(2), 1.0)
     one, two = (split_reliability(*pair, pixel_um=2.0, point_um=size) for size in (None, 8.0))
     assert two.value > one.value + 0.1
     assert (one.point_um, two.point_um) == (2.0, 8.0)
     assert two.interval[0] < two.value < two.interval[1]
-
-
-def test_halves_that_share_nothing_have_none():
     a, b = gaussian_maps(np.random.default_rng(3), (60, 80), 3.0)
     found = split_reliability(a, -a + 0.1 * b, pixel_um=1.0)
-    assert found.value == 0
-    assert found.interval == (0, 0)
-
-
-def test_a_constant_half_is_refused():
+    assert (found.value, found.interval) == (0, (0, 0))
     a, _ = halves(np.random.default_rng(6), 1.0)
-    with pytest.raises(CannotMeasure, match="constant"):
-        split_reliability(a, np.ones(a.shape), pixel_um=2.0)
+    refused(CannotMeasure, "constant", split_reliability, a, np.ones(a.shape), pixel_um=2.0)
 
 
 def cloud(rng, n, *, slope=2.0, errors=(0.5, 1.5)):
@@ -63,8 +56,7 @@ def cloud(rng, n, *, slope=2.0, errors=(0.5, 1.5)):
 def test_the_slope_between_two_noisy_quantities_is_the_true_one():
     x, y = cloud(np.random.default_rng(7), 40_000)
     found = deming(x, y, error_ratio=9.0, n_eff=40_000)
-    assert found.slope == pytest.approx(2, abs=0.04)
-    assert found.intercept == pytest.approx(3, abs=0.04)
+    assert (found.slope, found.intercept) == (pytest.approx(2, abs=0.04), pytest.approx(3, abs=0.04))
     assert found.interval[0] < 2 < found.interval[1]
     assert np.polyfit(x, y, 1)[0] == pytest.approx(1.6, abs=0.04)  # what least squares leave of it
 
@@ -82,24 +74,18 @@ def test_the_line_is_that_of_least_weighted_distance(ratio, slope):
     assert (found.slope, found.intercept) == pytest.approx(tuple(twin.x), abs=1e-5)
 
 
-def test_extreme_ratios_are_both_lines_of_least_squares():
+def test_extreme_ratios_and_fewer_points_change_lines_and_intervals_and_missing_values_nothing():
     x, y = cloud(np.random.default_rng(9), 200)
     assert deming(x, y, error_ratio=1e9, n_eff=200).slope == pytest.approx(np.polyfit(x, y, 1)[0], rel=1e-5)
     assert deming(x, y, error_ratio=1e-9, n_eff=200).slope == pytest.approx(1 / np.polyfit(y, x, 1)[0], rel=1e-5)
     there, back = deming(x, y, error_ratio=4.0, n_eff=200), deming(y, x, error_ratio=0.25, n_eff=200)
     assert back.slope == pytest.approx(1 / there.slope)
     assert back.interval == pytest.approx((1 / there.interval[1], 1 / there.interval[0]))
-
-
-def test_fewer_independent_points_widen_the_interval():
     x, y = cloud(np.random.default_rng(10), 2000)
     wide = [np.diff(deming(x, y, error_ratio=9.0, n_eff=n).interval)[0] for n in (2000, 500)]
     assert wide[1] / wide[0] == pytest.approx(2, rel=0.03)
     assert math.isnan(deming(x, y, error_ratio=9.0, n_eff=9).interval[0])
     assert deming(x, y, error_ratio=9.0, n_eff=1e9).interval == deming(x, y, error_ratio=9.0, n_eff=2000).interval
-
-
-def test_missing_values_do_not_count():
     x, y = cloud(np.random.default_rng(11), 100)
     found = deming(np.append(x, [np.nan, 5.0]), np.append(y, [1.0, np.nan]), error_ratio=1.0, n_eff=50)
     assert found == deming(x, y, error_ratio=1.0, n_eff=50)
@@ -108,16 +94,11 @@ def test_missing_values_do_not_count():
 def test_without_a_ratio_there_is_no_slope():
     x, y = cloud(np.random.default_rng(12), 100)
     for ratio in (None, 0.0, -1.0, math.nan, math.inf):
-        with pytest.raises(InputError, match="repeated measurements"):
-            deming(x, y, error_ratio=ratio, n_eff=100)
-    with pytest.raises(InputError, match="independent points"):
-        deming(x, y, error_ratio=1.0, n_eff=None)
-    with pytest.raises(InputError, match="shape"):
-        deming(x, y[:-1], error_ratio=1.0, n_eff=100)
-    with pytest.raises(CannotMeasure, match="2 points"):
-        deming(x[:2], y[:2], error_ratio=1.0, n_eff=100)
-    with pytest.raises(CannotMeasure, match="any slope"):
-        deming(x, np.ones(100), error_ratio=1.0, n_eff=100)
+        refused(InputError, "repeated measurements", deming, x, y, error_ratio=ratio, n_eff=100)
+    refused(InputError, "independent points", deming, x, y, error_ratio=1.0, n_eff=None)
+    refused(InputError, "shape", deming, x, y[:-1], error_ratio=1.0, n_eff=100)
+    refused(CannotMeasure, "2 points", deming, x[:2], y[:2], error_ratio=1.0, n_eff=100)
+    refused(CannotMeasure, "any slope", deming, x, np.ones(100), error_ratio=1.0, n_eff=100)
 
 
 @pytest.mark.study

@@ -5,6 +5,7 @@ import pytest
 from scipy import fft
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import half_bit, ring_correlation
 from planish.analyze.octaves import spectrum_of, window_of
 from planish.core.errors import CannotMeasure, InputError
@@ -74,19 +75,17 @@ def test_rings_are_sums_over_single_waves():
         cross, xx, yy, count = sums[k]
         # The columns of the Nyquist frequency, which have no partner, lie in no ring that is kept.
         assert ring.correlation == pytest.approx(cross / math.sqrt(xx * yy), abs=1e-9)
-        assert ring.modes == pytest.approx(count / 2 / joined)
-        assert ring.threshold == half_bit(ring.modes)
+        assert (ring.modes, ring.threshold) == (pytest.approx(count / 2 / joined), half_bit(ring.modes))
 
 
 def test_the_half_bit_curve_has_the_numbers_of_the_paper():
     for n in (4.0, 50.0, 1e4):
         root = math.sqrt(n)
         assert half_bit(n) == pytest.approx((0.2071 + 1.9102 / root) / (1.2071 + 0.9102 / root), abs=1e-4)
-    assert half_bit(1.0) == pytest.approx(1.0)
-    assert half_bit(1e12) == pytest.approx(0.1716, abs=1e-4)
+    assert (half_bit(1.0), half_bit(1e12)) == (pytest.approx(1.0), pytest.approx(0.1716, abs=1e-4))
 
 
-def test_where_nothing_crosses_it_says_why():
+def test_where_nothing_crosses_or_leakage_ends_the_curve_the_sentence_gives_the_reason():
     rng = np.random.default_rng(3)
     a = gaussian_maps(rng, SHAPE, 3.0)[0]
     same = ring_correlation(a, 2 * a + 1, pixel_um=2.0)
@@ -96,9 +95,6 @@ def test_where_nothing_crosses_it_says_why():
     none = ring_correlation(a, rng.normal(size=SHAPE), pixel_um=2.0)
     assert none.resolution_um is None
     assert "Not even" in none.sentence
-
-
-def test_leakage_ends_the_curve():
     smooth = gaussian_maps(np.random.default_rng(4), SHAPE, 20.0, kind="gauss")[0]
     found = ring_correlation(smooth, smooth, pixel_um=1.0)
     assert found.resolution_um is None
@@ -106,22 +102,15 @@ def test_leakage_ends_the_curve():
     assert found.rings[-1].wavelength_um > 5  # the pixels would reach to 2
 
 
-def test_what_is_missing_does_not_count():
+def test_missing_pixels_do_not_count_and_wrong_input_is_refused():
     rng = np.random.default_rng(5)
     a, b = twice(rng)
     known = np.ones(SHAPE, bool)
     known[30:50, 40:70] = False
     one = ring_correlation(np.where(known, a, np.nan), b, pixel_um=1.0)
     assert one == ring_correlation(a, np.where(known, b, 1e9), mask=known, pixel_um=1.0)
-
-
-def test_wrong_input_is_refused():
     a = gaussian_maps(np.random.default_rng(6), (30, 40), 3.0)[0]
-    with pytest.raises(InputError, match="one grid"):
-        ring_correlation(a, a[1:], pixel_um=1.0)
-    with pytest.raises(CannotMeasure, match="larger map"):
-        ring_correlation(a[:6, :6], a[:6, :6], pixel_um=1.0)
-    with pytest.raises(CannotMeasure, match="map b is constant"):
-        ring_correlation(a, np.ones(a.shape), pixel_um=1.0)
-    with pytest.raises(CannotMeasure, match="0 pixels"):
-        ring_correlation(a, a, mask=np.zeros(a.shape, bool), pixel_um=1.0)
+    refused(InputError, "one grid", ring_correlation, a, a[1:], pixel_um=1.0)
+    refused(CannotMeasure, "larger map", ring_correlation, a[:6, :6], a[:6, :6], pixel_um=1.0)
+    refused(CannotMeasure, "map b is constant", ring_correlation, a, np.ones(a.shape), pixel_um=1.0)
+    refused(CannotMeasure, "0 pixels", ring_correlation, a, a, mask=np.zeros(a.shape, bool), pixel_um=1.0)

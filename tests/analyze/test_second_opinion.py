@@ -36,16 +36,13 @@ def test_the_critical_value_is_that_of_drawn_values():
     assert critical_value(large, (1.0, 1.0)) == pytest.approx(critical_value(known, (1.0, 1.0)), abs=0.02)
 
 
-def test_of_even_maps_both_say_about_the_same():
+def test_both_opinions_agree_on_even_maps_and_the_second_is_wider_on_uneven_ones():
     a, b = related_maps(np.random.default_rng(1), (100, 130), 2.0, 0.5)
     first, second = correlate(a, b, pixel_um=3.0), second_opinion(a, b, pixel_um=3.0)
     assert second.r == pytest.approx(first.r)
     assert np.diff(second.interval) == pytest.approx(np.diff(first.interval), rel=0.3)
     assert 0.7 < second.ratio < 1.3
     assert not first.warnings
-
-
-def test_of_uneven_maps_it_is_wider_than_the_covariances_alone_say():
     rng = np.random.default_rng(2)
     a, b = related_maps(rng, (100, 130), 1.5, 0.5)
     level = np.exp(1.2 * gaussian_maps(rng, a.shape, 25.0, kind="gauss")[0])

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from folders import refused
 from planish.analyze import Fields, over_sheets, variances_of
 from planish.core.errors import InputError
 
@@ -15,7 +16,7 @@ def drawn(rng, counts, *, between=1.0, within=0.5):
     return Fields(values.tolist(), [f"S{k}" for k in sheet])
 
 
-def test_the_mean_over_sheets_has_the_interval_of_scipy():
+def test_the_mean_over_sheets_has_the_interval_of_scipy_whatever_the_number_of_fields():
     fields = drawn(np.random.default_rng(0), (3, 1, 2, 5))
     means = [np.mean([v for v, s in zip(fields.values, fields.sheets, strict=True) if s == name])
              for name in ("S0", "S1", "S2", "S3")]  # fmt: skip
@@ -24,32 +25,22 @@ def test_the_mean_over_sheets_has_the_interval_of_scipy():
     assert found.sd == pytest.approx(np.std(means, ddof=1), abs=1e-12)
     assert found.interval == pytest.approx(stats.t.interval(0.95, 3, np.mean(means), stats.sem(means)), abs=1e-12)
     assert (found.sheets, found.fields, found.missing, found.reason) == (4, 11, 0, "")
-
-
-def test_more_fields_of_the_same_sheets_are_no_larger_sample():
     fields = drawn(np.random.default_rng(1), (1, 1, 1))
     ten = Fields(list(fields.values) * 10, list(fields.sheets) * 10)
     assert over_sheets(ten).interval == pytest.approx(over_sheets(fields).interval, abs=1e-12)
 
 
-def test_two_sheets_have_no_interval():
+def test_few_equal_or_missing_fields_give_no_interval():
     found = over_sheets(Fields([1.0, 2.0, 3.0, 4.0], ["A", "A", "B", "B"]))
     assert found.mean == 2.5
     assert math.isnan(found.interval[0])
     assert found.reason == "2 of at least 3 sheets"
-
-
-def test_a_missing_field_does_not_count():
     found = over_sheets(Fields([1.0, math.nan, 3.0, 4.0, math.nan], ["A", "A", "B", "C", "D"]))
-    assert (found.sheets, found.fields, found.missing) == (3, 3, 2)
-    assert found.mean == pytest.approx(8 / 3)
+    assert (found.sheets, found.fields, found.missing, found.mean) == (3, 3, 2, pytest.approx(8 / 3))
     none = over_sheets(Fields([math.nan], ["A"]))
     assert (none.sheets, none.missing) == (0, 1)
     assert math.isnan(none.mean)
     assert none.reason == "0 of at least 3 sheets"
-
-
-def test_the_same_file_three_times_is_no_certainty():
     found = over_sheets(Fields([0.1 + 0.2, 0.3, 0.3], ["A", "B", "C"]))
     assert found.sd == 0
     assert math.isnan(found.interval[0])
@@ -101,12 +92,9 @@ def test_what_cannot_be_split_says_why(values, sheets, why):
 
 
 def test_wrong_fields_are_refused():
-    with pytest.raises(InputError, match="2 values of fields, 1 sheets"):
-        Fields([1.0, 2.0], ["A"])
-    with pytest.raises(InputError, match="infinite"):
-        Fields([math.inf], ["A"])
-    with pytest.raises(InputError, match="Sheet A has the field 1 twice"):
-        Fields([1.0, 2.0], ["A", "A"], ["1", "1"])
+    refused(InputError, "2 values of fields, 1 sheets", Fields, [1.0, 2.0], ["A"])
+    refused(InputError, "infinite", Fields, [math.inf], ["A"])
+    refused(InputError, "Sheet A has the field 1 twice", Fields, [1.0, 2.0], ["A", "A"], ["1", "1"])
 
 
 @pytest.mark.study

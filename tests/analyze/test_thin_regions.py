@@ -6,7 +6,7 @@ from planish.analyze import region_difference
 from planish.core.errors import CannotMeasure, InputError
 
 
-def test_a_step_is_found():
+def test_a_step_is_found_and_a_large_region_is_one_event():
     rng = np.random.default_rng(0)
     a, b = gaussian_maps(rng, (60, 80), 3.0)
     inside = a < -0.8
@@ -15,6 +15,12 @@ def test_a_step_is_found():
     assert found.interval[0] < -2 < found.interval[1]
     assert found.interval[1] < -1
     assert found.n_eff < inside.size / 4
+    b = gaussian_maps(np.random.default_rng(4), (40, 50), 30.0, kind="gauss")[0]
+    inside = np.zeros(b.shape, bool)
+    inside[:, :25] = True
+    found = region_difference(b, inside, pixel_um=1.0)
+    assert np.isnan(found.interval).all() == (found.n_eff < 10)
+    assert found.n_eff < 30
 
 
 def test_pixels_without_resemblance_are_a_two_sample_test():
@@ -35,24 +41,12 @@ def test_the_interval_holds_the_truth():
     assert 0.88 < np.mean(held) < 0.995
 
 
-def test_missing_pixels_do_not_count():
+def test_missing_pixels_do_not_count_and_regions_without_pixels_are_refused():
     rng = np.random.default_rng(3)
     a, b = gaussian_maps(rng, (40, 50), 3.0)
     known = rng.random(a.shape) > 0.2
     one = region_difference(np.where(known, b, np.nan), a < 0, pixel_um=1.0)
     assert one == region_difference(np.where(known, b, 1e9), a < 0, mask=known, pixel_um=1.0)
-
-
-def test_one_large_region_is_one_event():
-    b = gaussian_maps(np.random.default_rng(4), (40, 50), 30.0, kind="gauss")[0]
-    inside = np.zeros(b.shape, bool)
-    inside[:, :25] = True
-    found = region_difference(b, inside, pixel_um=1.0)
-    assert np.isnan(found.interval).all() == (found.n_eff < 10)
-    assert found.n_eff < 30
-
-
-def test_regions_without_pixels_are_refused():
     b = np.random.default_rng(5).normal(size=(20, 30))
     for inside in (np.zeros(b.shape, bool), np.ones(b.shape, bool)):
         with pytest.raises(CannotMeasure, match="another limit"):

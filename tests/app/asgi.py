@@ -1,7 +1,5 @@
 """Requests to an ASGI application in this process: no port, no client library."""
 
-from __future__ import annotations
-
 import asyncio
 import json
 from collections.abc import Coroutine, Mapping, Sequence

@@ -1,7 +1,5 @@
 """A server on a copy of a run, and a browser: for the tests of the page with real mouse and keys."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil
@@ -15,8 +13,9 @@ from typing import IO, Any
 import numpy as np
 import pytest
 import tifffile
-from filelock import FileLock
 
+from folders import make_once
+from planish.app.session import Session
 from planish.cli import main
 from planish.pipeline import link, open_run
 from planish.synthetic import DEMO, make_specimen, write_instruments
@@ -92,15 +91,12 @@ def run_copy(linked_run, tmp_path) -> Path:
     return beside(linked_run, tmp_path)
 
 
-def made_once(make: Callable[[Path], object], name: str, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A folder that is made once for all workers, and that no test may change."""
-    base = tmp_path_factory.getbasetemp()
-    folder = (base.parent if "PYTEST_XDIST_WORKER" in os.environ else base) / name
-    with FileLock(folder.with_suffix(".lock")):
-        if not (folder / "done").exists():
-            make(folder)
-            (folder / "done").touch()
-    return folder
+@pytest.fixture
+def session(linked_run, tmp_path):
+    """A session on a copy of the small run."""
+    session = Session.open(Path(shutil.copytree(linked_run, tmp_path / "run")))
+    yield session
+    session.close()
 
 
 @pytest.fixture(scope="session")
@@ -112,7 +108,7 @@ def demo_run(tmp_path_factory) -> Path:
         assert files.image is not None
         link(files.volume, files.image, out=folder / "run")
 
-    return made_once(make, "demo", tmp_path_factory) / "run"
+    return make_once(make, "demo", tmp_path_factory) / "run"
 
 
 @pytest.fixture(scope="session")
@@ -124,7 +120,7 @@ def laid_run(laid, tmp_path_factory) -> Path:
             main(["link", str(laid.volume), str(laid.image), *laid.options, "--out", str(folder / "run")])
         assert end.value.code in (0, 4)
 
-    return made_once(make, "laid", tmp_path_factory) / "run"
+    return make_once(make, "laid", tmp_path_factory) / "run"
 
 
 @pytest.fixture(scope="session")

@@ -1,7 +1,5 @@
 """What tests of the page's marks share."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -13,8 +11,14 @@ def expect(what):
     """Wait until the page shows something."""
     from playwright.sync_api import expect as wait_for
 
-    wait_for.set_options(timeout=15000)
+    wait_for.set_options(timeout=20000)
     return wait_for(what)
+
+
+def api(shown, path):
+    """The answer of the server to a question of the page."""
+    ask = "([path, token]) => fetch(path, {headers: {Authorization: 'Bearer ' + token}}).then(r => r.json())"
+    return shown.page.evaluate(ask, [f"/api/{path}", shown.server.token])
 
 
 def message(shown):

@@ -1,7 +1,5 @@
 """Apply: what a session changed becomes a run of its own, and nothing else is done again."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal
@@ -11,11 +9,10 @@ import time
 from contextlib import contextmanager
 from pathlib import Path
 
-import numpy as np
 import pytest
-import tifffile
 
 from app.asgi import HOST, TOKEN, Client
+from folders import bytes_of
 from planish.app.apply import STAGED, OriginalRun, order_of, place_of
 from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
@@ -30,18 +27,13 @@ UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")
 
 @pytest.fixture
 def run(linked_run, tmp_path):
-    """The small link beside its files, to be worked on."""
-    shutil.copytree(linked_run, tmp_path / "made" / "run")
-    at_home(linked_run, tmp_path / "made" / "run")
-    return tmp_path / "made" / "run"
-
-
-def at_home(old, new):
-    """Let the study of a copied run find its files."""
+    """The small link beside its files, with a study that leads to them; to be worked on."""
     from planish import __version__
     from planish.study import write_study
 
-    write_study(read_study(old / "run.toml"), new, home=new, version=__version__)
+    folder = Path(shutil.copytree(linked_run, tmp_path / "made" / "run"))
+    write_study(read_study(linked_run / "run.toml"), folder, home=folder, version=__version__)
+    return folder
 
 
 @contextmanager
@@ -73,10 +65,6 @@ def made(session):
     return out
 
 
-def bytes_of(folder):
-    return {p.relative_to(folder).as_posix(): p.read_bytes() for p in folder.rglob("*") if p.is_file()}
-
-
 def held(run, group):
     return bytes_of(run / "maps.zarr" / group)
 
@@ -90,29 +78,28 @@ def wait_for(done, seconds=60.0):
 
 
 # --- the study -------------------------------------------------------------------------------------------------------
-
-
-def test_a_session_without_a_change_is_the_study_of_its_run(run):
+def test_a_session_without_changes_or_with_them_undone_is_the_study_of_its_run(run):
     with opened(run) as session:
         order = ordered(session)
+        do(session, do="use", id=session.state.of(None)[0].id, used=False)
+        session.undo()
+        assert ordered(session).files == {}
     assert (order.study, order.files) == (read_study(run / "run.toml"), {})
 
 
-def test_a_change_that_was_taken_back_is_none(run):
-    with opened(run) as session:
-        mark = session.state.of(None)[0]
-        do(session, do="use", id=mark.id, used=False)
-        session.undo()
-        assert ordered(session).files == {}
-
-
-def test_a_model_does_not_freeze_the_marks(run):
+def test_models_do_not_freeze_marks_and_labels_of_holes_are_their_own(run):
     with opened(run) as session:
         do(session, do="model", model="similarity")
         order = ordered(session)
-    assert order.files == {}
-    assert order.study.registration.model == "similarity"
+    assert (order.files, order.study.registration.model) == ({}, "similarity")
     assert order.study.registration.marks is None
+    with opened(run) as session:
+        first, second, *_ = session.state.of(None)
+        do(session, do="delete", id=second.id)
+        do(session, do="label", id=first.id, label="fixed 1")
+        labels = [one["label"] for one in json.loads(ordered(session).files["marks.json"])["marks"]]
+    assert len(labels) == len(set(labels))
+    assert {"fixed 1", "fixed 2", "moving 1"} <= set(labels)
 
 
 def test_marks_keep_what_is_known_of_them(run):
@@ -143,16 +130,6 @@ def test_marks_keep_what_is_known_of_them(run):
     assert order.study.registration.marks == str(run / STAGED / "marks.json")
 
 
-def test_labels_of_holes_without_a_mark_are_their_own(run):
-    with opened(run) as session:
-        first, second, *_ = session.state.of(None)
-        do(session, do="delete", id=second.id)
-        do(session, do="label", id=first.id, label="fixed 1")
-        labels = [one["label"] for one in json.loads(ordered(session).files["marks.json"])["marks"]]
-    assert len(labels) == len(set(labels))
-    assert {"fixed 1", "fixed 2", "moving 1"} <= set(labels)
-
-
 def test_regions_stand_in_the_order_as_they_were_drawn(run):
     with opened(run) as session:
         corners = [[300.0, 300.0], [500.0, 300.0], [500.0, 450.0]]
@@ -179,8 +156,6 @@ def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wa
 
 
 # --- the run ---------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.study
 def test_without_a_change_every_number_is_the_same(run):
     with opened(run) as session:
@@ -229,8 +204,7 @@ def test_regions_and_a_model_give_a_run_that_repeats_itself(planish, run):
     with opened(out) as session:
         do(session, do="use", id=session.state.of(None)[0].id, used=False)
         third = made(session)
-    assert third == run.with_name("run-2-2")
-    assert open_run(third).results.regions.count == 1
+    assert (third, open_run(third).results.regions.count) == (run.with_name("run-2-2"), 1)
     for one in (out, third):
         code, _, err = planish("run", one / "run.toml", "--out", one.with_name("again"))
         assert (code in (0, 4), f"same bytes as {one}" in err) == (True, True), err
@@ -238,9 +212,8 @@ def test_regions_and_a_model_give_a_run_that_repeats_itself(planish, run):
 
 
 @pytest.mark.study
-def test_a_sheet_seen_from_its_low_end_is_applied_in_its_own_frame(planish, laid, tmp_path):
-    code, _, err = planish("link", laid.volume, laid.image, "-o", tmp_path / "run", *laid.options)
-    assert code in (0, 4), err
+def test_a_sheet_seen_from_its_low_end_is_applied_in_its_own_frame(planish, passes, laid, tmp_path):
+    passes("link", laid.volume, laid.image, "-o", tmp_path / "run", *laid.options, codes=(0, 4))
     run = tmp_path / "run"
     with opened(run) as session:
         do(session, do="use", id=session.state.of(None)[-1].id, used=False)
@@ -255,21 +228,11 @@ def test_a_sheet_seen_from_its_low_end_is_applied_in_its_own_frame(planish, laid
 
 
 @pytest.mark.study
-def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, specimen_files, linked_run, tmp_path):
-    """Two of the image's holes are left: the link refuses, and pairs that a person sets on the maps make a run."""
-    volume, image = specimen_files
-    marks = [one for one in json.loads((linked_run / "marks.json").read_text())["marks"] if len(one["at"]) == 2]
-    grey = tifffile.imread(image)
-    y, x = np.indices(grey.shape) * 5.0
-    for one in marks[2:]:  # filled with paper from beside it
-        at = one["at"]["fixed"]
-        near = np.hypot(x - at["x"], y - at["y"]) < 130
-        grey[near] = np.random.default_rng(1).permutation(grey[(np.hypot(x - at["x"], y - at["y"]) < 210) & ~near])[
-            np.arange(near.sum()) % 1000
-        ]
-    two = tmp_path / "two.tif"
-    tifffile.imwrite(two, grey, resolution=(1e4 / 5.0,) * 2, resolutionunit="CENTIMETER")
-    assert planish("map", volume, "-o", tmp_path / "run-map")[0] == 0
+def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, refused, linked_run, tmp_path):
+    """Two of the image's holes remain: the link refuses, and pairs that a person sets on the maps make a run."""
+    marks = [mark for mark in json.loads((linked_run / "marks.json").read_text())["marks"] if len(mark["at"]) == 2]
+    two = refused[1]
+    shutil.copytree(refused[0], tmp_path / "run-map")
     code, _, err = planish("link", tmp_path / "run-map", two, "-o", tmp_path / "run")
     assert (code, "at least 3 are needed" in err) == (3, True), err
     with opened(tmp_path / "run-map", two) as session:
@@ -290,11 +253,10 @@ def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, specimen
 
 
 @pytest.mark.study
-def test_marks_of_one_of_several_layers(planish, linked_run, specimen_files, tmp_path):
+def test_marks_of_one_of_several_layers(planish, passes, linked_run, specimen_files, tmp_path):
     """Two images of one sheet and its volume: only the layer whose marks were changed gets marks of its own."""
     image = specimen_files[1]
-    code, _, err = planish("link", f"a={linked_run}", f"b={image}", f"c={image}", "-o", tmp_path / "run")
-    assert code in (0, 4), err
+    passes("link", f"a={linked_run}", f"b={image}", f"c={image}", "-o", tmp_path / "run", codes=(0, 4))
     with opened(tmp_path / "run") as session:
         do(session, do="use", layer="a", id=session.state.of("a")[0].id, used=False)
         order = ordered(session)
@@ -311,8 +273,6 @@ def test_marks_of_one_of_several_layers(planish, linked_run, specimen_files, tmp
 
 
 # --- the process -----------------------------------------------------------------------------------------------------
-
-
 @contextmanager
 def applying(session):
     found = Applying(session)
@@ -371,8 +331,7 @@ def test_the_page_begins_follows_and_reads_the_report(run):
         client, stranger = Client(app), Client(app, token="")
         try:
             assert client.get("/api/apply").json() == {"state": "idle", "stage": "", "share": 0.0, "message": ""}
-            assert stranger.post("/api/apply").status == 401
-            assert client.post("/api/apply").status == 202
+            assert (stranger.post("/api/apply").status, client.post("/api/apply").status) == (401, 202)
             again = client.post("/api/apply")
             assert (again.status, again.json()["state"]) == (409, "working")
             wait_for(lambda: client.get("/api/apply").json()["state"] != "working")
@@ -381,8 +340,7 @@ def test_the_page_begins_follows_and_reads_the_report(run):
             app.state.applying.close()
         assert (end["state"], end["run"]) == ("done", str(run.with_name("run-2"))), end
         page = stranger.get(end["report"])  # a new tab has no token
-        assert page.status == 200
-        assert page.body == (run.with_name("run-2") / "report.html").read_bytes()
+        assert (page.status, page.body) == (200, (run.with_name("run-2") / "report.html").read_bytes())
         assert "script-src" not in page.headers["content-security-policy"]
         assert "default-src 'none'" in page.headers["content-security-policy"]
         assert TOKEN not in end["report"]

@@ -1,14 +1,12 @@
 """Layers in a chain: the marks of each stand on the plane of the next one, not on that of the reference."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tifffile
 
-from app.marks_page import expect, settled
+from app.marks_page import api, expect, settled
 from planish.app.pictures import Pictures
 from planish.app.session import Session
 from planish.app.snap import hole_at
@@ -63,17 +61,11 @@ def test_a_hole_is_searched_on_the_plane_of_the_next_layer(chained, monkeypatch)
 def test_the_image_side_shows_the_next_layer(chained, serve, window):
     shown = window(serve(chained, "--read-only"))
     settled(shown)
-    pictures = shown.page.evaluate(
-        """async () => {
-          const headers = { Authorization: `Bearer ${sessionStorage.getItem("planish-token")}` };
-          return (await (await fetch("/api/session", { headers })).json()).pictures;
-        }"""
-    )
-    own = {one["id"]: (one["plane"], one["layer"]) for one in pictures}
+    places = {picture["id"]: (picture["plane"], picture["layer"]) for picture in api(shown, "session")["pictures"]}
     box = shown.page.get_by_label("Image side shows", exact=True)
-    assert own[box.input_value()] == ("moving", "b")
+    assert places[box.input_value()] == ("moving", "b")
     shown.page.get_by_label("Layer", exact=True).select_option("b")
     expect(shown.page.get_by_label("Volume side shows", exact=True)).to_have_value(
-        next(k for k, of in own.items() if of == ("moving", "b"))
+        next(k for k, place in places.items() if place == ("moving", "b"))
     )
-    assert own[box.input_value()][0] == "fixed"
+    assert places[box.input_value()][0] == "fixed"

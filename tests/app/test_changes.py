@@ -1,7 +1,5 @@
 """Changes of a session, and undo against a model that keeps every state."""
 
-from __future__ import annotations
-
 import json
 import random
 
@@ -22,38 +20,27 @@ def after(one: State, line: int, **change: object) -> State:
     return applied(one, numbered(change_of(json.dumps(change)), line))
 
 
-def test_an_added_mark_is_the_newest_and_has_the_id_of_its_line():
+def test_added_and_imported_marks_get_the_id_of_their_line():
     found = after(state(), 7, do="add", moving=[10, 20]).of(None)[-1]
     assert (found.id, found.label, found.used) == ("m7", "mark 1", True)
     assert found.moving is not None
     assert (found.moving.xy, found.moving.source, found.fixed) == ((10.0, 20.0), "clicked", None)
+    mark = {"id": "m0", "label": "a", "moving": [1, 2], "fixed": [3, 4]}
+    found = after(state(), 9, do="import", layer="other", marks=[mark, mark | {"label": "b"}])
+    assert ([m.id for m in found.of("other")], len(found.of("sheet"))) == (["m9-1", "m9-2"], 3)
 
 
-def test_a_change_leaves_the_state_before_as_it_was():
-    before = state()
-    kept = before.of(None)
-    after(before, 1, do="delete", id="m0-2")
-    assert before.of(None) is kept
-
-
-def test_a_moved_end_is_clicked_and_the_other_one_keeps_what_is_known():
+def test_a_moved_end_is_clicked_and_a_change_leaves_the_state_before():
     one = after(state(), 1, do="move", id="m0-1", moving={"x": 1, "y": 2, "cov_xx": 4, "source": "detected"})
     two = after(one, 2, do="move", id="m0-1", fixed=[5, 6]).mark(None, "m0-1")
     assert two.moving is not None
     assert two.fixed is not None
-    assert (two.moving.cov_xx, two.moving.source, two.fixed.xy, two.fixed.source) == (
-        4.0,
-        "detected",
-        (5, 6),
-        "clicked",
-    )
-
-
-def test_an_import_replaces_all_marks_of_one_registration():
-    mark = {"id": "m0", "label": "a", "moving": [1, 2], "fixed": [3, 4]}
-    found = after(state(), 9, do="import", layer="other", marks=[mark, mark | {"label": "b"}])
-    assert [m.id for m in found.of("other")] == ["m9-1", "m9-2"]
-    assert len(found.of("sheet")) == 3
+    assert (two.moving.cov_xx, two.moving.source) == (4.0, "detected")
+    assert (two.fixed.xy, two.fixed.source) == ((5, 6), "clicked")
+    before = state()
+    kept = before.of(None)
+    after(before, 1, do="delete", id="m0-2")
+    assert before.of(None) is kept
 
 
 @pytest.mark.parametrize(
@@ -93,8 +80,6 @@ def test_what_is_no_change_is_refused(text):
 
 
 # --- undo and redo against a slow model ------------------------------------------------------------------------------
-
-
 def random_change(draw: random.Random, now: State) -> dict[str, object]:
     ids = [m.id for m in now.of(None)]
     point = [draw.uniform(0, 100), draw.uniform(0, 100)]

@@ -1,7 +1,5 @@
 """A server that other machines reach: it says what it exposes, and the page asks nothing but it."""
 
-from __future__ import annotations
-
 import re
 import time
 

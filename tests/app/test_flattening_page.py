@@ -1,7 +1,5 @@
 """The tab Flattening in a real browser: the sheet in space, and what is shown where there is no WebGL."""
 
-from __future__ import annotations
-
 import re
 import statistics
 

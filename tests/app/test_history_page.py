@@ -1,12 +1,12 @@
 """Undo and redo in a real browser: against a slow model, through reloads, kills of the server and a full disk."""
 
-from __future__ import annotations
-
 import random
 import threading
 import time
+from collections.abc import Callable, Sequence
 from copy import deepcopy
 from dataclasses import dataclass, field
+from typing import Any
 
 import pytest
 
@@ -70,44 +70,37 @@ class Model:
         return {"rows": self.rows, "can": [bool(self.past), bool(self.future)], "model": self.model}
 
     @classmethod
-    def of(cls, page) -> Model:
+    def of(cls, page) -> "Model":
         found = page.evaluate(SHOWN)
         assert found["can"] == [False, False]
         return cls(marks=found["rows"], model=found["model"])
 
 
-def alike(found: list[dict], wanted: list[dict]) -> bool:
+def alike(marks: list[dict], expected: list[dict]) -> bool:
     """Whether marks are the same, with places to the two decimals that the page writes."""
-
-    def near(a: float | None, b: float | None) -> bool:
-        return a == b if a is None or b is None else abs(a - b) < 0.011
-
-    return [(mark["label"], mark["used"]) for mark in found] == [
-        (mark["label"], mark["used"]) for mark in wanted
-    ] and all(
-        near(a, b)
-        for one, other in zip(found, wanted, strict=True)
-        for a, b in zip(one["ends"], other["ends"], strict=True)
-    )
+    return [[mark["label"], mark["used"], *mark["ends"]] for mark in marks] == [
+        [mark["label"], mark["used"], *(pytest.approx(end, abs=0.011) for end in mark["ends"])] for mark in expected
+    ]
 
 
-def same(found: dict | None, wanted: dict) -> bool:
-    """Whether the page shows a state."""
-    if found is None:
-        return False
-    return (found["can"], found["model"]) == (wanted["can"], wanted["model"]) and alike(found["rows"], wanted["rows"])
-
-
-def shows(page, *wanted: dict, seconds: float = 10.0) -> int:
-    """Wait until the page shows one of some states: which."""
-    end = time.monotonic() + seconds
+def first_match(page, script: str, states: Sequence, matches: Callable[[dict, Any], bool]) -> int:
+    """Wait until what a script reads in the page matches one of some states: which."""
+    end = time.monotonic() + 10
     while True:
-        found = page.evaluate(SHOWN)
-        for k, state in enumerate(wanted):
-            if same(found, state):
+        shown = page.evaluate(script)
+        for k, state in enumerate(states):
+            if shown is not None and matches(shown, state):
                 return k
-        assert time.monotonic() < end, f"{found} is none of {wanted}"
+        assert time.monotonic() < end, f"{shown} is none of {states}"
         page.wait_for_timeout(15)
+
+
+def shows(page, wanted: dict) -> None:
+    """Wait until the page shows a state."""
+    exact = ("can", "model")
+    first_match(
+        page, SHOWN, [wanted], lambda a, b: all(a[k] == b[k] for k in exact) and alike(a["rows"], b["rows"])
+    )  # fmt: skip
 
 
 class Person:
@@ -207,14 +200,9 @@ class Person:
 
     def held(self, *models: Model) -> int:
         """Wait until the server holds all marks of one of some models, those with one end too: which."""
-        end = time.monotonic() + 10
-        while True:
-            found = self.page.evaluate(HELD)
-            for k, model in enumerate(models):
-                if found["model"] == model.model and alike(found["marks"], model.marks):
-                    return k
-            assert time.monotonic() < end, f"{found} is none of {models}"
-            self.page.wait_for_timeout(15)
+        return first_match(
+            self.page, HELD, models, lambda a, model: a["model"] == model.model and alike(a["marks"], model.marks)
+        )
 
     def back_to_the_beginning(self) -> None:
         """Undo reaches the run as it was."""
@@ -222,8 +210,7 @@ class Person:
             self.model.undo()
             self.shown.role("button", "Undo").click()
             self.settle()
-        wanted = self.first.seen | {"can": [False, bool(self.model.future)]}
-        shows(self.page, wanted)
+        shows(self.page, self.first.seen | {"can": [False, bool(self.model.future)]})
 
 
 def alone(shown) -> None:

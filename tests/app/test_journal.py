@@ -1,7 +1,5 @@
 """The journal: what was answered is on the disk, whatever happens; and sessions that come back from it."""
 
-from __future__ import annotations
-
 import errno
 import json
 import os
@@ -16,6 +14,7 @@ from pathlib import Path
 import pytest
 
 from app.test_changes import random_change
+from folders import refused
 from planish.app import journal as module
 from planish.app.changes import ChangeError, change_of
 from planish.app.journal import InUse, Journal
@@ -42,14 +41,9 @@ def standing(session: Session) -> list[object]:
     return [now.marks, now.model, now.corrections, now.regions]
 
 
-def test_nothing_is_written_before_the_first_change(path):
-    with closing(Journal(path, of="a", write=True)):
-        assert not path.exists()
-    assert not path.parent.exists()
-
-
-def test_lines_come_back(path):
+def test_lines_are_written_from_the_first_change_on_and_come_back(path):
     with closing(Journal(path, of="a", write=True)) as made:
+        assert not path.parent.exists()
         made.append(b'{"do": 1}')
         made.append(b'{"do": 2}')
     assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']
@@ -95,8 +89,7 @@ def test_a_full_disk_leaves_nothing_of_a_line(path, monkeypatch, written):
 
         with monkeypatch.context() as patch:
             patch.setattr(module, "_write_all", full)
-            with pytest.raises(ResourceError, match=r"was not made: the disk is full"):
-                made.append(b'{"do": 2}')
+            refused(ResourceError, r"was not made: the disk is full", made.append, b'{"do": 2}')
         assert made.lines == [b'{"do": 1}']
         made.append(b'{"do": 3}')
     assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 3}']
@@ -110,8 +103,7 @@ def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
         made.append(b'{"do": 1}')
         before = path.read_bytes()
         monkeypatch.setattr(module.os, "fsync", broken)
-        with pytest.raises(FileError, match="was not made"):
-            made.append(b'{"do": 2}')
+        refused(FileError, "was not made", made.append, b'{"do": 2}')
         assert path.read_bytes() == before
 
 
@@ -127,8 +119,7 @@ def test_a_line_that_did_not_reach_the_disk_is_taken_back(path, monkeypatch):
 def test_a_journal_that_is_none_is_refused_and_kept(path, content, words):
     path.parent.mkdir()
     path.write_bytes(content)
-    with pytest.raises(FileError, match=words):
-        Journal(path, of="a", write=True)
+    refused(FileError, words, Journal, path, of="a", write=True)
     assert path.read_bytes() == content
     with pytest.raises(FileError, match=words):  # the lock was given back
         Journal(path, of="a", write=True)
@@ -137,19 +128,15 @@ def test_a_journal_that_is_none_is_refused_and_kept(path, content, words):
 def test_one_process_writes_and_others_read(path):
     with closing(Journal(path, of="a", write=True)) as made:
         made.append(b'{"do": 1}')
-        with pytest.raises(InUse, match="read_only="):
-            Journal(path, of="a", write=True)
+        refused(InUse, "read_only=", Journal, path, of="a", write=True)
         reader = Journal(path, of="a", write=False)
         assert reader.lines == [b'{"do": 1}']
-        with pytest.raises(FileError, match="read only"):
-            reader.append(b'{"do": 2}')
+        refused(FileError, "read only", reader.append, b'{"do": 2}')
     with closing(Journal(path, of="a", write=True)):
         pass
 
 
 # --- sessions ----------------------------------------------------------------------------------------------------
-
-
 def test_undo_and_redo_survive_a_new_start(run):
     first = Session.open(run)
     begin = standing(first)
@@ -165,8 +152,7 @@ def test_undo_and_redo_survive_a_new_start(run):
     second.undo()
     second.undo()
     assert standing(second) == begin
-    with pytest.raises(ChangeError, match="nothing to undo"):
-        second.undo()
+    refused(ChangeError, "nothing to undo", second.undo)
     second.close()
 
 
@@ -206,8 +192,7 @@ def test_a_run_that_cannot_be_written_opens_read_only_and_says_so(run):
     session = Session.open(run)
     assert session.read_only
     assert "cannot be written" in session.reason
-    with pytest.raises(FileError, match="read only"):
-        change(session, do="use", id="m0-1", used=False)
+    refused(FileError, "read only", change, session, do="use", id="m0-1", used=False)
     assert session.state.of(None)[0].used
 
 

@@ -1,7 +1,5 @@
 """All tabs on a sheet through y whose top is at the low end, with an image of its bottom: the frames, by the truth."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
@@ -59,8 +57,7 @@ def test_a_hole_is_where_the_truth_has_it_and_is_clicked_predicted_and_snapped(s
     before = settled(shown)
     known = ends(before)
     order = [int(np.argmin(np.hypot(*(image - row[2:]).T))) for row in known]
-    assert sorted(order) == sorted(set(order))
-    assert known == pytest.approx(true[order], abs=10.0)
+    assert (sorted(order), known) == (sorted(set(order)), pytest.approx(true[order], abs=10.0))
 
     label, at = before[0][0], known[0]
     shown.role("button", label).click()
@@ -86,8 +83,7 @@ def test_the_maps_give_the_place_in_the_volume(shown, copied, specimen):
     shown.role("tab", "Maps").click()
     expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
     left = shown.page.get_by_label("Left layer", exact=True).input_value()
-    assert left == "coating_bottom"
-    assert shown.page.get_by_label("Right layer", exact=True).input_value() == RIGHT
+    assert (left, shown.page.get_by_label("Right layer", exact=True).input_value()) == ("coating_bottom", RIGHT)
     pixel = cursor_gives_the_pixel(shown, open_run(copied).linked, left)
     true = specimen.truth.sel(x=float(pixel.x), y=float(pixel.y), method="nearest")
     place = in_volume(specimen, float(true.u), float(true.v))

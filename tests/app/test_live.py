@@ -1,12 +1,8 @@
 """The fit on the screen: its numbers are those of `fit_transform`, wrong marks are named, and it is quick."""
 
-from __future__ import annotations
-
 import json
-import shutil
 import statistics
 import time
-from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -16,7 +12,6 @@ from planish.app.changes import Import, Mark, change_of
 from planish.app.fits import find_outliers, fitted
 from planish.app.live import Live
 from planish.app.pictures import Pictures
-from planish.app.session import Session
 from planish.app.snap import snapped
 from planish.register import RegistrationParams, fit_transform
 
@@ -103,16 +98,12 @@ def test_mirrored_marks_agree_when_the_planes_show_both_sides():
     assert np.isnan(other.residual_um).all()
 
 
-def test_marks_on_a_line_fit_no_affine_map():
+def test_errors_of_marks_on_a_line_or_at_one_place_are_named():
     line = np.stack([np.arange(5.0) * 100, np.zeros(5)], axis=1)
     found = shown(line, line + 3, "affine")
     assert "one line" in found.error
     assert found.fit is not None
-    assert found.fit.model == "similarity"
-    assert shown(line, line + 3, "similarity").error == ""
-
-
-def test_two_marks_at_one_place_are_named_in_their_rows():
+    assert (found.fit.model, shown(line, line + 3, "similarity").error) == ("similarity", "")
     moving, fixed, _ = pairs(6, 4)
     moving[5] = moving[1]
     found = shown(moving, fixed)
@@ -122,15 +113,14 @@ def test_two_marks_at_one_place_are_named_in_their_rows():
 
 
 @pytest.mark.parametrize("n", [0, 1, 2])
-def test_too_few_marks_say_so(n):
+def test_too_few_marks_are_reported_and_predict_nothing_without_a_pair(n):
     moving, fixed, _ = pairs(6, 5)
-    found = shown(moving[:n], fixed[:n], "auto")
-    assert any(f"{n} pair" in w.text and "needs 3" in w.text for w in found.warnings)
+    fit = shown(moving[:n], fixed[:n], "auto")
+    assert any(f"{n} pair" in w.text and "needs 3" in w.text for w in fit.warnings)
+    assert n or fit.predicted("moving", (1.0, 2.0)) is None
 
 
 # --- where a point will lie ----------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
     ("n", "words"), [(1, "shift"), (2, "similarity"), (3, "expected error"), (6, "expected error")]
 )
@@ -148,10 +138,6 @@ def test_a_place_is_predicted_from_the_first_pair_on(n, words, side):
     assert (error is None) == (n < 3 or not np.isfinite(error or np.nan))
 
 
-def test_nothing_is_predicted_without_a_pair():
-    assert shown(SIX[:0], SIX[:0]).predicted("moving", (1.0, 2.0)) is None
-
-
 def test_a_stated_error_of_a_predicted_place_holds():
     """Its rms over many sets of marks: what is stated allows for a map that is no similarity, which this one is."""
     off, stated = [], []
@@ -166,15 +152,6 @@ def test_a_stated_error_of_a_predicted_place_holds():
 
 
 # --- on a run ------------------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def session(linked_run, tmp_path):
-    found = Session.open(Path(shutil.copytree(linked_run, tmp_path / "run")))
-    yield found
-    found.close()
-
-
 def imported(moving, fixed) -> Import:
     return Import(marks=marks_of(moving, fixed))
 
@@ -206,8 +183,7 @@ def test_a_fit_that_follows_is_a_new_version(session):
     changed_at = session.version
     live.shown(layer)
     found = followed(live, layer)
-    assert found["fit"]["model"] == "tps"
-    assert heard[0] == changed_at
+    assert (found["fit"]["model"], heard[0]) == ("tps", changed_at)
     assert session.version > changed_at
 
 
@@ -225,33 +201,25 @@ def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
         assert (new.moving, new.fixed) == (old.moving, old.fixed)
 
 
-def test_a_hole_that_was_not_found_with_the_others_is_searched_around_the_mark(session, monkeypatch):
-    layer = session.layers[0]
-    pictures = Pictures.of(session.folder)
-    known = session.holes(layer)
-    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in known.items()}
+def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_face_as_the_others(
+    session, monkeypatch
+):
+    """Holes of a laser that was not perpendicular: a single hole does not show its angle, the link's holes did."""
+    layer, pictures = session.layers[0], Pictures.of(session.folder)
+    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
     monkeypatch.setattr(session, "holes", lambda _layer: none)
-    for mark in session.state.of(layer):
-        move = snapped(session, pictures, layer, mark)
+    marks = session.state.of(layer)
+    straight = [snapped(session, pictures, layer, mark) for mark in marks]
+    for mark, move in zip(marks, straight, strict=True):
         for end, old in ((move.moving, mark.moving), (move.fixed, mark.fixed)):
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
             assert None not in (end.cov_xx, end.diameter)
-
-
-def test_a_hole_that_is_searched_alone_is_moved_to_the_face_as_all_others_were(session, monkeypatch):
-    """Holes of a laser that was not perpendicular: one of them does not show its angle, the link's holes did."""
-    layer = session.layers[0]
-    pictures, mark = Pictures.of(session.folder), session.state.of(layer)[0]
-    none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
-    monkeypatch.setattr(session, "holes", lambda _layer: none)
-    straight = snapped(session, pictures, layer, mark)
     facts = session.results.layer(layer).registration
-    tilt = facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})
-    oblique = facts.model_copy(update={"tilt": tilt})
+    oblique = facts.model_copy(update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})})
     monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
-    moved = snapped(session, pictures, layer, mark)
-    assert moved.moving.xy == pytest.approx((straight.moving.x + 3.0, straight.moving.y - 2.0))
-    assert moved.fixed == straight.fixed
+    moved = snapped(session, pictures, layer, marks[0])
+    assert moved.moving.xy == pytest.approx((straight[0].moving.x + 3.0, straight[0].moving.y - 2.0))
+    assert moved.fixed == straight[0].fixed
 
 
 @pytest.mark.study

@@ -1,7 +1,5 @@
 """What the tab Maps says: values at the cursor and along a line, densities, and selections of all pixels."""
 
-from __future__ import annotations
-
 import base64
 import math
 import threading
@@ -61,8 +59,6 @@ def known(maps, x0, y0, x1, y1):
 
 
 # --- cursor and profile --------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("row", "col"), [(0, 0), (120, 350), (511, 512), (699, 1099)])
 def test_the_cursor_has_the_values_of_the_pixel_around_it(maps, tiles, pair, row, col):
     # Anywhere within the pixel, up to its border.
@@ -80,18 +76,18 @@ def test_the_cursor_has_the_values_of_the_pixel_around_it(maps, tiles, pair, row
     ]
 
 
-def test_beside_the_picture_the_cursor_has_no_values(tiles, pair):
+def test_the_cursor_beside_the_picture_has_no_values_and_corners_may_stand_in_any_order(tiles, pair):
     found = cursor(tiles, pair[0], ORIGIN[0] - PIXEL[1], ORIGIN[1])
-    assert (found.row, found.volume) == (None, None)
-    assert {one.value for one in found.values} == {None}
+    assert (found.row, found.volume, {one.value for one in found.values}) == (None, None, {None})
+    one, other = (select(tiles, *pair, region=Rectangle(*at)) for at in ((200, 100, 900, 400), (900, 400, 200, 100)))
+    assert one == other
 
 
 def test_a_profile_has_the_pixels_that_a_line_crosses(maps, tiles, pair):
     row = 120
     y = ORIGIN[1] + PIXEL[0] * row
     found = profile(tiles, [*pair], (ORIGIN[0] + PIXEL[1] * 250, y, ORIGIN[0] + PIXEL[1] * 450, y))
-    assert found.pixel_um == 2.0
-    assert found.at_um[-1] == pytest.approx(200 * PIXEL[1])
+    assert (found.pixel_um, found.at_um[-1]) == (2.0, pytest.approx(200 * PIXEL[1]))
     cols = np.floor(250 + np.array(found.at_um) / PIXEL[1] + 0.5).astype(int)
     for line in found.lines:
         expected = maps[line.name].values[row, cols]
@@ -110,10 +106,9 @@ def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatc
 
 @pytest.mark.study
 @pytest.mark.parametrize("posed", ["upright", "laid"])
-def test_both_ends_of_a_mark_show_one_place_of_the_volume(planish, request, tmp_path, posed):
+def test_both_ends_of_a_mark_show_one_place_of_the_volume(passes, request, tmp_path, posed):
     files = request.getfixturevalue(posed)
-    code, _, error = planish("link", files.volume, files.image, *files.options, "-o", tmp_path / "run")
-    assert code in (0, 4), error
+    passes("link", files.volume, files.image, *files.options, "-o", tmp_path / "run", codes=(0, 4))
     tiles = Tiles(Pictures.of(tmp_path / "run"))
     by = {(p.plane, p.name): p for p in tiles.pictures}
     (marks,) = (one.marks for one in open_run(tmp_path / "run").registrations.values())
@@ -129,30 +124,17 @@ def test_both_ends_of_a_mark_show_one_place_of_the_volume(planish, request, tmp_
             assert getattr(on_sheet, axis) == pytest.approx(getattr(on_image, axis), abs=12)
 
 
-def test_a_line_without_length_is_refused(tiles, pair):
-    with pytest.raises(InputError, match="no length"):
-        profile(tiles, [pair[0]], (5.0, 5.0, 5.0, 5.0))
-
-
 # --- what is selected ----------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("region", [(200.0, 100.0, 1500.0, 900.0), (ORIGIN[0], ORIGIN[1], 1000.0, 500.0)])
 def test_n_and_r_of_a_region_are_those_of_its_pixels(maps, tiles, pair, region):
     a, b = known(maps, *region)
     found = select(tiles, *pair, region=Rectangle(*region))
-    assert found.n == a.size
-    assert found.r == pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6)
+    assert (found.n, found.r) == (a.size, pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6))
     assert found.interval is not None
     assert found.interval[0] < found.r < found.interval[1]
     # Ten pixels a side vary together: about 1 of 100 is independent, not all, and not only a few.
     assert found.n_eff is not None
     assert a.size / 400 < found.n_eff < a.size / 10
-
-
-def test_corners_of_a_region_may_stand_in_any_order(tiles, pair):
-    one, other = (select(tiles, *pair, region=Rectangle(*at)) for at in ((200, 100, 900, 400), (900, 400, 200, 100)))
-    assert one == other
 
 
 def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):
@@ -167,9 +149,11 @@ def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):
     )
 
 
-def test_a_region_beside_the_map_is_refused(tiles, pair):
+def test_a_region_beside_the_map_and_a_line_without_length_are_refused(tiles, pair):
     with pytest.raises(InputError, match="No pixel"):
         select(tiles, *pair, region=Rectangle(1e6, 1e6, 2e6, 2e6))
+    with pytest.raises(InputError, match="no length"):
+        profile(tiles, [pair[0]], (5.0, 5.0, 5.0, 5.0))
 
 
 def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):
@@ -181,8 +165,6 @@ def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):
 
 
 # --- densities -----------------------------------------------------------------------------------------------------
-
-
 def counts_of(found):
     return np.frombuffer(base64.b64decode(found.counts), "<u4").reshape(found.bins, found.bins)
 
@@ -191,8 +173,7 @@ def test_the_density_counts_every_point(maps, tiles, pair):
     a, b = known(maps, -1e9, -1e9, 1e9, 1e9)
     found = density(tiles, *pair)
     counts = counts_of(found)
-    assert (found.n, found.pixel_um) == (a.size, PIXEL)
-    assert counts.sum() == a.size - found.beyond
+    assert (found.n, found.pixel_um, counts.sum()) == (a.size, PIXEL, a.size - found.beyond)
     assert found.beyond < 0.01 * a.size
     edges = [np.linspace(low, high, 129) for low, high in ((found.b_low, found.b_high), (found.a_low, found.a_high))]
     expected, _, _ = np.histogram2d(b, a, bins=edges)
@@ -208,18 +189,14 @@ def test_a_large_map_is_drawn_from_an_overview_which_is_said(maps, tiles, pair, 
     assert (found.n, found.pixel_um) == (np.count_nonzero(both), (4.0, 5.0))
 
 
-def test_points_of_a_region_lie_within_the_same_limits(maps, tiles, pair):
+def test_points_of_a_region_and_histograms_count_valid_values(maps, tiles, pair):
     region = (200.0, 100.0, 900.0, 400.0)
     a, _ = known(maps, *region)
     whole, part = density(tiles, *pair), density(tiles, *pair, Rectangle(*region))
     assert part.n == a.size
-    assert (part.a_low, part.a_high, part.b_low, part.b_high) == (
-        whole.a_low, whole.a_high, whole.b_low, whole.b_high,
-    )  # fmt: skip
+    for limit in ("a_low", "a_high", "b_low", "b_high"):
+        assert getattr(part, limit) == getattr(whole, limit)
     assert (counts_of(part) <= counts_of(whole)).all()
-
-
-def test_a_histogram_counts_valid_values(maps, tiles, pair):
     a = maps.coating.values[maps.valid.values].astype(float)
     found = histogram(tiles, pair[0])
     assert (found.n, sum(found.counts)) == (a.size, a.size - found.beyond)

@@ -1,14 +1,11 @@
 """The tab Maps with mouse and keys: cursor, brush, region, profile, artefacts; numbers are those of ``maps.zarr``."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
-import xarray as xr
 
-from app.marks_page import expect
+from app.marks_page import api, expect
 
 pytestmark = pytest.mark.study
 
@@ -23,12 +20,6 @@ def maps(serve, window, run_copy):
     shown.role("tab", "Maps").click()
     expect(shown.page.get_by_text(re.compile("Scatter of [0-9]+ points"))).to_be_visible()
     return shown
-
-
-@pytest.fixture(scope="module")
-def linked(linked_run):
-    with xr.open_dataset(linked_run / "maps.zarr", engine="zarr", group="linked") as data:
-        return data.load()
 
 
 def selection(shown, pattern):
@@ -141,17 +132,8 @@ def test_colours_and_brushes_ask_the_server_for_no_tile_twice(maps):
     selection(maps, r"^n \d+;")
     shown = [url.rpartition("/api/")[2] for url in asked]
     assert len(shown) == len(set(shown))
-    assert {path.split("/")[1] for path in shown} <= {valid_id(maps)}  # of the mask, which no map has shown before
-
-
-def valid_id(shown):
-    return shown.page.evaluate(
-        """async () => {
-          const headers = { Authorization: `Bearer ${sessionStorage.getItem("planish-token")}` };
-          const session = await (await fetch("/api/session", { headers })).json();
-          return session.pictures.find((one) => one.plane === "fixed" && one.name === "valid").id;
-        }"""
-    )
+    (mask,) = (p["id"] for p in api(maps, "session")["pictures"] if (p["plane"], p["name"]) == ("fixed", "valid"))
+    assert {path.split("/")[1] for path in shown} <= {mask}  # which no map has shown before
 
 
 def test_layers_profile_blend_and_masks(maps):

@@ -1,7 +1,5 @@
 """Marks that a person sets with the mouse: where detection was refused, as good as detection, and with errors."""
 
-from __future__ import annotations
-
 import re
 import shutil
 
@@ -32,18 +30,27 @@ def rms(shown):
 
 
 def test_an_image_with_two_holes_is_linked_by_hand(
-    planish, refused, specimen, specimen_files, linked_run, serve, window, tmp_path
+    refuses, refused, specimen, specimen_files, linked_run, serve, window, tmp_path
 ):
     kept, image = refused
     pixel_um = specimen.params.camera.pixel_um
     out = kept.with_name(tmp_path.name)
     maps = kept.with_name(f"{out.name}-map")
     size = ("--pixel-um", str(pixel_um))
-    code, _, err = planish("link", specimen_files[0], image, "--out", out, *size)
-    assert code == 3
-    assert "Only 2 holes found in the image" in err
-    assert f"planish map {specimen_files[0]} --out {maps}" in err
-    assert f"planish view {maps} {image}" in err
+    refuses(
+        "link",
+        specimen_files[0],
+        image,
+        "--out",
+        out,
+        *size,
+        words=(
+            "Only 2 holes found in the image",
+            f"planish map {specimen_files[0]} --out {maps}",
+            f"planish view {maps} {image}",
+        ),
+        out=False,
+    )
     shutil.copytree(kept, maps)  # that map
 
     # Places from the run of the whole image: its five holes, of which three are gone in this one, and two beside them.

@@ -1,7 +1,5 @@
 """The tab Marks in a real browser: clicks, keys, the table, undo, files, other windows and a lost server."""
 
-from __future__ import annotations
-
 import json
 import re
 import signal
@@ -9,7 +7,7 @@ import signal
 import numpy as np
 import pytest
 
-from app.marks_page import IMAGE, VOLUME, ends, expect, forget_lost, message, settled
+from app.marks_page import IMAGE, VOLUME, api, ends, expect, forget_lost, message, settled
 from planish.register import fit_transform
 
 pytestmark = pytest.mark.study
@@ -23,7 +21,16 @@ def shown(serve, window, run_copy):
     return found
 
 
-def test_table_shows_the_fit_of_the_run(shown):
+def test_the_table_shows_the_fit_of_the_run_and_is_walked_through(shown):
+    names = [row[0] for row in settled(shown)]
+    shown.role("button", "Next").click()
+    shown.role("application", VOLUME).press("n")
+    assert shown.page.get_by_label("Label", exact=True).input_value() == names[1]
+    shown.role("button", "Previous").click()
+    shown.role("button", "Previous").click()
+    assert shown.page.get_by_label("Label", exact=True).input_value() == names[-1]
+    at = [float(v) for v in shown.page.get_by_label(f"{VOLUME} centre, um", exact=True).input_value().split(",")]
+    assert at == pytest.approx(ends(shown.rows())[-1, :2], abs=0.011)
     shown.page.get_by_label("Model", exact=True).select_option("similarity")
     expect(shown.page.get_by_text(re.compile("^5 pairs, residual .*rms"))).to_be_visible()
     rows = settled(shown)
@@ -56,11 +63,7 @@ def test_a_drag_makes_no_mark_and_a_double_click_one(shown):
     shown.page.mouse.dblclick(*shown.middle(VOLUME))
     expect(shown.role("button", "Undo")).to_be_enabled()
     shown.page.wait_for_timeout(400)
-    marks = shown.page.evaluate(
-        "token => fetch('/api/state', {headers: {Authorization: 'Bearer ' + token}}).then(r => r.json())",
-        shown.server.token,
-    )["marks"]
-    assert sum(mark["fixed"] is None for mark in marks) == 1
+    assert sum(mark["fixed"] is None for mark in api(shown, "state")["marks"]) == 1
 
 
 def test_views_move_together(shown):
@@ -143,18 +146,6 @@ def test_exclude_relabel_delete_undo_redo_and_reload(shown):
     expect(shown.role("button", "Redo")).to_be_disabled()
 
 
-def test_next_and_previous_walk_through_the_table(shown):
-    names = [row[0] for row in settled(shown)]
-    shown.role("button", "Next").click()
-    shown.role("application", VOLUME).press("n")
-    assert shown.page.get_by_label("Label", exact=True).input_value() == names[1]
-    shown.role("button", "Previous").click()
-    shown.role("button", "Previous").click()
-    assert shown.page.get_by_label("Label", exact=True).input_value() == names[-1]
-    at = [float(v) for v in shown.page.get_by_label(f"{VOLUME} centre, um", exact=True).input_value().split(",")]
-    assert at == pytest.approx(ends(shown.rows())[-1, :2], abs=0.011)
-
-
 def test_a_wrong_mark_stands_first_after_one_click_and_is_named(shown):
     rows = settled(shown)
     shown.role("button", rows[2][0]).click()
@@ -170,7 +161,7 @@ def test_a_wrong_mark_stands_first_after_one_click_and_is_named(shown):
     assert [row[0] for row in shown.rows()] == sorted(row[0] for row in rows)
 
 
-def test_marks_go_to_a_file_and_come_back(shown, tmp_path):
+def test_marks_are_exported_imported_and_undone_and_another_file_is_refused(shown, tmp_path):
     rows = settled(shown)
     with shown.page.expect_download() as download:
         shown.role("button", "Export marks").click()
@@ -187,8 +178,6 @@ def test_marks_go_to_a_file_and_come_back(shown, tmp_path):
     shown.role("button", "Undo").click()
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(5)
 
-
-def test_what_is_no_file_of_marks_is_refused(shown, tmp_path):
     (tmp_path / "notes.json").write_text("[[[")
     with shown.page.expect_file_chooser() as chooser:
         shown.role("button", "Import marks").click()

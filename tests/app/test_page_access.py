@@ -1,7 +1,5 @@
 """The page for everybody: names, roles, contrast and focus; small windows; keys alone; the first-time user."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -13,6 +11,9 @@ import pytest
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, settled
 
 pytestmark = pytest.mark.study
+
+APPLY_MS = 180_000
+"""Apply computes a run: it may take a minute on a loaded machine."""
 
 NAMED = "button|checkbox|combobox|textbox|spinbutton|slider|tab|link|application|table|progressbar|columnheader|img"
 
@@ -111,13 +112,8 @@ def test_names_roles_contrast_and_focus(serve, window, run_copy, scheme):
         accessible(shown, controls=10)
 
 
-SMALL = pytest.mark.parametrize(
-    ("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"]
-)
-
-
-@SMALL
-def test_small_windows_scroll_one_way_only(serve, window, run_copy, width, height):
+@pytest.mark.parametrize(("width", "height"), [(390, 844), (683, 384), (1366, 768)], ids=["390", "200 %", "1366"])
+def test_every_tab_fits_small_windows_which_scroll_one_way_only(serve, window, run_copy, width, height):
     shown = window(serve(run_copy), width=width, height=height)
     settled(shown)
     wide, high = shown.page.evaluate("[document.documentElement.scrollWidth, document.documentElement.scrollHeight]")
@@ -131,11 +127,6 @@ def test_small_windows_scroll_one_way_only(serve, window, run_copy, width, heigh
     shown.click(IMAGE, 300.0, 320.0)
     expect(shown.role("table", "Marks").get_by_role("row")).to_have_count(7)
 
-
-@SMALL
-def test_every_tab_fits_small_windows(serve, window, run_copy, width, height):
-    shown = window(serve(run_copy), width=width, height=height)
-    settled(shown)
     for tab, (role, name) in TABS.items():
         shown.role("tab", tab).click()
         picture = shown.role(role, name)
@@ -169,17 +160,10 @@ def test_a_mark_is_corrected_and_applied_by_keys_alone(serve, window, run_copy):
     tab_to("button", "Apply", "Shift+Tab")
     press("Enter")
     link = shown.page.get_by_role("link", name=re.compile("report"))
-    expect_long(link)
+    expect(link).to_be_visible(timeout=APPLY_MS)
     made = run_copy.with_name("run-2")
     assert json.loads((made / "marks.json").read_text())
     tab_to("link", link.inner_text(), "Shift+Tab")
-
-
-def expect_long(link):
-    """Apply computes a run: it may take a minute on a loaded machine."""
-    from playwright.sync_api import expect as wait_for
-
-    wait_for(link).to_be_visible(timeout=180_000)
 
 
 def test_enter_sets_a_pair_at_the_crosses(serve, window, run_copy):
@@ -210,7 +194,7 @@ def test_first_time_user_corrects_a_mark_within_twelve_actions(serve, window, tm
     expect(message(shown)).to_contain_text("snapped")
     shown.role("button", "Apply").click()  # 8
     link = shown.page.get_by_role("link", name=re.compile("report"))
-    expect_long(link)
+    expect(link).to_be_visible(timeout=APPLY_MS)
     with shown.page.context.expect_page() as opened:
         link.click()  # 9
     expect(opened.value.get_by_role("heading", level=1)).to_be_visible()

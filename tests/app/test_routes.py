@@ -1,14 +1,10 @@
 """What the routes of the marks answer, on a link and on the maps of a link that was refused."""
 
-from __future__ import annotations
-
 import asyncio
 import base64
 import io
 import json
-import shutil
 import zipfile
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -24,13 +20,6 @@ from planish.pipeline import open_run
 
 def served(session: Session) -> Client:
     return Client(create_app(session, token=TOKEN, hosts=(HOST,)))
-
-
-@pytest.fixture
-def session(linked_run, tmp_path):
-    found = Session.open(Path(shutil.copytree(linked_run, tmp_path / "run")))
-    yield found
-    found.close()
 
 
 @pytest.fixture
@@ -65,18 +54,19 @@ def test_one_change_after_the_other(client, session):
     two = client.post("/api/change", {"change": {"do": "move", "id": mark["id"], "fixed": wanted.tolist()}}).json()
     assert two["marks"][-1]["residual_um"] is not None
     assert client.post("/api/undo").json()["marks"][-1]["fixed"] is None
-    assert len(client.post("/api/undo").json()["marks"]) == count
-    assert client.post("/api/undo").status == 400
+    assert (len(client.post("/api/undo").json()["marks"]), client.post("/api/undo").status) == (count, 400)
     assert client.post("/api/redo").json()["can_redo"] is True
 
 
-def test_a_stale_change_is_answered_with_what_stands(client):
+def test_stale_changes_and_files_without_marks_are_refused(client):
     seen = client.get("/api/state").json()["version"]
     client.post("/api/change", {"change": {"do": "model", "model": "affine"}})
     answer = client.post("/api/change", {"change": {"do": "use", "id": "m0-1", "used": False}, "version": seen})
-    assert answer.status == 409
-    assert answer.json()["model"] == "affine"
+    assert (answer.status, answer.json()["model"]) == (409, "affine")
     assert answer.json()["marks"][0]["used"] is True
+    answer = client.post("/api/marks/import", {"name": "notes.csv", "text": "a,b\n1,2\n"})
+    assert answer.status == 400
+    assert "BigWarp" in answer.json()["error"]
 
 
 @pytest.mark.parametrize("form", ["json", "csv", "bigwarp", "slicer", "matlab", "elastix"])
@@ -100,12 +90,6 @@ def test_marks_come_back_from_every_format(client, session, form):
         assert [m.moving for m in before] == [m.moving for m in session.state.of(None)]
     client.post("/api/undo")
     assert session.state.of(None) == before
-
-
-def test_a_file_that_holds_no_marks_is_refused_with_what_is_read(client):
-    answer = client.post("/api/marks/import", {"name": "notes.csv", "text": "a,b\n1,2\n"})
-    assert answer.status == 400
-    assert "BigWarp" in answer.json()["error"]
 
 
 def test_a_change_that_the_disk_does_not_take_is_not_shown(client, monkeypatch):
@@ -137,8 +121,6 @@ def test_every_window_hears_of_a_change(client, session):
 
 
 # --- the maps of a link that was refused -------------------------------------------------------------------------
-
-
 @pytest.mark.study
 def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run):
     maps, image = refused
@@ -149,8 +131,7 @@ def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run):
     session = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
     client = served(session)
     found = client.get("/api/session").json()
-    assert len(found["holes"]["fixed"]) == 2
-    assert client.get("/api/state").json()["marks"] == []
+    assert (len(found["holes"]["fixed"]), client.get("/api/state").json()["marks"]) == (2, [])
     moving, fixed = (np.stack([pairs[f"{s}_x"].values, pairs[f"{s}_y"].values], 1) for s in ("moving", "fixed"))
     for a, b in zip(moving.tolist(), fixed.tolist(), strict=True):
         if np.isfinite([*a, *b]).all():

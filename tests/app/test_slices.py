@@ -1,7 +1,5 @@
 """Slices of a session: they show the file's voxels and the run's surfaces where these are, in every pose."""
 
-from __future__ import annotations
-
 import json
 import struct
 from pathlib import Path
@@ -131,7 +129,19 @@ def test_a_slice_along_the_sheet_has_the_contours_of_its_surfaces(folder):
     assert np.percentile(np.abs(at - cut.facts.at_um), 95) < 1e-2
 
 
-def test_contours_of_a_plane_are_straight():
+def test_a_message_has_its_parts_at_places_of_four_bytes_and_contours_are_straight(linked_run):
+    sheet = opened(linked_run)
+    cut = sheet.cut(sheet.frame.rows, 40)
+    data = slice_message(cut)
+    (length,) = struct.unpack("<I", data[:4])
+    facts = json.loads(data[4 : 4 + length])
+    assert length % 4 == 0
+    count = facts["across"]["count"] * facts["down"]["count"]
+    pixels = np.frombuffer(data, "<u2", count, 4 + length)
+    assert pixels.tobytes() == cut.pixels.tobytes()
+    at = 4 + length + 2 * count + (-2 * count) % 4
+    top = np.frombuffer(data, "<f4", facts["columns"]["count"], at)
+    np.testing.assert_array_equal(top, cut.lines[0])
     y, x = np.arange(5.0), np.arange(7.0)
     found = contour(np.broadcast_to(x - 2.25, (5, 7)), x, y)
     np.testing.assert_allclose(found[:, [0, 2]], 2.25)
@@ -191,18 +201,3 @@ def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_
     assert open_run(tmp_path / "back").groups["surfaces"].identical(surfaces)
     assert (tmp_path / "back" / "results.json").read_bytes() == (linked_run / "results.json").read_bytes()
     assert not (tmp_path / "back" / "edits").exists()
-
-
-def test_a_message_has_its_parts_at_places_of_four_bytes(linked_run):
-    sheet = opened(linked_run)
-    cut = sheet.cut(sheet.frame.rows, 40)
-    data = slice_message(cut)
-    (length,) = struct.unpack("<I", data[:4])
-    facts = json.loads(data[4 : 4 + length])
-    assert length % 4 == 0
-    count = facts["across"]["count"] * facts["down"]["count"]
-    pixels = np.frombuffer(data, "<u2", count, 4 + length)
-    assert pixels.tobytes() == cut.pixels.tobytes()
-    at = 4 + length + 2 * count + (-2 * count) % 4
-    top = np.frombuffer(data, "<f4", facts["columns"]["count"], at)
-    np.testing.assert_array_equal(top, cut.lines[0])

@@ -1,12 +1,11 @@
 """The tab Surfaces in a real browser: the drawn lines lie on the surfaces, and points make a correction."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np
 import pytest
 
+from app.marks_page import expect
 from planish.core.frame import Frame
 from planish.pipeline import open_run
 
@@ -25,14 +24,6 @@ _COLOUR = """(canvas, [x, colour]) => {
 }"""
 
 
-def expect(what):
-    """Wait for something that the page is to show."""
-    from playwright.sync_api import expect as wait_for
-
-    wait_for.set_options(timeout=20000)
-    return wait_for(what)
-
-
 class Shown:
     """The tab with a slice through the middle of the measured part of a sheet."""
 
@@ -46,13 +37,10 @@ class Shown:
         window.role("tab", "Surfaces").click()
         self.canvas = window.role("img", "Slice")
         expect(self.canvas).to_be_visible()
-        self.fill("Slice at, um", f"{self.surfaces['y'].values[self.row]:.2f}")
+        window.fill("Slice at, um", f"{self.surfaces['y'].values[self.row]:.2f}")
         expect(self.window.role("status", "Slice position")).to_contain_text(
             f"{self.frame.rows} {self.surfaces['y'].values[self.row]:.2f}"
         )
-
-    def fill(self, label, text):
-        self.window.fill(label, text)
 
     def at(self, x, y):
         """What is said of a place on the canvas: x, y and z in um."""
@@ -89,8 +77,15 @@ def shown(serve, window, run_copy):
     return Shown(window(serve(run_copy)), run_copy)
 
 
-def test_the_drawn_face_lies_on_the_top_of_the_file_within_a_screen_pixel(shown):
+def test_every_direction_shows_its_slice_with_the_face_on_the_top_of_the_file(shown):
     face_lies_on_the_top(shown)
+    for direction in ("z", "y", "x", "straight"):
+        shown.page.get_by_label("Direction", exact=True).select_option(direction)
+        shown.page.wait_for_timeout(1000)
+        place = shown.at(300, 200)
+        assert all(np.isfinite(list(place.values())))
+        pixels = "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data"
+        assert shown.canvas.evaluate(f"{pixels}.some(v => v > 60)")
 
 
 def face_lies_on_the_top(shown):
@@ -107,15 +102,14 @@ def face_lies_on_the_top(shown):
     assert checked >= 5
 
 
-def points_above(shown, count=6, by=14):
-    """Clicks a few pixels above the top face."""
+def points_above(shown):
+    """Six clicks a few pixels above the top face."""
     columns = list(shown.clear_columns())
     middle = columns[len(columns) // 2]
     box = shown.canvas.bounding_box()
-    for k in range(count):
-        x = middle + (k - count / 2) * 6
+    for k in range(6):
         rows = shown.rows_of(middle)
-        shown.page.mouse.click(box["x"] + x, box["y"] + rows.mean() - by)
+        shown.page.mouse.click(box["x"] + middle + (k - 3) * 6, box["y"] + rows.mean() - 14)
     return middle
 
 
@@ -148,22 +142,10 @@ def test_a_correction_is_made_by_keys_alone(shown):
     before = shown.page.get_by_label("Slice at, um", exact=True).input_value()
     shown.page.keyboard.press("PageDown")
     assert shown.page.get_by_label("Slice at, um", exact=True).input_value() != before
-    shown.fill("Point, um", "300, 300, 150")
+    shown.window.fill("Point, um", "300, 300, 150")
     expect(shown.page.get_by_text("3 points, the last at x, y, z = 300.00, 300.00, 150.00 um")).to_be_visible()
     shown.window.role("button", "Correct").press("Enter")
     expect(shown.page.get_by_label("Corrections", exact=True)).to_contain_text("3 points")
-
-
-def test_every_direction_shows_its_slice(shown):
-    for direction in ("z", "y", "x", "straight"):
-        shown.page.get_by_label("Direction", exact=True).select_option(direction)
-        shown.page.wait_for_timeout(1000)
-        place = shown.at(300, 200)
-        assert all(np.isfinite(list(place.values())))
-        grey = shown.canvas.evaluate(
-            "c => c.getContext('2d').getImageData(0, 0, c.width, c.height).data.some(v => v > 60)"
-        )
-        assert grey
 
 
 def test_apply_makes_a_run_with_the_corrected_face(shown):
@@ -182,6 +164,5 @@ def test_apply_makes_a_run_with_the_corrected_face(shown):
     assert drawn[shown.row].any()
     assert (new / "edits" / "surface.json").is_file()
     assert corrected["bottom"].equals(shown.surfaces["bottom"])
-    assert (corrected["top"].values[~drawn] == shown.surfaces["top"].values[~drawn])[
-        np.isfinite(shown.surfaces["top"].values[~drawn])
-    ].all()
+    old, top = (surfaces["top"].values[~drawn] for surfaces in (shown.surfaces, corrected))
+    assert (top == old)[np.isfinite(old)].all()

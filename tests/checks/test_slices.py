@@ -88,12 +88,11 @@ def test_filled_slices(run):
     for k in range(run):
         values[40 + k] = (values[39] * (run - k) + values[40 + run] * (k + 1)) / (run + 1)
     check = judged(values)
-    assert check.state == "look"
-    assert check.value == run
+    assert (check.state, check.value) == ("look", run)
     assert check.sentence.startswith("Slice 40 along z is" if run == 1 else "Slices 40-42 along z are")
 
 
-def test_foreign_and_empty_slices():
+def test_foreign_empty_and_faulty_slices_are_named_with_what_they_concern():
     values = body()
     values[30] = body(seed=5)[30]
     values[50] = 0
@@ -101,9 +100,6 @@ def test_foreign_and_empty_slices():
     assert check.state == "look"
     assert "Slice 30 along z does not fit between its neighbours." in check.sentence
     assert "Slice 50 along z shows nothing" in check.sentence
-
-
-def test_what_a_fault_concerns():
     order = [*N[:40], *N[43:]]
     window = window_of(body()[order])
     through, across = (judged_window(window, axis) for axis in ("z", "y"))

@@ -1,7 +1,5 @@
 """The Tab key: commands, options and words, in the shells that are here."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess
@@ -28,8 +26,7 @@ def home(tmp_path, monkeypatch):
 @pytest.mark.parametrize("shell", SHELLS)
 def test_the_script_is_printed(planish, shell):
     code, out, err = planish("completion", shell)
-    assert (code, err) == (0, "")
-    assert out == script_of(shell)
+    assert (code, err, out) == (0, "", script_of(shell))
     assert "_PLANISH_COMPLETE" in out
     assert out.isascii(), "a console of any code page may write it"
 
@@ -49,8 +46,7 @@ def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, 
         (home / start).parent.mkdir(exist_ok=True)
         (home / start).write_bytes(b"alias ll='ls -l'")
     code, out, _ = planish("completion", shell, "--install")
-    assert code == 0
-    assert (home / place).read_text(encoding="utf-8") == script_of(shell)
+    assert (code, (home / place).read_text(encoding="utf-8")) == (0, script_of(shell))
     assert str(home / place) in out
     if start is None:
         return
@@ -62,7 +58,10 @@ def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, 
     assert (home / start).read_bytes() == once
 
 
-def test_a_profile_of_an_older_powershell_stays_readable(home, monkeypatch):
+def test_a_missing_powershell_is_reported_and_an_older_profile_stays_readable(monkeypatch, home):
+    monkeypatch.setattr(completion.shutil, "which", lambda _name: None)
+    with pytest.raises(FileError, match=r"planish completion powershell >> \$PROFILE"):
+        install_script("powershell")
     profile = home / "profile.ps1"
     profile.write_bytes("Set-Location C:\\\r\n".encode("utf-16"))
     monkeypatch.setattr(completion, "_profile", lambda: profile)
@@ -70,12 +69,6 @@ def test_a_profile_of_an_older_powershell_stays_readable(home, monkeypatch):
     assert profile.read_bytes().decode("utf-16").splitlines() == [
         "Set-Location C:\\", '. "$PSScriptRoot/planish.completion.ps1"'
     ]  # fmt: skip
-
-
-def test_where_there_is_no_powershell_it_says_what_to_do(monkeypatch):
-    monkeypatch.setattr(completion.shutil, "which", lambda _name: None)
-    with pytest.raises(FileError, match=r"planish completion powershell >> \$PROFILE"):
-        install_script("powershell")
 
 
 @pytest.mark.parametrize(

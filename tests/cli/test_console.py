@@ -1,7 +1,5 @@
 """Consoles: colours that are off, narrow terminals, letters that are not there."""
 
-from __future__ import annotations
-
 import os
 import re
 import subprocess
@@ -50,11 +48,20 @@ def in_terminal(code: str, **environment: str) -> str:
     return found.decode()
 
 
-def test_a_terminal_gets_colours_and_brackets_stay():
+def test_a_terminal_gets_colours_and_rows_below_each_other():
     text = in_terminal(SHOWN, TERM="xterm-256color", COLUMNS="80")
     assert "\x1b[1m" in text, "the heading is bold"
     assert "coating [top]" in text
     assert "[1, 2] of 3" in text
+    text = stacked(
+        "Properties of the sheet", ("", "unit", "mean", "n"),
+        [("porosity", "1", "0.41", "70"), ("tilt", "deg", "2.1", "9")], 24,
+    )  # fmt: skip
+    assert text.split("\n") == [
+        "Properties of the sheet", "porosity", "  mean  0.41", "  n  70", "tilt", "  mean  2.1 deg", "  n  9"
+    ]  # fmt: skip
+    text = stacked("", ("name", "unit", ""), [("coat_weight_top", "g/m2", "Coat weight, top side")], 30)
+    assert text.split("\n") == ["coat_weight_top", "  unit  g/m2", "    Coat weight, top side"]
 
 
 @pytest.mark.parametrize("environment", [{"NO_COLOR": "1", "TERM": "xterm-256color"}, {"TERM": "dumb"}])
@@ -79,8 +86,6 @@ def test_what_is_no_terminal_gets_plain_lines(capsys):
 
 
 # --- narrow terminals ------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("width", [40, 60, 100])
 def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatch, capsys, width):
     monkeypatch.setattr(console, "width", lambda **_: width)
@@ -100,18 +105,6 @@ def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatc
     assert re.search(r"residual\s+\d+\.\d+ um rms", out)
 
 
-def test_a_row_below_the_other():
-    text = stacked(
-        "Properties of the sheet", ("", "unit", "mean", "n"),
-        [("porosity", "1", "0.41", "70"), ("tilt", "deg", "2.1", "9")], 24,
-    )  # fmt: skip
-    assert text.split("\n") == [
-        "Properties of the sheet", "porosity", "  mean  0.41", "  n  70", "tilt", "  mean  2.1 deg", "  n  9"
-    ]  # fmt: skip
-    text = stacked("", ("name", "unit", ""), [("coat_weight_top", "g/m2", "Coat weight, top side")], 30)
-    assert text.split("\n") == ["coat_weight_top", "  unit  g/m2", "    Coat weight, top side"]
-
-
 @pytest.mark.parametrize("width", range(20, 60))
 def test_no_line_ends_between_a_number_and_its_unit(width):
     text = "Expected error 1.3 um rms; 87 % of its square is marks, 12 voxels of 3 x 3 x 3 um, 0.21 deg and 4 GB."
@@ -122,8 +115,6 @@ def test_no_line_ends_between_a_number_and_its_unit(width):
 
 
 # --- letters ---------------------------------------------------------------------------------------------------------
-
-
 def run(*arguments: str, cwd: Path, **environment: str) -> tuple[int, bytes, bytes]:
     found = subprocess.run(
         [sys.executable, "-m", "planish.cli", *arguments], cwd=cwd, capture_output=True, check=False,

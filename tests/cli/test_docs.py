@@ -1,7 +1,5 @@
 """Pages and schema are those of the program."""
 
-from __future__ import annotations
-
 import re
 from importlib.resources import files
 from pathlib import Path
@@ -22,16 +20,10 @@ OTHER |= {"--of", "--size"}  # of examples/studies/make.py
 OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "--rm", "--user"}
 
 
-def test_the_page_is_the_programs_own_help():
+def test_the_pages_have_the_help_options_schema_and_terms_of_the_program():
     assert (DOCS / "cli.md").read_text(encoding="utf-8") == page(), "run: python3 run.py docs"
-
-
-def test_the_table_of_properties_options_is_that_of_the_program():
     text = (DOCS / "properties.md").read_text(encoding="utf-8")
     assert text == with_options(text), "run: python3 run.py docs"
-
-
-def test_the_published_schema_is_that_of_the_results():
     assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == schema(Results), "run: python3 run.py docs"
     assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == schema(SeriesResults), (
         "run: python3 run.py docs"
@@ -41,6 +33,8 @@ def test_the_published_schema_is_that_of_the_results():
     assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == schema(SeriesResults), (
         "run: python3 run.py docs"
     )
+    terms = re.findall(r"\*\*([\w -]+)\*\*", (DOCS / "glossary.md").read_text(encoding="utf-8"))
+    assert len(terms) == len(set(terms)) > 40
 
 
 @pytest.mark.parametrize("path", PAGES, ids=lambda path: path.relative_to(ROOT).as_posix())
@@ -56,11 +50,6 @@ def test_a_page_links_to_files_that_exist_and_names_options_that_exist(path):
     named = set(re.findall(r"(?<![\w-])--[a-z][a-z0-9-]+", said))
     known = set(re.findall(r"--[a-z][a-z0-9-]+", (DOCS / "cli.md").read_text(encoding="utf-8")))
     assert named <= known | OTHER
-
-
-def test_the_glossary_explains_each_term_once():
-    terms = re.findall(r"\*\*([\w -]+)\*\*", (DOCS / "glossary.md").read_text(encoding="utf-8"))
-    assert len(terms) == len(set(terms)) > 40
 
 
 def test_the_changes_that_contributing_shows_still_fit():

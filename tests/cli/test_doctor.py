@@ -1,7 +1,5 @@
 """``planish doctor``, and ``planish`` alone."""
 
-from __future__ import annotations
-
 import getpass
 import json
 import re
@@ -93,16 +91,12 @@ def test_a_library_that_does_not_load_is_named(monkeypatch):
     assert "cannot be loaded (DLL load failed" in found.sentence
 
 
-def test_an_extra_that_is_missing_is_no_problem_and_says_what_it_gives(monkeypatch):
+def test_extras_that_are_missing_or_too_old_are_named(monkeypatch):
     found = states(monkeypatch, ['no-such-library>=1; extra == "cluster"'])["extra cluster"]
     assert found.state == "pass"
     assert found.sentence == f'not installed; pip install "planish[cluster]" gives it: {EXTRAS["cluster"]}.'
-
-
-def test_an_extra_that_is_too_old_names_the_library_to_renew(monkeypatch):
     found = states(monkeypatch, ['numpy>=99; extra == "cluster"'])["extra cluster"]
-    assert found.state == "look"
-    assert found.advice == 'Run: pip install --upgrade "numpy>=99"'
+    assert (found.state, found.advice) == ("look", 'Run: pip install --upgrade "numpy>=99"')
 
 
 def test_every_extra_is_explained():
@@ -116,19 +110,17 @@ def test_what_is_short_is_said_and_the_exit_code_is_4(planish, monkeypatch):
     monkeypatch.setattr(installation.shutil, "disk_usage", lambda _path: Disk(10**10, 9 * 10**9, 10**9))
     monkeypatch.setattr(installation, "default_memory_limit", lambda: 9 * 10**8)
     code, out, _ = planish("doctor")
-    assert code == 4
-    assert out.splitlines()[-1] == "Not well: memory, temporary folder, this folder."
+    assert (code, out.splitlines()[-1]) == (4, "Not well: memory, temporary folder, this folder.")
 
 
-def test_a_folder_that_cannot_be_written_is_a_problem(planish, monkeypatch):
+def test_a_folder_that_cannot_be_written_is_a_problem(passes, monkeypatch):
     monkeypatch.setattr(installation, "_may_write", lambda _folder: False)
-    code, out, _ = planish("doctor")
-    assert code == 4
+    out, _ = passes("doctor", codes=(4,))
     assert "PROBLEM compile cache: " in out
     assert "NUMBA_CACHE_DIR" in out
 
 
-def test_no_place_for_compiled_kernels_is_a_message(planish, monkeypatch):
+def test_no_place_for_compiled_kernels_is_a_message(refuses, monkeypatch):
     """As in a container without a home: numba says so when it loads the first kernel."""
 
     def nowhere(*_given, **_options):
@@ -138,6 +130,4 @@ def test_no_place_for_compiled_kernels_is_a_message(planish, monkeypatch):
     found = states()["compile cache"]
     assert (found.state, found.sentence) == ("fail", installation.NO_CACHE)
     monkeypatch.setattr("planish.io.describe", nowhere)
-    code, _, err = planish("info", "volume.tif")
-    assert code == 3
-    assert "NUMBA_CACHE_DIR" in err
+    refuses("info", "volume.tif", words="NUMBA_CACHE_DIR", out=False)

@@ -16,11 +16,8 @@ def test_equals_the_slow_twin(rows, cols, fr, fc, seed):
     np.testing.assert_allclose(area_mean(values, (fr, fc)), slow(values, (fr, fc)), atol=1e-9)
 
 
-def test_a_constant_stays():
+def test_a_constant_stays_and_half_of_the_pixels_are_enough():
     assert np.all(area_mean(np.full((50, 70), 3.0), (8.33, 8.33)) == pytest.approx(3.0))
-
-
-def test_half_known_is_enough_and_less_is_not():
     values = np.ones((2, 4))
     values[:, 0] = np.nan
     values[:, 2:] = [[np.nan, np.nan], [np.nan, 1.0]]

@@ -1,7 +1,5 @@
 """What is worked out band by band, against all at once."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Messages speak of the options of the command line there, and of the keywords of a call in Python."""
 
-from __future__ import annotations
-
 import ast
 import pickle
 from pathlib import Path

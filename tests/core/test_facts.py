@@ -1,7 +1,5 @@
 """What results are made of: what is missing is NaN in memory and null in JSON."""
 
-from __future__ import annotations
-
 import json
 import math
 
@@ -25,11 +23,15 @@ class MapSlope(Slope, AtPoints):
     silence: str | None = None
 
 
-def test_missing_numbers_are_nan_in_memory_and_null_in_json() -> None:
+def test_missing_numbers_are_nan_in_memory_and_null_in_json_and_schema() -> None:
     row = Slope()
     assert math.isnan(row.slope)
     assert all(map(math.isnan, row.interval))
     assert json.loads(row.model_dump_json()) == {"slope": None, "interval": None} == row.model_dump()
+    schema = Slope.model_json_schema()["properties"]
+    assert list(schema) == ["slope", "interval"]
+    assert schema["slope"]["anyOf"] == [{"type": "number"}, {"type": "null"}]
+    assert (schema["slope"]["default"], schema["interval"]["anyOf"][1]) == (None, {"type": "null"})
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.0, math.inf), (math.nan, 1.0), (-math.inf, 1.0)])
@@ -40,24 +42,13 @@ def test_an_interval_without_an_end_is_null_and_keeps_its_ends_in_memory(low: fl
     assert json.loads(row.model_dump_json()) == {"slope": 2.0, "interval": None}
 
 
-def test_what_is_read_equals_what_was_saved() -> None:
-    row = MapSlope.holding(Slope(slope=float("nan"), interval=(1.0, 2.0), mean=5.0), point_um=100.0)
-    assert MapSlope.model_validate_json(row.model_dump_json()) == row
-    assert math.isnan(row.mean)
-
-
-def test_a_whole_holds_its_parts_with_what_stands_before_and_behind() -> None:
+def test_a_whole_holds_its_parts_and_equals_what_was_saved() -> None:
     row = MapSlope.holding(Slope(slope=2.0), point_um=100.0, silence="x")
     assert list(row.model_dump()) == ["point_um", "slope", "interval", "silence"]
     with pytest.raises(ValidationError):
         MapSlope.holding(Slope(slope=2.0), point_um=100.0, reason="x")  # no such field: nothing is lost in silence
     with pytest.raises(ValidationError):
         MapSlope.holding(Slope(slope=2.0))  # no point_um
-
-
-def test_the_schema_says_number_or_null() -> None:
-    schema = Slope.model_json_schema()["properties"]
-    assert list(schema) == ["slope", "interval"]
-    assert schema["slope"]["anyOf"] == [{"type": "number"}, {"type": "null"}]
-    assert schema["slope"]["default"] is None
-    assert schema["interval"]["anyOf"][1] == {"type": "null"}
+    row = MapSlope.holding(Slope(slope=float("nan"), interval=(1.0, 2.0), mean=5.0), point_um=100.0)
+    assert MapSlope.model_validate_json(row.model_dump_json()) == row
+    assert math.isnan(row.mean)

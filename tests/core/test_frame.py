@@ -22,22 +22,11 @@ def test_a_real_turn_of_the_specimen_never_mirrors_its_map(through, top):
     assert np.linalg.det(np.array([u, v, viewer])) == pytest.approx(reference)
 
 
-def test_columns_is_a_view():
+def test_columns_is_a_view_and_a_call_takes_the_frame_in_words_in_one_piece_or_from_the_volume():
     volume = xr.DataArray(np.zeros((4, 5, 6), np.uint8), dims=("z", "y", "x"))
     columns = Frame(through="x").columns(volume)
-    assert columns.dims == ("z", "y", "x")
-    assert Frame(through="z").columns(volume).shape == (5, 6, 4)
+    assert (columns.dims, Frame(through="z").columns(volume).shape) == (("z", "y", "x"), (5, 6, 4))
     assert np.shares_memory(columns.values, volume.values)
-
-
-def test_other_axes_and_ends_are_refused():
-    with pytest.raises(InputError, match="through='w' is not possible; needed is 'z', 'y' or 'x'"):
-        Frame(through="w")
-    with pytest.raises(InputError, match="top='up' is not possible; needed is 'high' or 'low'"):
-        Frame(top="up")
-
-
-def test_a_call_takes_the_frame_in_words_in_one_piece_or_from_the_volume():
     volume = xr.DataArray(np.zeros((2, 2, 2)), dims=("z", "y", "x"), attrs={"through": "y", "top_side": "low"})
     assert Frame.asked(volume, None, None, None) == Frame(through="y", top="low")
     assert Frame.asked(volume, None, "x", None) == Frame(through="x", top="low")
@@ -46,3 +35,7 @@ def test_a_call_takes_the_frame_in_words_in_one_piece_or_from_the_volume():
         Frame.asked(volume, Frame(), "x", None)
     with pytest.raises(InputError, match=r"frame='y' is no frame. Write through=\"y\", or frame=pl.Frame"):
         Frame.asked(volume, "y", None, None)
+    with pytest.raises(InputError, match="through='w' is not possible; needed is 'z', 'y' or 'x'"):
+        Frame(through="w")
+    with pytest.raises(InputError, match="top='up' is not possible; needed is 'high' or 'low'"):
+        Frame(top="up")

@@ -1,7 +1,5 @@
 """Where the code of compiled kernels is kept."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -36,26 +34,21 @@ def test_kernels_lie_outside_the_program_and_those_of_other_libraries_where_they
     assert given == numba.config.CACHE_DIR
 
 
-def test_numba_cache_dir_comes_before_the_folder_of_the_user(user: Path, tmp_path: Path):
+def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user: Path, tmp_path: Path):
     assert Path(folder_of("")).parent == user
     assert Path(folder_of(str(tmp_path / "given"))).parent == tmp_path / "given"
-
-
-def test_where_nothing_can_be_written_numba_looks_for_a_folder(user: Path, tmp_path: Path):
     given = tmp_path / "given"
     given.write_text("no folder")
     assert Path(folder_of(str(given))).parent == user
     user.rename(tmp_path / "moved")
     user.write_text("no folder")
-    assert folder_of(str(given)) == str(given)
-    assert folder_of("") == ""
+    assert (folder_of(str(given)), folder_of("")) == (str(given), "")
 
 
 def test_a_user_without_a_home_gets_no_folder_here(tmp_path: Path, monkeypatch: pytest.MonkeyPatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr(jit, "AppDirs", lambda *_names, **_more: SimpleNamespace(user_cache_dir="~/.cache/numba"))
-    assert folder_of("") == ""
-    assert list(tmp_path.iterdir()) == []
+    assert (folder_of(""), list(tmp_path.iterdir())) == ("", [])
 
 
 def test_kernels_of_older_sources_are_removed(user: Path, monkeypatch: pytest.MonkeyPatch):

@@ -49,7 +49,7 @@ def test_line_key_and_likely_word_are_named(tmp_path, line, words):
     assert "has 1 wrong parameter:\n  line 5, " + words in text
 
 
-def test_tables_are_named_by_line_too(tmp_path):
+def test_tables_are_named_by_line_and_another_encoding_is_no_traceback(tmp_path):
     text = said(tmp_path, STUDY.format("") + "[imgae]\npath = 'i.png'\n")
     assert "line 8, imgae: unknown; did you mean image?" in text
     text = said(tmp_path, '[volume]\npath = "v"\n[image]\npixel_um = [2, 2]\n')
@@ -58,6 +58,10 @@ def test_tables_are_named_by_line_too(tmp_path):
         tmp_path, '[[layers]]\nname = "a"\n[layers.volume]\npath = "v"\n[[layers]]\n\n[layers.image]\npaht = "i"'
     )
     assert "line 8, layers.1.image.paht: unknown; did you mean path?" in text
+    path = tmp_path / "s.toml"
+    path.write_bytes("[volume]\npath = 'Núria.tif'\n".encode("cp1252"))
+    with pytest.raises(FileError, match="UTF-8"):
+        read_study(path)
 
 
 @pytest.mark.parametrize(
@@ -77,13 +81,6 @@ def test_what_is_no_toml_is_shown_with_what_to_write(tmp_path, line, words):
     assert line.splitlines()[0] in text
     for word in words:
         assert word in text
-
-
-def test_a_study_in_another_encoding_is_no_traceback(tmp_path):
-    path = tmp_path / "s.toml"
-    path.write_bytes("[volume]\npath = 'Núria.tif'\n".encode("cp1252"))
-    with pytest.raises(FileError, match="UTF-8"):
-        read_study(path)
 
 
 # --- the lines of keys, against the reader of the standard library ---------------------------------------------------
@@ -136,5 +133,4 @@ def test_every_line_of_a_key_is_known():
         ("u", 0): 10,
         ("u", 0, "j"): 11, ("u", 0, "v"): 12, ("u", 0, "v", "k"): 13, ("u", 1): 14, ("u", 1, "j"): 15,
     }  # fmt: skip
-    assert key_lines(text).of(("t", "h", "i")) == 9
-    assert key_lines(text).of(("nowhere",)) is None
+    assert (key_lines(text).of(("t", "h", "i")), key_lines(text).of(("nowhere",))) == (9, None)

@@ -1,7 +1,5 @@
 """Smaller copies of maps against means worked out pixel by pixel."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 import zarr
@@ -20,11 +18,10 @@ def maps(rows, cols):
     return xr.Dataset(data, coords={"y": 3.0 + 2.0 * np.arange(rows), "x": 5.0 * np.arange(cols)})
 
 
-def test_pixels_are_means_of_what_is_known():
+def test_overviews_are_means_of_known_pixels_and_small_maps_need_none():
     full = maps(13, 10)
     first, second = list(overviews(full, least=4))
-    assert dict(first.sizes) == {"y": 7, "x": 5}
-    assert dict(second.sizes) == {"y": 4, "x": 3}
+    assert (dict(first.sizes), dict(second.sizes)) == ({"y": 7, "x": 5}, {"y": 4, "x": 3})
     assert "status" not in first
     for i in range(7):
         for j in range(5):
@@ -36,11 +33,7 @@ def test_pixels_are_means_of_what_is_known():
             assert first["valid"].values[i, j] == (true.mean() >= 0.5)
     np.testing.assert_array_equal(first["y"], 4.0 + 4.0 * np.arange(7))
     np.testing.assert_array_equal(second["x"], 7.5 + 20.0 * np.arange(3))
-    assert first["thickness"].attrs == {"units": "um"}
-    assert first["thickness"].dtype == np.float32
-
-
-def test_a_small_map_needs_none():
+    assert (first["thickness"].attrs, first["thickness"].dtype) == ({"units": "um"}, np.float32)
     assert not list(overviews(maps(512, 400)))
 
 

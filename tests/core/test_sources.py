@@ -1,7 +1,5 @@
 """The hash of the package's sources, and what depends on it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest
@@ -29,8 +27,7 @@ def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path: Path, m
     state()
     (tmp_path / "b.py").write_bytes(b"")
     state()
-    assert len(set(states)) == 4
-    assert {len(text) for text in states} == {16}
+    assert (len(set(states)), {len(text) for text in states}) == (4, {16})
 
 
 def test_tiles_of_other_code_are_not_used_again(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,7 +1,5 @@
 """Threads: as many as asked for, or as the process may use; counted in a run of its own process."""
 
-from __future__ import annotations
-
 import json
 import os
 import subprocess
@@ -58,8 +56,7 @@ def test_a_run_on_one_thread_starts_no_second(specimen_files, tmp_path, how, ask
 def test_pools_follow_the_setting_and_give_it_back():
     before = count_threads()
     with limit_threads(1):
-        assert count_threads() == 1
-        assert count_threads(3) == 3
+        assert (count_threads(), count_threads(3)) == (1, 3)
         with thread_pool() as pool:
             assert pool.submit(threading.get_ident).result() == threading.get_ident()
             with pytest.raises(ZeroDivisionError):
@@ -79,13 +76,9 @@ def test_a_pool_of_one_works_item_by_item():
             assert done[-1] == k
 
 
-def test_eight_at_most_unless_asked(monkeypatch):
+def test_threads_are_eight_at_most_unless_given_or_limited_by_python(monkeypatch):
     monkeypatch.setattr(module, "available", lambda: 64)
-    assert count_threads() == 8
-    assert count_threads(20) == 20
-
-
-def test_python_cpu_count_is_followed(monkeypatch):
+    assert (count_threads(), count_threads(20)) == (8, 20)
     monkeypatch.setenv("PYTHON_CPU_COUNT", "3")
     assert available() == 3
 

@@ -3,8 +3,6 @@
 From a fresh clone to a map in ImageJ and a table in Octave a newcomer copies at most 15 commands from the documents.
 """
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import shutil
@@ -92,11 +90,15 @@ print(*about, image.getStatistics().mean)
 """
 
 
-def test_the_commands_are_few_and_stand_in_the_documents():
+def test_pages_are_short_with_few_commands():
     assert len((*SET_UP, *COMMANDS, *MEASURED)) <= 15
     for page, command in (*SET_UP, *COMMANDS, *MEASURED):
         text = (DOCS.parent / page if page == "README.md" else DOCS / page).read_text(encoding="utf-8")
         assert command in " ".join(text.split("\n")) or command in text, f"{page}: {command}"
+    assert len(PAGES) >= 12
+    for path in PAGES:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        assert len(lines) <= 75, f"{path.name} is longer than a screen or two"
 
 
 @pytest.fixture(scope="module")
@@ -149,21 +151,10 @@ def test_the_same_with_a_measured_volume(shared_data, tmp_path):
     (tmp_path / "battery_sector_right").symlink_to(shared_data("battery_sector_right"))
     carry_out(MEASURED, tmp_path)
     (_, _, bits), pixel, _, mean = opened(tmp_path / "wall.tif")
-    assert bits == 32
-    assert pixel == pytest.approx(1.0, rel=0.05)
-    assert mean == pytest.approx(7.1, abs=0.5)
+    assert (bits, pixel, mean) == (32, pytest.approx(1.0, rel=0.05), pytest.approx(7.1, abs=0.5))
 
 
 # --- the runner itself ---------------------------------------------------------------------------------------
-
-
-def test_there_is_a_page_for_each_problem():
-    assert len(PAGES) >= 12
-    for path in PAGES:
-        lines = path.read_text(encoding="utf-8").splitlines()
-        assert len(lines) <= 75, f"{path.name} is longer than a screen or two"
-
-
 def test_a_page_is_read_as_commands_python_and_files():
     page = (
         "```console\n$ planish info \\\nx.tif\none\n...\n$ ls\n```\n```text a.csv\nx,y\n```\n"
@@ -202,6 +193,5 @@ def test_commands_that_go_wrong_are_named(tmp_path):
     )
     outcomes = console.run(page, tmp_path)
     assert [bool(outcome.faults) for outcome in outcomes] == [True, False, True, False]
-    assert outcomes[1].passed_over == "no-such-program is not installed"
-    assert outcomes[3].code == 3
+    assert (outcomes[1].passed_over, outcomes[3].code) == ("no-such-program is not installed", 3)
     assert "planish, version 0" in console.report(outcomes)

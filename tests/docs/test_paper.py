@@ -1,7 +1,5 @@
 """The paper has the parts that the journal asks for, and cites what its bibliography holds."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 
@@ -9,7 +7,7 @@ PAPER = Path(__file__).resolve().parents[2] / "paper"
 TEXT = (PAPER / "paper.md").read_text(encoding="utf-8")
 
 
-def test_the_paper_has_its_parts():
+def test_the_paper_has_its_parts_and_cites_its_bibliography():
     head, body = re.fullmatch(r"---\n(.*?)\n---\n(.*)", TEXT, re.DOTALL).groups()
     assert [
         key for key in ("title:", "tags:", "authors:", "affiliations:", "bibliography: paper.bib") if key not in head
@@ -17,9 +15,5 @@ def test_the_paper_has_its_parts():
     titles = re.findall(r"^# (.+)$", body, re.MULTILINE)
     assert [t for t in ("Summary", "Statement of need", "State of the field", "References") if t not in titles] == []
     assert len(body.split()) < 1000
-
-
-def test_the_paper_cites_what_its_bibliography_holds():
     entries = re.findall(r"^@\w+\{(\w+),", (PAPER / "paper.bib").read_text(encoding="utf-8"), re.MULTILINE)
-    assert len(entries) == len(set(entries))
-    assert set(re.findall(r"@(\w+)", TEXT)) == set(entries)
+    assert (len(entries), set(re.findall(r"@(\w+)", TEXT))) == (len(set(entries)), set(entries))

@@ -1,7 +1,5 @@
 """The documents and the page of a run read well: short sentences, the glossary's words, and none of the old ones."""
 
-from __future__ import annotations
-
 import re
 import statistics
 from pathlib import Path
@@ -93,18 +91,7 @@ def test_each_term_of_the_glossary_is_used_one_way(path):
     assert found == {}
 
 
-def test_the_terms_are_those_of_the_glossary():
-    glossary = set(re.findall(r"\*\*([\w -]+)\*\*", read(ROOT / "docs" / "glossary.md")))
-    wanted = {term for terms in TERMS.values() for term in terms.split(", ")} - {
-        "grey",
-        "flatten",
-        "moving layer",
-        "fixed layer",
-    }
-    assert wanted <= glossary | {"independent points"}
-
-
-def test_sentences_are_counted_as_a_reader_meets_them():
+def test_sentences_are_counted_and_terms_are_those_of_the_glossary():
     page = (
         "# A heading\n\nTwo words here. `code` begins this one, see e.g. [a page](x.md#y) for it.\n\n"
         "| a | table |\n|---|---|\n| that does not | count |\n\n"
@@ -116,3 +103,11 @@ def test_sentences_are_counted_as_a_reader_meets_them():
     assert reading.sentences("<p>One short sentence here.</p><p>{{ value }} um are stated.</p>", template=True) == [
         "One short sentence here.", "7 um are stated.",
     ]  # fmt: skip
+    glossary = set(re.findall(r"\*\*([\w -]+)\*\*", read(ROOT / "docs" / "glossary.md")))
+    wanted = {term for terms in TERMS.values() for term in terms.split(", ")} - {
+        "grey",
+        "flatten",
+        "moving layer",
+        "fixed layer",
+    }
+    assert wanted <= glossary | {"independent points"}

@@ -1,7 +1,5 @@
 """Every option, public name, group, variable, results key, exit code and message occurs in the reference."""
 
-from __future__ import annotations
-
 import inspect
 import re
 from pathlib import Path
@@ -41,8 +39,6 @@ def commands(command=group, name="planish"):
 
 
 # --- the command line and the study file ---------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(("name", "command"), [*commands()], ids=lambda value: value if isinstance(value, str) else "")
 def test_a_command_stands_with_its_options_and_examples(name, command):
     sections = dict(re.findall(r"^## (planish[\w -]*)\n\n```\n(.*?)^```$", page("cli.md"), re.MULTILINE | re.DOTALL))
@@ -73,8 +69,6 @@ def nested(model):
 
 
 # --- what a run holds ----------------------------------------------------------------------------------------
-
-
 def test_every_key_of_the_results_has_its_meaning():
     text = page("reference/results.md")
     models = fields.results_models()
@@ -121,37 +115,10 @@ def check_variables(path):
     assert missing == []
 
 
-def test_every_variable_of_a_link_stands_with_its_unit(linked_run):
+def test_every_file_check_and_variable_of_a_run_is_explained(linked_run):
     check_variables(linked_run / "maps.zarr")
-
-
-@pytest.mark.study
-def test_every_variable_of_other_runs_stands_with_its_unit(planish, tmp_path):
-    code, _, err = planish(
-        "specimen", "--size", "T0", "--seed", "8", "--instrument", "sections", "--out", tmp_path / "sheet"
-    )
-    assert code == 0, err
-    further = ("porosity", "fibre_angle", "mean_curvature", "coating_difference")
-    code, _, err = planish(
-        "map", tmp_path / "sheet" / "sections", "--through", "y", "--column-um", "9", "--envelope-um", "250",
-        *(part for name in further for part in ("--property", name)), "--out", tmp_path / "run",
-    )  # fmt: skip
-    assert code in (0, 4), err
-    check_variables(tmp_path / "run" / "maps.zarr")
-
-
-def test_every_further_map_stands_with_its_unit():
-    text = page("reference/maps.md")
-    for name, known in registered().items():
-        assert f"| `{name}` | {known.units} |" in text
-
-
-def test_every_file_of_a_run_is_named(linked_run):
     text = page("reference/run-folder.md")
     assert [path.name for path in linked_run.iterdir() if f"`{path.name}`" not in text] == []
-
-
-def test_every_check_of_a_run_is_explained(linked_run):
     text = page("checks.md")
     rows = {light.name: light for light in CHECKS}
     assert [name for name in rows if f"`{name}`" not in text] == []
@@ -162,9 +129,41 @@ def test_every_check_of_a_run_is_explained(linked_run):
         assert {*check.figures} <= {*light.figures, "properties"}, check.name
 
 
+@pytest.mark.study
+def test_every_variable_of_other_runs_stands_with_its_unit(passes, tmp_path):
+    passes("specimen", "--size", "T0", "--seed", "8", "--instrument", "sections", "--out", tmp_path / "sheet")
+    further = ("porosity", "fibre_angle", "mean_curvature", "coating_difference")
+    passes(
+        "map",
+        tmp_path / "sheet" / "sections",
+        "--through",
+        "y",
+        "--column-um",
+        "9",
+        "--envelope-um",
+        "250",
+        *(part for name in further for part in ("--property", name)),
+        "--out",
+        tmp_path / "run",
+        codes=(0, 4),
+    )
+    check_variables(tmp_path / "run" / "maps.zarr")
+
+
+def test_every_map_package_exit_code_and_message_is_collected():
+    text = page("reference/maps.md")
+    for name, known in registered().items():
+        assert f"| `{name}` | {known.units} |" in text
+    assert {path.stem for path in (DOCS / "reference" / "api").glob("planish*.md")} == set(public_names.packages())
+    kinds = [found for _, found in inspect.getmembers(errors, inspect.isclass)]
+    used = {found.exit_code for found in kinds} | {0, 2, 4, 130}
+    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)} == used
+    texts = {message.text for message in messages.messages()}
+    assert "Labels are integers; this volume holds …. Give the label volume, not the grey." in texts
+    assert any("The disk is full while writing …" in text for text in texts)
+
+
 # --- Python --------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize("package", public_names.packages())
 def test_every_public_name_stands_with_a_sentence(package):
     text = page(f"reference/api/{package}.md")
@@ -173,19 +172,7 @@ def test_every_public_name_stands_with_a_sentence(package):
         assert len(api_pages.first_sentence(package, name, found)) > 10, f"{package}.{name} has no docstring"
 
 
-def test_every_package_has_its_page():
-    assert {path.stem for path in (DOCS / "reference" / "api").glob("planish*.md")} == set(public_names.packages())
-
-
 # --- exit codes and messages ---------------------------------------------------------------------------------
-
-
-def test_every_exit_code_is_explained():
-    kinds = [found for _, found in inspect.getmembers(errors, inspect.isclass)]
-    used = {found.exit_code for found in kinds} | {0, 2, 4, 130}
-    assert {int(code) for code in re.findall(r"^\| (\d+) \|", page("reference/exit-codes.md"), re.MULTILINE)} == used
-
-
 @pytest.mark.study
 def test_every_message_has_its_entry():
     covered = {message.text for _, patterns in message_pages.families() for message in message_pages.of(patterns)}
@@ -208,9 +195,3 @@ def test_every_entry_has_messages_a_cause_and_a_cure():
             for line in filter(None, map(str.strip, patterns.splitlines())):
                 there = any(m.module.startswith(line.partition(": ")[0]) for m in messages.messages())
                 assert message_pages.of(line) or not there, f"{path.name}: no message fits {line!r}"
-
-
-def test_a_message_is_collected_with_gaps_for_its_values():
-    texts = {message.text for message in messages.messages()}
-    assert "Labels are integers; this volume holds …. Give the label volume, not the grey." in texts
-    assert any("The disk is full while writing …" in text for text in texts)

@@ -1,7 +1,5 @@
 """The site builds without a warning, its links lead somewhere, and it needs no network to be read or searched."""
 
-from __future__ import annotations
-
 import json
 import re
 import subprocess
@@ -43,7 +41,8 @@ def test_links_are_whole_and_nothing_comes_from_a_network(site):
 
 @pytest.mark.study
 def test_every_document_is_a_page_that_others_lead_to(site):
-    sources = {path.relative_to(ROOT / "docs").with_suffix(".html") for path in documents()}
+    documents = [p.relative_to(ROOT / "docs") for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts]
+    sources = {path.with_suffix(".html") for path in documents}
     pages = {path.relative_to(site) for path in site.rglob("*.html")}
     assert sources <= pages
     linked = set()
@@ -85,14 +84,11 @@ def test_every_public_name_has_its_entry(site):
     assert {link for link in linked if link.startswith("planish.")} <= entries
 
 
-def test_blocks_are_replaced_by_what_they_name():
+def test_blocks_and_links_are_replaced_by_what_they_name():
     text = from_code.expand("```{public} planish.report\n```\n")
     assert "write_report" in text
     assert "autofunction:: planish.report.map_html" in text
     assert from_code.expand("```{note} x\ny\n```\n") == "```{note} x\ny\n```\n"
-
-
-def test_links_out_of_the_documents_lead_to_pages():
     assert from_code.with_links("[CONTRIBUTING.md](../CONTRIBUTING.md#code)") == "[](/project/contributing.md#code)"
     assert from_code.with_links("[linking.md](linking.md)") == "[](linking.md)"
     assert from_code.with_links("[an example](../examples/01_read.py)") == "[an example](../examples/01_read.py)"
@@ -113,8 +109,3 @@ def test_faults_of_a_site_are_named(tmp_path):
     ):  # fmt: skip
         assert part in found
     assert "page" not in found.replace("that page", "")
-
-
-def documents():
-    """Every Markdown file of the site."""
-    return [p for p in (ROOT / "docs").rglob("*.md") if "_build" not in p.parts]

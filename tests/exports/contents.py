@@ -1,7 +1,5 @@
 """Maps, a surface and a registration that are known, as they are written."""
 
-from __future__ import annotations
-
 import numpy as np
 import xarray as xr
 

@@ -1,7 +1,5 @@
 """Bands of a map straight from its chunks are those that zarr reads."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr

@@ -1,7 +1,5 @@
 """Maps come back from every format by a reader that is not its writer: values to float32, sizes exactly, NaN."""
 
-from __future__ import annotations
-
 import base64
 import csv
 import io
@@ -33,7 +31,7 @@ def same(found, content: Maps, name: str) -> None:
     np.testing.assert_array_equal(np.asarray(found, np.float32), values(content, name).astype(np.float32))
 
 
-def test_a_tiff_has_channels_with_names_and_a_size_in_um(tmp_path):
+def test_a_tiff_has_named_channels_a_size_in_um_and_bytes_for_truth_alone(tmp_path):
     content = maps()
     with Image.open(written(content, tmp_path / "maps.tif", "tiff")) as image:
         assert image.n_frames == 4
@@ -46,10 +44,6 @@ def test_a_tiff_has_channels_with_names_and_a_size_in_um(tmp_path):
         for k, name in enumerate(content.names):
             image.seek(k)
             same(np.asarray(image), content, name)
-
-
-def test_truth_alone_stays_bytes_of_0_and_1(tmp_path):
-    content = maps()
     with Image.open(written(content.only("valid"), tmp_path / "valid.tif", "tiff")) as image:
         assert image.mode == "L"
         same(np.asarray(image), content, "valid")
@@ -91,8 +85,7 @@ def test_an_ome_zarr_is_read_by_another_library(tmp_path, several):
     image = about["ome"]["multiscales"][0]
     assert [axis.get("unit") for axis in image["axes"]][-2:] == ["micrometer", "micrometer"]
     finest = image["datasets"][0]["coordinateTransformations"]
-    assert tuple(finest[0]["scale"][-2:]) == PIXEL_UM
-    assert tuple(finest[1]["translation"][-2:]) == FIRST_UM
+    assert (tuple(finest[0]["scale"][-2:]), tuple(finest[1]["translation"][-2:])) == (PIXEL_UM, FIRST_UM)
     assert json.loads(about["planish"]["history"])["study_sha256"] == HISTORY.study_sha256
     for k, name in enumerate(content.names):
         same(level(0)[k] if several else level(0), content, name)
@@ -130,8 +123,7 @@ def test_a_matlab_file_of_version_5_is_read_without_scipy(tmp_path):
     found = loadmat(str(written(content, tmp_path / "maps.mat", "mat")))
     for name in content.names:
         same(found[name], content, name)
-    assert found["pixel_um"] == list(PIXEL_UM)
-    assert found["x_um"] == content.data["x"].values.tolist()
+    assert (found["pixel_um"], found["x_um"]) == (list(PIXEL_UM), content.data["x"].values.tolist())
     assert found["units"]["coating_top"] == "um"
     assert json.loads(found["history"])["study_sha256"] == HISTORY.study_sha256
 
@@ -139,15 +131,13 @@ def test_a_matlab_file_of_version_5_is_read_without_scipy(tmp_path):
 def test_a_matlab_file_of_version_7_3(tmp_path):
     content = maps()
     path = written(content, tmp_path / "maps.mat", "mat", mat_version="7.3")
-    assert path.read_bytes()[:20] == b"MATLAB 7.3 MAT-file,"
-    assert path.read_bytes()[124:128] == b"\x00\x02IM"
+    assert (path.read_bytes()[:20], path.read_bytes()[124:128]) == (b"MATLAB 7.3 MAT-file,", b"\x00\x02IM")
     found = read_mat(path)
     for name in content.names:
         same(found[name], content, name)
     assert tuple(found["pixel_um"]) == PIXEL_UM
     np.testing.assert_array_equal(found["y_um"], content.data["y"].values)
-    assert found["units"]["tilt"] == "deg"
-    assert found["titles"]["coating_top"] == "Coating thickness, top side"
+    assert (found["units"]["tilt"], found["titles"]["coating_top"]) == ("deg", "Coating thickness, top side")
     assert json.loads(found["history"])["study_sha256"] == HISTORY.study_sha256
 
 
@@ -212,7 +202,7 @@ def test_a_table_of_pixels(tmp_path):
     same(whole, content, "coating_top")
 
 
-def test_a_table_of_points_holds_means_over_what_is_valid(tmp_path):
+def test_a_table_of_points_holds_means_over_valid_pixels_and_no_less(tmp_path):
     content = maps((60, 110))
     rows = table(written(content, tmp_path / "maps.csv", "csv", point_um=26.0))
     assert len(rows) == 6 * 5  # 156 um and 150.7 um in whole points; 80 % of each is valid
@@ -226,9 +216,6 @@ def test_a_table_of_points_holds_means_over_what_is_valid(tmp_path):
         (np.nan_to_num(part) * weight).sum() / weight.sum(), rel=1e-6
     )
     assert float(first["valid_share"]) == pytest.approx(weight.sum() / (10 * 26.0 / 1.37), rel=1e-6)
-
-
-def test_a_point_below_a_pixel_is_refused(tmp_path):
     with pytest.raises(StudyError, match=r"A point of 2 um is smaller than a pixel of 2.6 um"):
         written(maps((60, 110)), tmp_path / "maps.csv", "csv", point_um=2.0)
 
@@ -264,7 +251,7 @@ def test_pictures_show_the_pixels_in_their_colours(tmp_path):
     assert {"Coating thickness, top side", "µm", "x / µm", "20 µm"} <= words
 
 
-def test_a_large_picture_is_made_of_means(monkeypatch):
+def test_large_pictures_and_stacks_are_averaged_or_refused(monkeypatch):
     from planish.exports import picture
 
     monkeypatch.setattr(picture, "MOST", 55)
@@ -272,6 +259,13 @@ def test_a_large_picture_is_made_of_means(monkeypatch):
     reduced, times = picture._reduced(content, "tilt")
     assert times == 2.0
     assert reduced[10, 7] == pytest.approx(values(content, "tilt")[20:22, 14:16].mean(), rel=1e-6)
+    from planish.exports import tiff
+
+    monkeypatch.setattr(tiff, "MOST", 100_000)
+    check_content("tiff", maps((60, 110)).only("tilt"), ExportParams(to="tiff"))
+    check_content("ome-tiff", maps((60, 110)), ExportParams(to="ome-tiff"))
+    with pytest.raises(ResourceError, match=r"holds 4 GB. Give to=.ome-tiff., or a folder for a file each"):
+        check_content("tiff", maps((60, 110)), ExportParams(to="tiff"))
 
 
 @pytest.mark.parametrize("dims", [("y", "x"), ("v", "u")])
@@ -299,16 +293,6 @@ def test_the_same_maps_give_the_same_bytes(tmp_path, to):
         files = sorted(f for f in path.rglob("*") if f.is_file()) if path.is_dir() else [path]
         found.append([(f.relative_to(path).as_posix(), f.read_bytes()) for f in files])
     assert found[0] == found[1]
-
-
-def test_a_stack_beyond_4_gb_is_refused(monkeypatch):
-    from planish.exports import tiff
-
-    monkeypatch.setattr(tiff, "MOST", 100_000)
-    check_content("tiff", maps((60, 110)).only("tilt"), ExportParams(to="tiff"))
-    check_content("ome-tiff", maps((60, 110)), ExportParams(to="ome-tiff"))
-    with pytest.raises(ResourceError, match=r"holds 4 GB. Give to=.ome-tiff., or a folder for a file each"):
-        check_content("tiff", maps((60, 110)), ExportParams(to="tiff"))
 
 
 @pytest.mark.parametrize(

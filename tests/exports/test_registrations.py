@@ -1,7 +1,5 @@
 """Registrations in the files of other programs move points where planish moves them."""
 
-from __future__ import annotations
-
 import json
 import re
 import shutil
@@ -148,7 +146,7 @@ def test_transformix_moves_points(tmp_path):
         assert np.abs(np.array(found, dtype=float) - function(points)).max() < LIMIT_UM
 
 
-def test_a_field_is_as_fine_as_it_has_to_be():
+def test_a_field_is_as_fine_as_needed_and_missing_values_take_the_affine_map():
     bent, plain = displacement(transform_pair(bent=True).forward), displacement(transform_pair(bent=False).forward)
     assert plain.pitch_um == (192.0, 192.0)  # 64 pixels of 3 um: an affine map needs no more
     assert plain.error_um < 1e-9
@@ -158,9 +156,6 @@ def test_a_field_is_as_fine_as_it_has_to_be():
     assert bent.error_um == pytest.approx(
         np.sqrt(2) * 3.0 * (2 * np.pi / 900) ** 2 / 8 * bent.pitch_um[0] ** 2, rel=0.3
     )
-
-
-def test_what_has_no_value_takes_the_affine_map():
     both = transform_pair(bent=True).forward
     from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Surfaces come back by meshio: nodes, cells, maps, colours; and which way is outside."""
 
-from __future__ import annotations
-
 import meshio
 import numpy as np
 import pytest
@@ -35,16 +33,13 @@ def test_nodes_and_all_maps(tmp_path, to, name):
     assert b"x, y, z of the volume" in path.read_bytes()
 
 
-def test_a_ply_has_the_colours_of_its_map(tmp_path):
+def test_ply_obj_and_stl_have_colours(tmp_path):
     found = meshio.read(written(surface(), tmp_path / "top.ply", "ply"))
     colours = np.stack([found.point_data[c] for c in ("red", "green", "blue")], axis=1).astype(np.uint8)
     assert colours[0].tolist() == [212, 214, 216]  # the first one has no value
     from matplotlib import colormaps
 
     assert colours[100].tolist() == [int(v) for v in colormaps["viridis"](100 / 1200, bytes=True)[:3]]
-
-
-def test_an_obj_has_colours_behind_its_nodes(tmp_path):
     path = written(surface(), tmp_path / "top.obj", "obj")
     found = meshio.read(path)
     points, _ = expected()
@@ -52,9 +47,6 @@ def test_an_obj_has_colours_behind_its_nodes(tmp_path):
     np.testing.assert_allclose(found.points[0, 3:], np.array([212, 214, 216]) / 255, atol=1e-4)
     assert len(found.cells[0]) == 29 * 39 - 30
     assert HISTORY.study_sha256 in path.read_text(encoding="utf-8")
-
-
-def test_an_stl_has_triangles_with_colours(tmp_path):
     path = written(surface(), tmp_path / "top.stl", "stl")
     found = meshio.read(path)
     assert (found.cells[0].type, len(found.cells[0])) == ("triangle", 2 * (29 * 39 - 30))
@@ -81,16 +73,13 @@ def test_cells_run_anticlockwise_as_seen_from_outside(through, top, name, seen):
     assert (up > 0).all() if name == "top" else (up < 0).all()
 
 
-def test_as_seen_turns_y_around():
-    plain, seen = (mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag})) for flag in (False, True))
-    np.testing.assert_array_equal(seen.points, plain.points * [1, -1, 1])
-    assert "sign turned" in seen.about
-
-
-def test_a_coarser_mesh_takes_every_kth_column():
+def test_a_mesh_takes_every_kth_column_and_turns_y_as_displayed():
     fine, coarse = mesh_of(surface(), PARAMS), mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": 6.0}))
     assert len(coarse.points) == 15 * 14 - 2 * 2  # without those in the hole
     assert {tuple(row) for row in coarse.points.tolist()} <= {tuple(row) for row in fine.points.tolist()}
+    plain, seen = (mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag})) for flag in (False, True))
+    np.testing.assert_array_equal(seen.points, plain.points * [1, -1, 1])
+    assert "sign turned" in seen.about
 
 
 @pytest.mark.parametrize(("mesh_um", "words"), [(1.0, "less than a column of 3 um"), (500.0, "no cell at these nodes")])

@@ -38,7 +38,7 @@ def slow_patch(lacking, area, i, j, sigma):
     return np.nansum(weight * lacking) / np.nansum(weight * area)
 
 
-def test_angles_equal_the_slow_twin():
+def test_angles_and_patches_equal_their_slow_twins():
     rng = np.random.default_rng(1)
     points = rng.normal(0, 0.2, (7, 9, 3)) + sphere(7, 9, 1.0, 20.0)
     points[3, 4] = np.nan
@@ -46,10 +46,7 @@ def test_angles_equal_the_slow_twin():
     np.testing.assert_allclose(lacking, slow_turn(points), atol=1e-7)  # acos loses half the digits near 0
     assert np.array_equal(np.isnan(area), np.isnan(lacking))
     assert np.count_nonzero(np.isnan(lacking[1:-1, 1:-1])) == 7  # the node and the six whose triangles it has
-
-
-def test_patches_equal_the_slow_twin():
-    """In the middle of a sheet of eight half-sizes no outline is felt; the window ends at 3 sigma: 1 % is left."""
+    # In the middle of a sheet of eight half-sizes no outline is felt; the window ends at 3 sigma: 1 % is left.
     x, y = plan(161, 161, 50.0)
     points = np.stack([x, y, 20 * np.sin(x / 700) * np.cos(y / 900)], axis=-1)
     found = curvature_check(points)
@@ -68,8 +65,7 @@ def test_a_sphere(radius, pitch):
     found = curvature_check(points)
     known = np.isfinite(found.curvature)
     np.testing.assert_allclose(found.curvature[known] * radius**2, 1.0, rtol=1e-3)
-    assert found.largest == pytest.approx(1e6 / 16 / radius**2, rel=1e-3)
-    assert found.share == 0.0
+    assert (found.largest, found.share) == (pytest.approx(1e6 / 16 / radius**2, rel=1e-3), 0.0)
     assert "can be a sheet of paper" in found.verdict
 
 
@@ -94,16 +90,13 @@ def test_a_cylinder_of_any_direction_can_be_flat(degrees):
     assert curvature_check(points).largest < 1e-4
 
 
-def test_a_saddle_is_negative():
+def test_a_saddle_is_negative_and_the_unit_of_length_does_not_matter():
     """z = x y / b has K = -1 / b^2 in the middle, less where it is steep: (1 + slope^2)^-2."""
     x, y = plan(161, 161, 25.0)
     points = np.stack([x, y, x * y / 2e4], axis=-1)
     found = curvature_check(points).curvature
     assert np.nanmax(found) < 0
     assert found[80, 80] == pytest.approx(-1 / 2e4**2, rel=0.01)
-
-
-def test_nothing_depends_on_the_unit_of_length():
     points = sphere(90, 110, 50.0, 6000.0)
     one, seven = curvature_check(points), curvature_check(7 * points, patch_um=7000.0)
     np.testing.assert_allclose(one.strain, seven.strain, rtol=1e-9)
@@ -115,18 +108,15 @@ def test_roughness_is_not_taken_for_curvature():
     x, y = plan(300, 350, 10.0)
     points = np.stack([x, y, rng.normal(0, 0.5, x.shape)], axis=-1)
     assert curvature_check(points).largest < 5e-4
-    points[..., 2] = 3 * _unit(ndimage.gaussian_filter(rng.normal(size=x.shape), 5))
+    waves = ndimage.gaussian_filter(rng.normal(size=x.shape), 5)
+    points[..., 2] = 3 * (waves / waves.std())
     points[140:160, 170:180] = np.nan
     found = curvature_check(points)
     assert found.largest < 2e-3
     assert found.share == 0.0
 
 
-def _unit(z):
-    return z / z.std()
-
-
-def test_a_surface_that_no_paper_can_have_is_named():
+def test_a_surface_that_no_paper_can_have_is_named_and_small_ones_are_not_judged():
     """Bowl with K = (500 / 670^2)^2 at its bottom, 8 % at a = 1 mm, less as a mean; the right half is flat."""
     x, y = plan(160, 300, 20.0)
     bowl = np.where(x < 0, 500 * np.exp(-((x + 1500) ** 2 + y**2) / (2 * 670.0**2)), 0.0)
@@ -136,9 +126,6 @@ def test_a_surface_that_no_paper_can_have_is_named():
     assert "segmentation" in found.verdict
     assert "2 mm" in found.verdict
     assert "0.5 %" in found.verdict
-
-
-def test_too_small_or_empty_surfaces_are_not_judged():
     for points in (
         sphere(20, 20, 10.0, 5000.0),
         sphere(2, 9, 10.0, 5000.0),

@@ -85,7 +85,7 @@ def test_blocks_of_rows_make_no_difference():
             np.testing.assert_array_equal(whole[name][i], row[name][0])
 
 
-def test_uniform_stretch_is_measured_exactly():
+def test_uniform_stretch_and_pure_shear_are_measured_exactly():
     """Grown by 2 % along u and shrunk by 2 % along v: both are linear, nothing is approximated."""
     points = in_space(grid(6, 8, 5.0), 0.3)
     strain = cell_strain(points, grid(6, 8, 5.0) * [1.02, 0.98])
@@ -96,10 +96,7 @@ def test_uniform_stretch_is_measured_exactly():
     assert set(strain) == set(expected)
     for name, value in expected.items():
         np.testing.assert_allclose(strain[name], value, atol=1e-12, err_msg=name)
-
-
-def test_pure_shear_has_no_axial_strain_along_u_and_no_change_of_area():
-    """Simple shear by g: stretches sqrt(1 + g^2 / 4) +- g / 2, angle atan(g)."""
+    # Simple shear by g: stretches sqrt(1 + g^2 / 4) +- g / 2, angle atan(g).
     uv, g = grid(5, 5), 0.03
     strain = cell_strain(in_space(uv), uv + g * uv[..., ::-1] * [1, 0])
     np.testing.assert_allclose(strain["shear"], np.arctan(g), atol=1e-14)
@@ -128,7 +125,7 @@ def test_a_cap_is_stretched_along_its_parallels():
     np.testing.assert_allclose(strain["stretch_min"], 1.0, rtol=2e-6)
 
 
-def test_folded_cells_are_counted_and_shown():
+def test_folded_missing_and_empty_cells_are_counted():
     """A node pulled over its neighbour turns triangles of two cells over; mirrored, every cell is turned over."""
     uv = grid(6, 7)
     folded = uv.copy()
@@ -138,9 +135,6 @@ def test_folded_cells_are_counted_and_shown():
     assert {tuple(k) for k in np.argwhere(area <= 0)} == {(2, 3), (3, 3)}
     assert (found.inverted_cells, found.cells) == (2, 30)
     assert measure_distortion(in_space(uv), uv * [-1, 1], rng=np.random.default_rng(0)).inverted_cells == 30
-
-
-def test_missing_corners_and_cells_without_area_are_missing():
     uv = grid(6, 6)
     points = in_space(uv)
     points[2, 2] = np.nan
@@ -155,13 +149,26 @@ def test_missing_corners_and_cells_without_area_are_missing():
     assert np.isinf(collapsed["anisotropy"]).all()
 
 
-def test_boundary_runs_along_outline_and_holes():
+def test_boundaries_and_displacements_are_measured():
     """8 by 5 cells of 10 um are bounded by 260 um; a missing node takes 4 cells out, whose rim is 80 um."""
     uv = grid(6, 9, 10.0)
     points = in_space(uv)
     assert boundary_lengths(points, 1.1 * uv) == pytest.approx((260.0, 286.0))
     points[2, 4] = np.nan
     assert boundary_lengths(points, 1.1 * uv) == pytest.approx((340.0, 374.0))
+    # Tilted by 10.4 degrees, 15 mm grow by 250 um, half of it at either end, however the flat sheet was turned.
+    turn = np.arccos(1 - 250 / 15000 / (1 + 250 / 15000))
+    uv = grid(76, 5, 200.0)
+    spin = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
+    points = in_space(uv, turn)
+    found = measure_distortion(points, uv @ spin.T + [50, 20], rng=np.random.default_rng(0))
+    length = np.ptp(points[..., 1])
+    assert found.displacement_max_um == pytest.approx((15000 - length) / 2, abs=1e-6)
+    assert found.displacement_median_um == pytest.approx((15000 - length) / 4, rel=0.05)
+    assert found.growth_direction_deg == pytest.approx(90.0)
+    assert found.growth_anisotropy_percent == pytest.approx(100 * (15000 / length - 1), rel=1e-6)
+    assert found.area.max_abs < 1e-12
+    assert found.geodesics.largest < 1e-12
 
 
 @given(
@@ -181,23 +188,7 @@ def test_growth_against_the_projection(grown, uneven, axis, turn):
     assert found.growth_direction_deg == pytest.approx(axis, abs=1e-5)
 
 
-def test_displacement_of_a_tilted_sheet():
-    """Tilted by 10.4 degrees, 15 mm grow by 250 um, half of it at either end, however the flat sheet was turned."""
-    turn = np.arccos(1 - 250 / 15000 / (1 + 250 / 15000))
-    uv = grid(76, 5, 200.0)
-    spin = np.array([[np.cos(0.3), -np.sin(0.3)], [np.sin(0.3), np.cos(0.3)]])
-    points = in_space(uv, turn)
-    found = measure_distortion(points, uv @ spin.T + [50, 20], rng=np.random.default_rng(0))
-    length = np.ptp(points[..., 1])
-    assert found.displacement_max_um == pytest.approx((15000 - length) / 2, abs=1e-6)
-    assert found.displacement_median_um == pytest.approx((15000 - length) / 4, rel=0.05)
-    assert found.growth_direction_deg == pytest.approx(90.0)
-    assert found.growth_anisotropy_percent == pytest.approx(100 * (15000 / length - 1), rel=1e-6)
-    assert found.area.max_abs < 1e-12
-    assert found.geodesics.largest < 1e-12
-
-
-def test_spread_of_a_known_distribution():
+def test_spread_of_a_known_distribution_of_a_row_and_of_no_cell():
     """Columns stretched by 0 to 2 % in even steps: median 1 %, p5 0.1 %, p95 1.9 %."""
     width = 1 + np.linspace(0, 0.02, 101)
     u = np.concatenate([[0.0], np.cumsum(width)])
@@ -207,13 +198,9 @@ def test_spread_of_a_known_distribution():
     found = measure_distortion(points, uv, rng=np.random.default_rng(0), strain=strain).axial_u
     assert (found.median, found.p5, found.p95, found.max_abs) == pytest.approx((0.01, 0.001, 0.019, 0.02))
     assert found.p95_abs == pytest.approx(0.019)
-
-
-def test_a_row_of_cells_and_no_cell_at_all():
     uv = grid(2, 9)
     found = measure_distortion(in_space(uv), 1.01 * uv, rng=np.random.default_rng(0))
-    assert (found.cells, found.geodesics.used) == (8, 1000)
-    assert found.axial_v.median == pytest.approx(0.01)
+    assert (found.cells, found.geodesics.used, found.axial_v.median) == (8, 1000, pytest.approx(0.01))
     points = np.full((3, 3, 3), np.nan)
     nothing = measure_distortion(points, points[..., :2], rng=np.random.default_rng(0))
     assert (nothing.cells, nothing.inverted_cells, nothing.boundary_flat_um, nothing.geodesics.used) == (0, 0, 0.0, 0)

@@ -155,13 +155,19 @@ def test_steps_equal_the_slow_twin(choices):
     assert np.abs(fast.uv - start)[known].max() > 0.1  # something has happened in these steps
 
 
-def test_a_compressed_pair_separates_and_a_stretched_one_closes():
+def test_forces_have_the_right_sign_and_nodes_on_one_spot_pull_nowhere():
     """Eq. (2) as printed has the other sign if x_ij points from i to j."""
     flat = grid(2, 2)
     for scale in (0.8, 1.2):
         found = relax_dynamically(scale * flat, rest_lengths(flat), params=RelaxationParams(stop="residual"))
         assert found.outcome is Outcome.RESTED
         np.testing.assert_allclose(errors(found.uv, flat), 0, atol=1e-4)
+    flat = grid(6, 7)
+    start = flat.copy()
+    start[2, 3] = start[2, 4]
+    found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="residual"))
+    assert found.outcome is Outcome.RESTED
+    assert largest_distance(found.uv, flat) < 0.01
 
 
 def test_the_paper_s_mesh_is_restored_to_a_thousandth():
@@ -178,17 +184,14 @@ def test_the_paper_s_mesh_is_restored_to_a_thousandth():
     assert inverted > 0  # cells that the single nodes turned over in the start are turned back
 
 
-def test_the_first_slow_moment_is_a_turning_point():
+def test_the_first_slow_moment_is_a_turning_point_and_the_residual_states_the_distance_of_rest():
     """Stopping there leaves several times the paper's 0.1 %: the mesh swings through 0.2 to 0.5 %."""
     for seed in range(10):
         flat, start = deformed(seed)
         found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="first"))
         assert found.outcome is Outcome.RESTED
         assert 0.0015 < np.abs(errors(found.uv, flat)).max() < 0.006
-
-
-def test_the_residual_says_how_far_the_rest_is():
-    """A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi / 32)^2 = 0.01."""
+    # A force of 1e-5 leaves less than 1e-4 of the size: the softest mode has a stiffness of (pi / 32)^2 = 0.01.
     flat, start = deformed(0)
     found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="residual"))
     assert found.outcome is Outcome.RESTED
@@ -218,7 +221,7 @@ def test_forward_euler_does_not_come_to_rest(stop):
     assert found.history.mean_speed[7_500:].min() > 10 * params.mean_speed
 
 
-def test_runge_kutta_comes_to_the_same_rest():
+def test_runge_kutta_comes_to_the_same_rest_either_way_round():
     flat, start = deformed(1)
     found = [
         relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(integrator=name, mean_speed=1e-5))
@@ -227,6 +230,10 @@ def test_runge_kutta_comes_to_the_same_rest():
     assert [f.outcome for f in found] == [Outcome.RESTED] * 2
     assert largest_distance(found[1].uv, found[0].uv) < 1e-3  # each is within 4e-4 of rest
     assert found[1].steps == pytest.approx(found[0].steps, rel=0.02)  # and on the same way
+    flat, start = deformed(2)
+    found = relax_dynamically(start * [-1, 1], rest_lengths(flat))
+    assert found.outcome is Outcome.RESTED
+    assert found.inverted == 0
 
 
 def test_a_cylinder_unrolls():
@@ -265,23 +272,7 @@ def test_one_row_of_cells(shape):
     assert largest_distance(found.uv, flat) < 0.01
 
 
-def test_either_way_round():
-    flat, start = deformed(2)
-    found = relax_dynamically(start * [-1, 1], rest_lengths(flat))
-    assert found.outcome is Outcome.RESTED
-    assert found.inverted == 0
-
-
-def test_nodes_on_one_spot_pull_nowhere():
-    flat = grid(6, 7)
-    start = flat.copy()
-    start[2, 3] = start[2, 4]
-    found = relax_dynamically(start, rest_lengths(flat), params=RelaxationParams(stop="residual"))
-    assert found.outcome is Outcome.RESTED
-    assert largest_distance(found.uv, flat) < 0.01
-
-
-def test_what_rests_stays():
+def test_what_rests_stays_and_arrays_that_do_not_fit_are_refused():
     flat = grid(6, 7)
     found = relax_dynamically(flat, rest_lengths(flat))
     assert found.outcome is Outcome.RESTED
@@ -291,6 +282,9 @@ def test_what_rests_stays():
     found = relax_dynamically(flat * (1 + 1e-6), rest_lengths(flat))
     assert found.outcome is Outcome.RESTED
     assert 14 <= found.history.dt.sum() < 14.4
+    flat = grid(4, 5)
+    with pytest.raises(CannotFlatten, match="do not fit"):
+        relax_dynamically(flat, rest_lengths(grid(5, 4)))
 
 
 @pytest.mark.parametrize("a", [0.01, 0.001])
@@ -303,21 +297,18 @@ def test_folds_are_counted(a):
     assert found.history.mean_speed[-1] < 1e-3
 
 
-def test_a_time_step_beyond_stability_leaves_the_finite_numbers():
-    """The symplectic method is stable below 2 / sqrt(8) = 0.71."""
-    flat, start = deformed(0)
-    for dt, outcome in ((0.65, Outcome.RESTED), (1.0, Outcome.NOT_FINITE)):
-        params = RelaxationParams(control="fixed", fixed_dt=dt, fixed_c=2 * np.pi / 32)
-        assert relax_dynamically(start, rest_lengths(flat), params=params).outcome is outcome
-
-
-def test_stiffness_sets_the_unit_of_time_only():
+def test_stiffness_sets_the_unit_of_time_and_large_steps_leave_the_finite_numbers():
     flat, start = deformed(3)
     rest = rest_lengths(flat)
     one = relax_dynamically(start, rest, params=RelaxationParams(most_steps=60))
     four = relax_dynamically(start, rest, stiffness=np.full_like(rest, 4.0), params=RelaxationParams(most_steps=60))
     assert np.array_equal(one.uv, four.uv)
     assert four.energy == 4 * one.energy
+    # The symplectic method is stable below 2 / sqrt(8) = 0.71.
+    flat, start = deformed(0)
+    for dt, outcome in ((0.65, Outcome.RESTED), (1.0, Outcome.NOT_FINITE)):
+        params = RelaxationParams(control="fixed", fixed_dt=dt, fixed_c=2 * np.pi / 32)
+        assert relax_dynamically(start, rest_lengths(flat), params=params).outcome is outcome
 
 
 def test_the_log_keeps_to_the_limits():
@@ -335,9 +326,3 @@ def test_the_log_keeps_to_the_limits():
     again = relax_dynamically(start, rest_lengths(flat))
     assert np.array_equal(again.uv, found.uv)
     assert np.array_equal(again.history, log)
-
-
-def test_arrays_that_do_not_fit_are_refused():
-    flat = grid(4, 5)
-    with pytest.raises(CannotFlatten, match="do not fit"):
-        relax_dynamically(flat, rest_lengths(grid(5, 4)))

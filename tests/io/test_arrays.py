@@ -1,7 +1,5 @@
 """Arrays as volumes and images: the same as from a file, nothing read, and what is refused."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 
@@ -13,6 +11,7 @@ import xarray as xr
 import zarr
 
 import planish as pl
+from folders import refused
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.frame import Frame
 
@@ -22,28 +21,24 @@ IMAGE = RNG.integers(0, 60_000, (30, 40)).astype(np.uint16)
 OF_A_FILE = {"file_name", "file_bytes", "voxel_um_source", "pixel_um_source"}
 
 
-def test_a_volume_is_what_its_file_gives(tmp_path):
+def without_file(array):
+    return {name: value for name, value in array.attrs.items() if name not in OF_A_FILE}
+
+
+def test_volumes_and_images_are_what_their_files_give(tmp_path):
     tifffile.imwrite(tmp_path / "v.tif", GREYS)
     expected = pl.read_volume(tmp_path / "v.tif", voxel_um=(3, 1.5, 1.5), through="y", top="low")
     made = pl.volume(GREYS, voxel_um=(3, 1.5, 1.5), through="y", top="low")
     assert made.drop_attrs().identical(expected.drop_attrs())
-    assert {k: v for k, v in made.attrs.items() if k not in OF_A_FILE} == {
-        k: v for k, v in expected.attrs.items() if k not in OF_A_FILE
-    }
-    assert Frame.of(made) == Frame(through="y", top="low")
+    assert (without_file(made), Frame.of(made)) == (without_file(expected), Frame(through="y", top="low"))
     assert made.x.attrs["units"] == "um"
-
-
-def test_an_image_is_what_its_file_gives(tmp_path):
     colour = np.stack([IMAGE, IMAGE // 2, IMAGE // 4], axis=-1)
     for values in (IMAGE, colour):
         tifffile.imwrite(tmp_path / "i.tif", values)
         expected = pl.read_image(tmp_path / "i.tif", pixel_um=5, side="bottom")
         made = pl.image(values, pixel_um=5, side="bottom")
         assert made.drop_attrs().identical(expected.drop_attrs())
-        assert {k: v for k, v in made.attrs.items() if k not in OF_A_FILE} == {
-            k: v for k, v in expected.attrs.items() if k not in OF_A_FILE
-        }
+        assert without_file(made) == without_file(expected)
         (tmp_path / "i.tif").unlink()
 
 
@@ -81,8 +76,7 @@ class Counted:
 def test_nothing_is_read_that_is_not_needed(tmp_path):
     counted = Counted()
     made = pl.volume(counted, voxel_um=2)
-    assert counted.voxels == 0
-    assert made.isel(z=slice(2, 4)).values.shape == (2, 30, 40)
+    assert (counted.voxels, made.isel(z=slice(2, 4)).values.shape) == (0, (2, 30, 40))
     assert counted.voxels == 2 * 30 * 40
     np.save(tmp_path / "v.npy", GREYS)
     mapped = pl.volume(np.load(tmp_path / "v.npy", mmap_mode="r"), voxel_um=2)
@@ -92,7 +86,7 @@ def test_nothing_is_read_that_is_not_needed(tmp_path):
 
 def test_zarr_is_imported_only_for_arrays_of_zarr():
     code = (
-        "import sys, numpy, planish as pl; pl.volume(numpy.zeros((9, 9, 9)), voxel_um=1); print('zarr' in sys.modules)"
+        "import sys, numpy, planish; planish.volume(numpy.zeros((9, 9, 9)), voxel_um=1); print('zarr' in sys.modules)"
     )
     shown = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert shown.stdout.strip() == "False"
@@ -132,8 +126,7 @@ def test_coordinates_in_um_are_the_size():
     ],
 )
 def test_sizes_that_are_refused(array, size, words):
-    with pytest.raises(SizeError, match=words):
-        pl.volume(array, voxel_um=size)
+    refused(SizeError, words, pl.volume, array, voxel_um=size)
 
 
 @pytest.mark.parametrize(
@@ -154,8 +147,7 @@ def test_sizes_that_are_refused(array, size, words):
     ],
 )  # fmt: skip
 def test_what_is_no_volume_is_refused(array, words):
-    with pytest.raises((InputError, VolumeError), match=words):
-        pl.volume(array, voxel_um=2)
+    refused((InputError, VolumeError), words, pl.volume, array, voxel_um=2)
 
 
 def test_what_is_no_image_is_refused():
@@ -165,8 +157,7 @@ def test_what_is_no_image_is_refused():
         pl.image(IMAGE, pixel_um=2, side="front")
     with pytest.raises(SizeError, match=r"The image states no pixel size. Give it with pixel_um=SIZE \(or Y,X\)"):
         pl.image(IMAGE)
-    with pytest.raises(InputError, match="Choose luminance with channel="):
-        pl.image(IMAGE, pixel_um=2, channel="red")
+    refused(InputError, "Choose luminance with channel=", pl.image, IMAGE, pixel_um=2, channel="red")
 
 
 def test_holes_follow_the_side_of_the_image():

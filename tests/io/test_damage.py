@@ -1,7 +1,5 @@
 """Broken files: one sentence each, at once, without memory; never a short or filled-up volume."""
 
-from __future__ import annotations
-
 import contextlib
 import struct
 import subprocess
@@ -139,7 +137,7 @@ def test_a_chain_of_pages_in_a_circle_is_found(tmp_path: Path) -> None:
         read_volume(path, voxel_um=1)
 
 
-def test_a_tiff_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
+def test_a_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, np.zeros((2, 16, 16), np.uint8), photometric="minisblack", compression="zlib", metadata=None)
     data = bytearray(path.read_bytes())
@@ -153,9 +151,6 @@ def test_a_tiff_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     with pytest.raises(FileError, match=r"claims 7200000000 bytes of image in .* stored bytes, more than 2000 to 1"):
         read_volume(path, voxel_um=1)
     assert time.perf_counter() - started < 1
-
-
-def test_a_png_bomb_is_refused_before_it_is_decoded(tmp_path: Path) -> None:
     data = bytearray(imagecodecs.png_encode(np.zeros((8, 8), np.uint8)))
     data[16:24] = struct.pack(">II", 100_000, 100_000)
     data[29:33] = struct.pack(">I", zlib.crc32(data[12:29]))

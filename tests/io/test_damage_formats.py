@@ -5,8 +5,6 @@ files missing, or with something else in their place. They are read in another p
 a library that crashes or asks for too much is found out.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
 import struct
@@ -174,9 +172,8 @@ def absurd(folder: Path) -> Iterator[tuple[str, str, str]]:
     for chunks in (None, (1, 60000, 60000), (1, 8, 8)):
         path = folder / f"huge{chunks}.h5"
         with h5py.File(path, "w") as file:
-            data = file.create_dataset(
-                "v", shape=huge, dtype="u1", chunks=chunks, compression="gzip" if chunks else None
-            )
+            packed = {"chunks": chunks, "compression": "gzip" if chunks else None}
+            data = file.create_dataset("v", shape=huge, dtype="u1", **packed)
             if chunks == (1, 8, 8):
                 data[0, :8, :8] = 3
         yield f"absurd: HDF5 with chunks {chunks}", str(path), ""

@@ -1,7 +1,5 @@
 """Maps that are made tile by tile: a store against memory, and what is said of a damaged one."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
@@ -59,7 +57,7 @@ def test_what_is_read_again_comes_from_memory_as_long_as_there_is_room(stored):
         _ = sink.group("linked")["u"].values
 
 
-def test_a_small_group_stays_in_memory(tmp_path):
+def test_small_groups_stay_in_memory(tmp_path):
     grid = Grid.regular((40, 50), 2.0)
     sink = StoredMaps(tmp_path / "maps.zarr")
     maps = xr.Dataset({"image": (("y", "x"), np.ones(grid.shape))}, coords=grid.coords)
@@ -68,6 +66,14 @@ def test_a_small_group_stays_in_memory(tmp_path):
     assert sink.stored == []
     assert not sink.path.exists()
     xr.testing.assert_identical(sink.group("linked"), maps)
+    grid = Grid.regular((60, 50), 2.0)
+    values = np.arange(3000.0).reshape(60, 50)
+    whole = xr.Dataset({"a": (("y", "x"), values, {"units": "um"})}, coords=grid.coords)
+    sink = HeldMaps()
+    for tile in tiles_of(grid.shape, (16, 32)):
+        sink.add("one", grid, tile, whole.isel(y=tile.rows, x=tile.cols))
+    xr.testing.assert_identical(sink.group("one"), whole)
+    assert sink.overviews() == {}
 
 
 def test_a_large_group_of_a_store_stays_there_and_a_damage_is_said(stored):
@@ -85,14 +91,3 @@ def test_a_large_group_of_a_store_stays_there_and_a_damage_is_said(stored):
         _ = lost.values
     with pytest.raises(FileError, match="cannot be read"):
         stored_group(sink.path, "none")
-
-
-def test_memory_gives_what_was_added():
-    grid = Grid.regular((60, 50), 2.0)
-    values = np.arange(3000.0).reshape(60, 50)
-    whole = xr.Dataset({"a": (("y", "x"), values, {"units": "um"})}, coords=grid.coords)
-    sink = HeldMaps()
-    for tile in tiles_of(grid.shape, (16, 32)):
-        sink.add("one", grid, tile, whole.isel(y=tile.rows, x=tile.cols))
-    xr.testing.assert_identical(sink.group("one"), whole)
-    assert sink.overviews() == {}

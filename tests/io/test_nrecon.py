@@ -34,43 +34,28 @@ def scan(tmp_path):
     return make
 
 
-def test_the_size_is_that_of_the_reconstruction(scan):
+def test_the_size_is_that_of_the_reconstruction_and_a_given_one_must_agree(scan):
     volume = read_volume(scan())
     assert volume.attrs["voxel_um"] == pytest.approx([3.3181, 1.65905, 1.65905])
     assert "NRecon" in volume.attrs["voxel_um_source"]
-
-
-def test_a_path_with_an_accent_does_not_stop_the_reader(scan):
+    with pytest.raises(SizeError, match="NRecon log"):
+        read_volume(scan(), voxel_um=2.0)
+    assert read_volume(scan(), voxel_um=2.0, override_size=True).attrs["voxel_um"] == [2.0] * 3
     log = "[System]\nUser=Núria\n" + LOG.format(count=9, step=1, size="1,5")
     assert read_volume(scan(log, encoding="cp1252")).attrs["voxel_um"] == pytest.approx([1.5] * 3)
 
 
-def test_a_size_given_by_hand_must_agree(scan):
-    with pytest.raises(SizeError, match="NRecon log"):
-        read_volume(scan(), voxel_um=2.0)
-    assert read_volume(scan(), voxel_um=2.0, override_size=True).attrs["voxel_um"] == [2.0] * 3
-
-
-def test_missing_slices_are_noticed(scan):
+def test_logs_that_are_incomplete_contradictory_or_several_are_refused(scan):
     with pytest.raises(VolumeError, match=r"states 12 sections.*holds 9"):
         read_volume(scan(count=12))
-
-
-def test_a_log_without_a_size_says_so(scan):
     with pytest.raises(SizeError, match=r"no number for 'Pixel Size \(um\)'"):
         read_volume(scan("[Acquisition]\nImage Pixel Size (um)=1.66\n[Reconstruction]\nSections Count=9\n"))
-
-
-def test_two_logs_are_two_scans(scan):
-    folder = scan()
-    (folder / "other_rec.log").write_text("[Reconstruction]\n")
-    with pytest.raises(VolumeError, match="2 NRecon logs"):
-        read_volume(folder)
-
-
-def test_a_log_whose_sections_and_count_disagree_is_refused(scan):
     sections = "[Reconstruction]\nPixel Size (um)=2\nFirst Section=0\nLast Section={last}\nSections Count={count}\n"
     names = "[File name convention]\nFilename Prefix=sheet_rec\n"
     assert read_volume(scan(sections.format(last=8, count=9) + names)).sizes["z"] == 9
     with pytest.raises(VolumeError, match="contradicts itself: 8 sections"):
         read_volume(scan(sections.format(last=8, count=8) + names))
+    folder = scan()
+    (folder / "other_rec.log").write_text("[Reconstruction]\n")
+    with pytest.raises(VolumeError, match="2 NRecon logs"):
+        read_volume(folder)

@@ -5,17 +5,23 @@ import numpy as np
 import pytest
 import xarray as xr
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError
 from planish.io.run_folder import WORK_MARKER, new_folder, read_tree, work_folder, write_json, write_tree
 
 
-def test_a_folder_appears_only_when_whole(tmp_path):
+def test_a_folder_appears_only_when_whole_and_never_over_another(tmp_path):
+    with pytest.raises(ResourceError, match="disk is full"), new_folder(tmp_path / "run"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "run").mkdir()
+    with pytest.raises(FileError, match="exists already"), new_folder(tmp_path / "run"):
+        pytest.fail("must not get here")
     out = tmp_path / "deep" / "run"
     with new_folder(out) as folder:
         (folder / "a.txt").write_text("a")
         assert not out.exists()
-    assert (out / "a.txt").read_text() == "a"
-    assert [p.name for p in out.parent.iterdir()] == ["run"]
+    assert ((out / "a.txt").read_text(), [p.name for p in out.parent.iterdir()]) == ("a", ["run"])
 
 
 @pytest.mark.parametrize("error", [RuntimeError("boom"), KeyboardInterrupt()])
@@ -30,18 +36,6 @@ def test_nothing_is_left_when_it_fails(tmp_path, error):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_a_full_disk_is_a_resource_error(tmp_path):
-    with pytest.raises(ResourceError, match="disk is full"), new_folder(tmp_path / "run"):
-        raise OSError(errno.ENOSPC, "No space left on device")
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_an_existing_folder_is_never_touched(tmp_path):
-    (tmp_path / "run").mkdir()
-    with pytest.raises(FileError, match="exists already"), new_folder(tmp_path / "run"):
-        pytest.fail("must not get here")
-
-
 def tree(folder):
     """All that stands in a folder, with the bytes of files and the targets of links."""
     found = {}
@@ -51,24 +45,13 @@ def tree(folder):
     return found
 
 
-def linked_folder(work, victim):
-    work.symlink_to(victim, target_is_directory=True)
-
-
-def real_folder(work, victim):
-    shutil.copytree(victim, work)
-
-
-def empty_folder(work, _victim):
-    work.mkdir()
-
-
-def plain_file(work, _victim):
-    work.write_text("mine")
-
-
-def broken_link(work, _victim):
-    work.symlink_to("nowhere")
+IN_THE_WAY = {
+    "linked folder": lambda work, victim: work.symlink_to(victim, target_is_directory=True),
+    "real folder": lambda work, victim: shutil.copytree(victim, work),
+    "empty folder": lambda work, _victim: work.mkdir(),
+    "plain file": lambda work, _victim: work.write_text("mine"),
+    "broken link": lambda work, _victim: work.symlink_to("nowhere"),
+}
 
 
 def old_folder_with_more(work, _victim):
@@ -79,8 +62,7 @@ def old_folder_with_more(work, _victim):
 
 def marked_folder_with_more(work, _victim):
     with work_folder(work.parent / "run", "key") as made:
-        kept = tree(made)
-        text = kept[WORK_MARKER]
+        text = tree(made)[WORK_MARKER]
     work.mkdir()
     (work / WORK_MARKER).write_bytes(text)
     (work / "thesis").mkdir()
@@ -105,13 +87,11 @@ def other_marker(work, _victim):
     (work / "tiles").mkdir()
 
 
-@pytest.mark.parametrize(
-    "stands_there",
-    [
-        linked_folder, real_folder, empty_folder, plain_file, broken_link, old_folder_with_more,
-        marked_folder_with_more, lock_is_a_link, tiles_are_a_link, other_marker,
-    ],
-)  # fmt: skip
+FOLDERS = (old_folder_with_more, marked_folder_with_more, lock_is_a_link, tiles_are_a_link, other_marker)
+IN_THE_WAY |= {function.__name__.replace("_", " "): function for function in FOLDERS}
+
+
+@pytest.mark.parametrize("stands_there", IN_THE_WAY.values(), ids=IN_THE_WAY)
 def test_what_is_not_ours_is_neither_removed_nor_written_into(tmp_path, stands_there):
     victim, out = tmp_path / "victim", tmp_path / "out"
     (victim / "precious").mkdir(parents=True)
@@ -162,12 +142,17 @@ def test_groups_survive_a_round_trip(tmp_path):
     assert list(back["marks"]["label"].values) == ["a", "bc"]
 
 
-def test_a_damaged_store_is_named(tmp_path):
-    with pytest.raises(FileError, match="no zarr store"):
-        read_tree(tmp_path)
+def test_a_damaged_store_is_named_and_gives_no_other_value(tmp_path):
+    refused(FileError, "no zarr store", read_tree, tmp_path)
     (tmp_path / "zarr.json").write_text("{")
-    with pytest.raises(FileError, match="cannot be read"):
-        read_tree(tmp_path)
+    refused(FileError, "cannot be read", read_tree, tmp_path)
+    values = np.random.default_rng(0).normal(size=(40, 50))
+    write_tree(tmp_path / "maps.zarr", {"maps": xr.Dataset({"a": (("v", "u"), values)})})
+    chunk = tmp_path / "maps.zarr" / "maps" / "a" / "c" / "0" / "0"
+    data = chunk.read_bytes()
+    for at in range(20, len(data), 997):
+        chunk.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        refused(FileError, "damaged", read_tree, tmp_path / "maps.zarr")
 
 
 @pytest.mark.parametrize(
@@ -191,17 +176,5 @@ def test_damaged_metadata_of_a_store_are_one_short_sentence(tmp_path, whole, dam
     assert len(str(caught.value)) < 1000
 
 
-def test_a_flipped_bit_of_a_map_is_a_damage_and_no_other_value(tmp_path):
-    values = np.random.default_rng(0).normal(size=(40, 50))
-    write_tree(tmp_path / "maps.zarr", {"maps": xr.Dataset({"a": (("v", "u"), values)})})
-    chunk = tmp_path / "maps.zarr" / "maps" / "a" / "c" / "0" / "0"
-    data = chunk.read_bytes()
-    for at in range(20, len(data), 997):
-        chunk.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
-        with pytest.raises(FileError, match="damaged"):
-            read_tree(tmp_path / "maps.zarr")
-
-
 def test_json_refuses_nan(tmp_path):
-    with pytest.raises(ValueError, match="JSON compliant"):
-        write_json(tmp_path / "r.json", {"a": float("nan")})
+    refused(ValueError, "JSON compliant", write_json, tmp_path / "r.json", {"a": float("nan")})

@@ -1,7 +1,5 @@
 """Folders of section photographs: what the cut counter may say, and every way in which it can be wrong."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
@@ -11,6 +9,7 @@ import tifffile
 from numpy.typing import NDArray
 from PIL import Image
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
 from planish.io.sections import is_section_folder, read_section_stack
 
@@ -46,10 +45,8 @@ def test_values_positions_and_sizes_are_read(tmp_path: Path) -> None:
     assert read.pixel_um == pytest.approx((2.43, 2.43), rel=1e-6)  # the tag is a fraction of 32-bit integers
     assert read.attrs["voxel_um"] == pytest.approx([3.5, 2.43, 2.43], rel=1e-6)  # steps 3, 3.5, 8.5
     assert read.attrs["voxel_um_source"] == "the cut counter and the TIFF resolution"
-    assert read.attrs["full_scale"] == 255
-    assert read.attrs["file_name"] == "v"
-    assert read.attrs["file_bytes"] == sum(p.stat().st_size for p in folder.iterdir())
-    assert read.kind == ""
+    assert (read.attrs["full_scale"], read.attrs["file_name"]) == (255, "v")
+    assert (read.attrs["file_bytes"], read.kind) == (sum(p.stat().st_size for p in folder.iterdir()), "")
     assert is_section_folder(folder)
     assert not is_section_folder(tmp_path)
 
@@ -61,13 +58,10 @@ def test_types_stay(tmp_path: Path, dtype: str) -> None:
     assert read.values.dtype == dtype
 
 
-def test_order_is_that_of_the_counter(tmp_path: Path) -> None:
+def test_order_and_positions_are_those_of_the_counter_also_with_decimal_commas(tmp_path: Path) -> None:
     rows = [f"s{i},{p}".replace(",", ".tif,") for i, p in zip((2, 0, 3, 1), POSITIONS, strict=True)]
     read = read_section_stack(write(tmp_path / "v", text=counter(*rows)))
     np.testing.assert_array_equal(read.values, pictures()[[2, 0, 3, 1]])
-
-
-def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
     rows = [f"s{i}.tif; {str(p).replace('.', ',')}" for i, p in enumerate(POSITIONS)]
     text = "\ufeff" + counter(*rows, header="File;Position_um", before="# kind: Block-Face\n# microtome 3")
     read = read_section_stack(write(tmp_path / "v", text=text))
@@ -75,14 +69,11 @@ def test_decimal_commas_between_semicolons(tmp_path: Path) -> None:
     assert read.kind == read.attrs["section_kind"] == "block-face"
 
 
-def test_colour_becomes_luminance(tmp_path: Path) -> None:
+def test_colour_becomes_luminance_and_grey_stored_as_colour_stays_grey(tmp_path: Path) -> None:
     colour = np.stack([pictures(), pictures()[::-1], pictures()[:, ::-1]], axis=-1)
     read = read_section_stack(write(tmp_path / "v", colour))
     expected = 0.2126 * colour[..., 0] + 0.7152 * colour[..., 1] + 0.0722 * colour[..., 2]
     np.testing.assert_array_equal(read.values, np.rint(expected).astype(np.uint8))
-
-
-def test_grey_stored_as_colour_stays_grey(tmp_path: Path) -> None:
     values = pictures(dtype="uint16") * 300
     read = read_section_stack(write(tmp_path / "v", np.repeat(values[..., None], 3, axis=-1)))
     np.testing.assert_array_equal(read.values, values)
@@ -99,20 +90,15 @@ def test_png_sections_are_read(tmp_path: Path) -> None:
     assert read.pixel_um == (2.43, 2.43)
 
 
-def test_given_sizes_join_the_counter(tmp_path: Path) -> None:
+def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override(tmp_path: Path) -> None:
     folder = write(tmp_path / "v", stated=False)
     assert read_section_stack(folder, voxel_um=2.0).attrs["voxel_um"] == [3.5, 2.0, 2.0]
     assert read_section_stack(folder, voxel_um=(3.5, 1.0, 2.0)).pixel_um == (1.0, 2.0)
-    with pytest.raises(SizeError, match="states no voxel size along y and x"):
-        read_section_stack(folder)
+    refused(SizeError, "states no voxel size along y and x", read_section_stack, folder)
     with pytest.raises(SizeError, match=r"gives z 2 um, but the median step of sections\.csv is 3\.5 um"):
         read_section_stack(folder, voxel_um=(2.0, 2.0, 2.0), override_size=True)
-
-
-def test_another_size_than_the_tags_state_needs_the_override(tmp_path: Path) -> None:
     folder = write(tmp_path / "v")
-    with pytest.raises(SizeError, match="override_size=True"):
-        read_section_stack(folder, voxel_um=1.0)
+    refused(SizeError, "override_size=True", read_section_stack, folder, voxel_um=1.0)
     assert read_section_stack(folder, voxel_um=1.0, override_size=True).pixel_um == (1.0, 1.0)
 
 
@@ -139,38 +125,27 @@ def test_another_size_than_the_tags_state_needs_the_override(tmp_path: Path) -> 
 )  # fmt: skip
 def test_faults_of_the_counter_are_said(tmp_path: Path, text: str, words: str) -> None:
     folder = write(tmp_path / "v", text=text or "\n")
-    with pytest.raises(VolumeError, match=words):
-        read_section_stack(folder)
+    refused(VolumeError, words, read_section_stack, folder)
 
 
-def test_no_counter_no_folder_no_text(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match="is not a folder"):
-        read_section_stack(tmp_path / "none")
+def test_a_folder_without_memory_or_a_readable_counter_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(ResourceError, match="v needs"):
+        read_section_stack(write(tmp_path / "v"), memory_bytes=200)
+    refused(FileError, "is not a folder", read_section_stack, tmp_path / "none")
     (tmp_path / "empty").mkdir()
-    with pytest.raises(FileError, match=r"sections\.csv does not exist"):
-        read_section_stack(tmp_path / "empty")
+    refused(FileError, r"sections\.csv does not exist", read_section_stack, tmp_path / "empty")
     folder = write(tmp_path / "v")
     (folder / "sections.csv").write_bytes(b"file,position_um\n\xff\xfe,1\n")
-    with pytest.raises(FileError, match="no text in UTF-8"):
-        read_section_stack(folder)
+    refused(FileError, "no text in UTF-8", read_section_stack, folder)
 
 
 def test_sections_that_differ_are_refused(tmp_path: Path) -> None:
     folder = write(tmp_path / "v")
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 8), np.uint8), photometric="minisblack")
-    with pytest.raises(VolumeError, match=r"s2\.tif is .*s0\.tif is "):
-        read_section_stack(folder)
+    refused(VolumeError, r"s2\.tif is .*s0\.tif is ", read_section_stack, folder)
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 9), np.uint16), photometric="minisblack")
-    with pytest.raises(VolumeError, match=r"s2\.tif has uint16 values, s0\.tif has uint8"):
-        read_section_stack(folder)
+    refused(VolumeError, r"s2\.tif has uint16 values, s0\.tif has uint8", read_section_stack, folder)
     tifffile.imwrite(folder / "s2.tif", np.zeros((7, 9, 3), np.uint8), photometric="rgb")
-    with pytest.raises(VolumeError, match=r"s2\.tif is rgb, s0\.tif is grey"):
-        read_section_stack(folder)
+    refused(VolumeError, r"s2\.tif is rgb, s0\.tif is grey", read_section_stack, folder)
     (folder / "s2.tif").write_bytes((folder / "s1.tif").read_bytes()[:100])
-    with pytest.raises(FileError, match=r"s2\.tif"):
-        read_section_stack(folder)
-
-
-def test_memory_is_asked_for_before_it_is_filled(tmp_path: Path) -> None:
-    with pytest.raises(ResourceError, match="v needs"):
-        read_section_stack(write(tmp_path / "v"), memory_bytes=200)
+    refused(FileError, r"s2\.tif", read_section_stack, folder)

@@ -1,7 +1,5 @@
 """Sizes: every unit to micrometres, and what happens when they are missing or disagree."""
 
-from __future__ import annotations
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -38,8 +36,7 @@ def test_resolutions_of_programs_that_do_not_know_count_as_missing(per_unit: flo
 
 
 def test_a_true_resolution_is_a_pixel_size() -> None:
-    assert from_density(2540, "inch") == 10
-    assert from_density(5000, "cm") == 2
+    assert (from_density(2540, "inch"), from_density(5000, "cm")) == (10, 2)
 
 
 @given(z=sizes, y=sizes, x=sizes)
@@ -68,7 +65,7 @@ def test_a_given_size_more_than_one_percent_off_is_refused(size: float, factor: 
         assert source.startswith("given, in place of ImageJ metadata")
 
 
-def test_the_refusal_names_both_sizes() -> None:
+def test_refusals_name_the_sizes_and_the_missing_axes() -> None:
     stated = [Stated(source="ImageJ metadata", um=(2.0, 1.5, 1.5))]
     with pytest.raises(SizeError) as caught:
         agreed_size(stated, 3, file_name="v.tif", asked=VOXEL)
@@ -76,15 +73,9 @@ def test_the_refusal_names_both_sizes() -> None:
         "v.tif: voxel_um= gives z 3, y 3, x 3 um, but ImageJ metadata states z 2, y 1.5, x 1.5 um. "
         "Correct one of them, or add override_size=True to take the given size."
     )
-
-
-def test_a_missing_size_is_never_one() -> None:
     with pytest.raises(SizeError) as caught:
         agreed_size([], None, file_name="v.tif", asked=VOXEL)
     assert str(caught.value) == "v.tif states no voxel size. Give it with voxel_um=SIZE (or Z,Y,X), in um."
-
-
-def test_a_missing_axis_is_named() -> None:
     stated = [Stated(source="the TIFF resolution", um=(None, 2.0, 2.5))]
     with pytest.raises(SizeError) as caught:
         agreed_size(stated, None, file_name="v.tif", asked=VOXEL)
@@ -109,16 +100,13 @@ def test_a_size_out_of_range_says_which_unit_it_looks_like(size: float, unit: st
         agreed_size([], size, file_name="v.tif", asked=VOXEL)
 
 
-def test_an_unusual_size_is_asked_for_and_an_impossible_one_refused() -> None:
+def test_unusual_sizes_need_a_word_and_impossible_ones_are_refused() -> None:
     nm = [Stated(source="OME metadata", um=(0.0046,) * 3)]
     with pytest.raises(SizeError, match=r"usual are 0.01 to 100 um.* If it is meant, add unusual_size=True"):
         agreed_size(nm, None, file_name="v.tif", asked=VOXEL)
     assert agreed_size(nm, None, file_name="v.tif", asked=VOXEL, unusual=True)[0] == (0.0046,) * 3
     with pytest.raises(SizeError, match=r"possible are 0.0001 to 1000 um.*in um\.$"):
         agreed_size([], 2000.0, file_name="v.tif", asked=VOXEL, unusual=True)
-
-
-def test_metadata_out_of_range_are_refused_too() -> None:
     with pytest.raises(SizeError, match=r"looks like nm .*override_size=True"):
         agreed_size([Stated(source="OME metadata", um=(3e3,) * 3)], None, file_name="v.tif", asked=VOXEL)
 

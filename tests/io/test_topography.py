@@ -1,13 +1,12 @@
 """Height maps: rows, units and missing values as the library of the format wrote them."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError
 from planish.io import read_topography
 from planish.io.guard import quiet
@@ -42,28 +41,19 @@ def test_heights_come_in_um(tmp_path: Path, suffix: str, unit: str) -> None:
     np.testing.assert_allclose(surface.values, heights, rtol=1e-12)
     np.testing.assert_allclose(surface.y, np.arange(9) * 3.0)
     np.testing.assert_allclose(surface.x, np.arange(14) * 2.0)
-    assert surface.attrs["units"] == "um"
-    assert surface.attrs["pixel_um"] == pytest.approx([3.0, 2.0])
+    assert (surface.attrs["units"], surface.attrs["pixel_um"]) == ("um", pytest.approx([3.0, 2.0]))
 
 
-def test_a_given_size_has_to_agree(tmp_path: Path) -> None:
+def test_contradicting_sizes_and_other_files_are_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "s.x3p", "um")
     assert read_topography(path, pixel_um=(3, 2)).attrs["pixel_um"] == pytest.approx([3.0, 2.0])
     with pytest.raises(SizeError, match=r"s\.x3p: pixel_um= gives .* the topography file states"):
         read_topography(path, pixel_um=5)
-
-
-def test_what_is_no_topography_is_an_error(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = write(tmp_path / "s.x3p", "um")
-    with pytest.raises(ResourceError, match=r"s\.x3p needs"):
-        read_topography(path, memory_bytes=100)
+    refused(ResourceError, r"s\.x3p needs", read_topography, path, memory_bytes=100)
     data = path.read_bytes()
     for length in (0, 10, len(data) // 2, len(data) - 40):
         path.write_bytes(data[:length])
-        with pytest.raises(FileError, match=r"^s\.x3p"):
-            read_topography(path)
-    with pytest.raises(FileError, match=r"^nothing\.sur does not exist"):
-        read_topography(tmp_path / "nothing.sur")
+        refused(FileError, r"^s\.x3p", read_topography, path)
+    refused(FileError, r"^nothing\.sur does not exist", read_topography, tmp_path / "nothing.sur")
     monkeypatch.setitem(sys.modules, "SurfaceTopography", None)
-    with pytest.raises(FileError, match=r'pip install "planish\[formats\]"'):
-        read_topography(path)
+    refused(FileError, r'pip install "planish\[formats\]"', read_topography, path)

@@ -1,7 +1,5 @@
 """Volumes: every kind of TIFF stack gives back what was stored, with its voxel size, and nothing else passes."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any
@@ -14,6 +12,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
+from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
 from planish.io import read_volume
 
@@ -47,19 +46,14 @@ def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) ->
     values = stack(dtype)
     tifffile.imwrite(path, values, photometric="minisblack", **KINDS[kind])
     volume = read_volume(path, voxel_um=(3, 2, 1))
-    assert volume.dims == ("z", "y", "x")
-    assert volume.dtype == np.dtype(dtype)
+    assert (volume.dims, volume.dtype, volume.z.dtype) == (("z", "y", "x"), np.dtype(dtype), np.float64)
     np.testing.assert_array_equal(volume.values, values)
-    assert volume.z.dtype == np.float64
-    np.testing.assert_array_equal(volume.z, np.arange(5) * 3.0)
-    np.testing.assert_array_equal(volume.y, np.arange(7) * 2.0)
-    np.testing.assert_array_equal(volume.x, np.arange(9) * 1.0)
-    assert volume.attrs["voxel_um"] == [3, 2, 1]
-    assert volume.attrs["voxel_um_source"] == "given"
-    assert volume.attrs["units"] == "1"
-    assert volume.attrs["long_name"] == "Grey value"
-    assert volume.attrs["file_name"] == "v.tif"
-    assert volume.attrs["file_bytes"] == path.stat().st_size
+    for axis, step in (("z", 3.0), ("y", 2.0), ("x", 1.0)):
+        np.testing.assert_array_equal(volume[axis], np.arange(volume.sizes[axis]) * step)
+    assert volume.attrs == volume.attrs | {
+        "voxel_um": [3, 2, 1], "voxel_um_source": "given", "units": "1", "long_name": "Grey value",
+        "file_name": "v.tif", "file_bytes": path.stat().st_size,
+    }  # fmt: skip
 
 
 @given(
@@ -75,14 +69,8 @@ def test_values_type_and_order_survive(tmp_path: Path, kind: str, dtype: str) ->
 def test_any_volume_survives(values: NDArray[Any], compression: str | None, big: bool, order: str) -> None:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "v.tif"
-        tifffile.imwrite(
-            path,
-            values,
-            photometric="minisblack",
-            compression=compression,
-            bigtiff=big,
-            byteorder=order,  # type: ignore[arg-type]
-        )
+        options: dict[str, Any] = {"compression": compression, "bigtiff": big, "byteorder": order}
+        tifffile.imwrite(path, values, photometric="minisblack", **options)
         np.testing.assert_array_equal(np.array(read_volume(path, voxel_um=1).values), values)
 
 
@@ -106,20 +94,18 @@ def test_pages_of_two_layouts_are_no_volume(tmp_path: Path, other: dict[str, Any
     if page == 0:  # a tag that no voxel depends on
         np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
         return
-    with pytest.raises(VolumeError, match="different images"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(VolumeError, "different images", read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
-def test_float16_becomes_float32(tmp_path: Path) -> None:
+def test_float16_white_is_zero_and_singleton_axes_become_plain_volumes(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", stack("float16"), photometric="minisblack")
     volume = read_volume(tmp_path / "v.tif", voxel_um=1)
     assert volume.dtype == np.float32
     np.testing.assert_array_equal(volume.values, stack("float16"))
-
-
-def test_white_is_zero_is_turned_round(tmp_path: Path) -> None:
     tifffile.imwrite(tmp_path / "v.tif", stack("uint8"), photometric="miniswhite")
     np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, 255 - stack("uint8"))
+    tifffile.imwrite(tmp_path / "v.tif", stack()[None, :, None], imagej=True, metadata={"axes": "TZCYX"})
+    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
 
 
 @pytest.mark.parametrize("kind", ["plain", "tifffile", "BigTIFF", "OME"])
@@ -176,55 +162,39 @@ def test_a_compressed_stack_that_does_not_fit_is_refused(tmp_path: Path) -> None
         read_volume(tmp_path / "v.tif", voxel_um=1, memory_bytes=100)
 
 
+def write_imagej(path: Path, *, resolution: tuple[float, float] = (1, 1), order: str = ">", **meta: Any) -> Path:
+    tifffile.imwrite(
+        path, stack(), imagej=True, byteorder=order, resolution=resolution, metadata={"axes": "ZYX", **meta}
+    )  # type: ignore[arg-type]  # fmt: skip
+    return path
+
+
 @pytest.mark.parametrize(
     ("unit", "um"), [("um", 1), ("micron", 1), ("\\u00B5m", 1), ("mm", 1e3), ("nm", 1e-3), ("cm", 1e4), ("inch", 25400)]
 )
 def test_imagej_sizes_come_in_their_unit(tmp_path: Path, unit: str, um: float) -> None:
     across, along = 2.0 / um, 2.5 / um
-    tifffile.imwrite(
-        tmp_path / "v.tif", stack(), imagej=True, resolution=(1 / across, 2 / across),
-        metadata={"axes": "ZYX", "unit": unit, "spacing": along},
-    )  # fmt: skip
-    volume = read_volume(tmp_path / "v.tif")
+    path = write_imagej(tmp_path / "v.tif", resolution=(1 / across, 2 / across), order="<", unit=unit, spacing=along)
+    volume = read_volume(path)
     assert volume.attrs["voxel_um"] == pytest.approx([2.5, 1.0, 2.0], rel=1e-5)  # resolutions are stored as fractions
     assert volume.attrs["voxel_um_source"] == "ImageJ metadata"
 
 
 def test_imagej_hyperstack_written_by_imagej_is_big_endian_behind_one_page(tmp_path: Path) -> None:
-    path = tmp_path / "v.tif"
-    tifffile.imwrite(
-        path,
-        stack(),
-        imagej=True,
-        byteorder=">",
-        resolution=(1, 1),
-        metadata={"axes": "ZYX", "unit": "um", "spacing": 3},
-    )
-    volume = read_volume(path)
+    volume = read_volume(write_imagej(tmp_path / "v.tif", unit="um", spacing=3))
     np.testing.assert_array_equal(volume.values, stack())
     assert volume.dtype.isnative
     assert volume.attrs["voxel_um"] == [3, 1, 1]
 
 
-def test_imagej_without_spacing_is_missing_along_z(tmp_path: Path) -> None:
-    tifffile.imwrite(
-        tmp_path / "v.tif", stack(), imagej=True, resolution=(0.5, 0.5), metadata={"axes": "ZYX", "unit": "um"}
-    )
+def test_imagej_without_spacing_or_in_pixels_states_no_size(tmp_path: Path) -> None:
+    path = write_imagej(tmp_path / "v.tif", resolution=(0.5, 0.5), unit="um")
     with pytest.raises(SizeError, match=r"no voxel size along z: ImageJ metadata states y 2, x 2 um only .*exactly 1"):
-        read_volume(tmp_path / "v.tif")
-    assert read_volume(tmp_path / "v.tif", voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
-
-
-def test_imagej_pixels_are_no_size(tmp_path: Path) -> None:
-    tifffile.imwrite(
-        tmp_path / "v.tif",
-        stack(),
-        imagej=True,
-        resolution=(1, 1),
-        metadata={"axes": "ZYX", "unit": "pixel", "spacing": 1},
-    )
+        read_volume(path)
+    assert read_volume(path, voxel_um=(1, 2, 2)).attrs["voxel_um"] == [1, 2, 2]
+    write_imagej(path, unit="pixel", spacing=1)
     with pytest.raises(SizeError, match=r"states no voxel size \(ImageJ metadata: 'pixel' is no unit of length\)"):
-        read_volume(tmp_path / "v.tif")
+        read_volume(path)
 
 
 @pytest.mark.parametrize(("unit", "um"), [("µm", 1), ("nm", 1e-3), ("mm", 1e3), ("cm", 1e4), (None, 1)])
@@ -244,10 +214,8 @@ def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
     meta = {"axes": "ZYX", "PhysicalSizeX": 2.0, "PhysicalSizeY": 2.0, "PhysicalSizeZ": 2.0}
     path = tmp_path / "v.ome.tif"
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(2500, 2500), resolutionunit="CENTIMETER")
-    with pytest.raises(
-        SizeError, match=r"contradicts itself: OME metadata .* x 2 um and the TIFF resolution .* x 4 um"
-    ):
-        read_volume(path)
+    words = r"contradicts itself: OME metadata .* x 2 um and the TIFF resolution .* x 4 um"
+    refused(SizeError, words, read_volume, path)
     assert read_volume(path, voxel_um=2, override_size=True).attrs["voxel_um"] == [2, 2, 2]
     tifffile.imwrite(path, stack(), ome=True, metadata=meta, resolution=(5000, 5000), resolutionunit="CENTIMETER")
     assert read_volume(path).attrs["voxel_um_source"] == "OME metadata and the TIFF resolution"
@@ -256,81 +224,57 @@ def test_ome_against_the_resolution_tags_is_an_error(tmp_path: Path) -> None:
 def test_resolution_tags_speak_about_x_and_y_only(tmp_path: Path) -> None:
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(2540, 1270), resolutionunit="INCH")
-    with pytest.raises(
-        SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give it"
-    ):
+    with pytest.raises(SizeError, match=r"no voxel size along z: the TIFF resolution states y 20, x 10 um only\. Give"):
         read_volume(path)
     assert read_volume(path, voxel_um=(5, 20, 10)).attrs["voxel_um"] == [5, 20, 10]
-    with pytest.raises(SizeError, match="override_size=True"):
-        read_volume(path, voxel_um=5)
+    refused(SizeError, "override_size=True", read_volume, path, voxel_um=5)
 
 
 @pytest.mark.parametrize("dpi", [1, 72, 96])
 def test_default_resolutions_are_no_size(tmp_path: Path, dpi: int) -> None:
     path = tmp_path / "v.tif"
     tifffile.imwrite(path, stack(), photometric="minisblack", resolution=(dpi, dpi), resolutionunit="INCH")
-    with pytest.raises(SizeError, match="states no voxel size "):
-        read_volume(path)
+    refused(SizeError, "states no voxel size ", read_volume, path)
     assert read_volume(path, voxel_um=5).attrs["voxel_um_source"] == "given"
 
 
-def test_singleton_axes_are_dropped(tmp_path: Path) -> None:
-    tifffile.imwrite(tmp_path / "v.tif", stack()[None, :, None], imagej=True, metadata={"axes": "TZCYX"})
-    np.testing.assert_array_equal(read_volume(tmp_path / "v.tif", voxel_um=1).values, stack())
+@pytest.mark.parametrize(
+    ("values", "options", "words"),
+    [
+        (stack(shape=(7, 9)), {}, "has one page, not a stack: 7 x 9"),
+        (stack(shape=(5, 2, 7, 9)), {"imagej": True, "metadata": {"axes": "ZCYX"}}, "has 2 channels: 5 x 2 x 7 x 9"),
+        (stack(shape=(4, 5, 7, 9)), {"imagej": True, "metadata": {"axes": "TZYX"}}, "has 4 time points: 4 x 5 x 7 x 9"),
+        (stack(), {"imagej": True, "metadata": {"axes": "CYX"}}, "has 5 channels.*If these are"),
+        (stack("uint8", (5, 7, 9, 3)), {"photometric": "minisblack", "planarconfig": "contig"}, "has 3 colour samples"),
+        (stack().astype("complex64"), {"photometric": "minisblack"}, "complex64 values"),
+        (stack() > 5, {"photometric": "minisblack"}, "black and white only"),
+    ],
+)
+def test_what_is_not_one_grey_volume_is_refused(tmp_path: Path, values: Any, options: Any, words: str) -> None:
+    tifffile.imwrite(tmp_path / "v.tif", values, **options)
+    refused(VolumeError, rf"^v\.tif .*{words}", read_volume, tmp_path / "v.tif", voxel_um=1)
 
 
-def write_two_sizes(path: Path) -> None:
-    with tifffile.TiffWriter(path) as tif:
+def test_pages_of_two_sizes_are_no_volume(tmp_path: Path) -> None:
+    with tifffile.TiffWriter(tmp_path / "v.tif") as tif:
         tif.write(stack(), photometric="minisblack")
         tif.write(stack(shape=(4, 6, 6)), photometric="minisblack")
-
-
-@pytest.mark.parametrize(
-    ("write", "words"),
-    [
-        (lambda p: tifffile.imwrite(p, stack(shape=(7, 9))), "has one page, not a stack: 7 x 9"),
-        (
-            lambda p: tifffile.imwrite(p, stack(shape=(5, 2, 7, 9)), imagej=True, metadata={"axes": "ZCYX"}),
-            "has 2 channels: 5 x 2 x 7 x 9",
-        ),
-        (
-            lambda p: tifffile.imwrite(p, stack(shape=(4, 5, 7, 9)), imagej=True, metadata={"axes": "TZYX"}),
-            "has 4 time points: 4 x 5 x 7 x 9",
-        ),
-        (lambda p: tifffile.imwrite(p, stack(), imagej=True, metadata={"axes": "CYX"}), "has 5 channels.*If these are"),
-        (
-            lambda p: tifffile.imwrite(
-                p, stack("uint8", (5, 7, 9, 3)), photometric="minisblack", planarconfig="contig"
-            ),
-            "has 3 colour samples",
-        ),
-        (lambda p: tifffile.imwrite(p, stack().astype("complex64"), photometric="minisblack"), "complex64 values"),
-        (lambda p: tifffile.imwrite(p, stack() > 5, photometric="minisblack"), "black and white only"),
-        (write_two_sizes, r"2 different images: 5 x 7 x 9 .* from page 1 on, 4 x 6 x 6 .* at page 6"),
-    ],
-)  # fmt: skip
-def test_what_is_not_one_grey_volume_is_refused(tmp_path: Path, write: Any, words: str) -> None:
-    write(tmp_path / "v.tif")
-    with pytest.raises(VolumeError, match=rf"^v\.tif .*{words}"):
+    with pytest.raises(
+        VolumeError, match=r"^v\.tif .*2 different images: 5 x 7 x 9 .* from page 1 on, 4 x 6 x 6 .* at"
+    ):
         read_volume(tmp_path / "v.tif", voxel_um=1)
 
 
-def test_pages_of_another_file_are_not_filled_up(tmp_path: Path) -> None:
+def test_incomplete_missing_and_empty_files_are_refused(tmp_path: Path) -> None:
     path = tmp_path / "v.ome.tif"
     tifffile.imwrite(path, stack(), ome=True, metadata={"axes": "ZYX"})
-    path.write_bytes(
-        path.read_bytes().replace(b'SizeZ="5"', b'SizeZ="9"').replace(b'PlaneCount="5"', b'PlaneCount="9"')
-    )
+    data = path.read_bytes().replace(b'SizeZ="5"', b'SizeZ="9"').replace(b'PlaneCount="5"', b'PlaneCount="9"')
+    path.write_bytes(data)
     with pytest.raises(FileError):
         read_volume(path, voxel_um=1)
-
-
-def test_what_is_not_there_or_empty_is_refused(tmp_path: Path) -> None:
-    with pytest.raises(FileError, match=r"^v\.tif does not exist"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(FileError, r"^v\.tif does not exist", read_volume, tmp_path / "v.tif", voxel_um=1)
     (tmp_path / "v.tif").touch()
-    with pytest.raises(FileError, match=r"^v\.tif is empty"):
-        read_volume(tmp_path / "v.tif", voxel_um=1)
+    refused(FileError, r"^v\.tif is empty", read_volume, tmp_path / "v.tif", voxel_um=1)
     (tmp_path / "v.tif").write_text("version https://git-lfs.github.com/spec/v1")
     with pytest.raises(FileError, match=r"^v\.tif is no TIFF, PNG, JPEG or BMP file"):
         read_volume(tmp_path / "v.tif", voxel_um=1)

@@ -21,6 +21,11 @@ def bigwarp_3d(z=(40.0, 41.0, 42.5, 39.0), target_z=0.0) -> str:
     return "".join(f'"{n}","true","{a[0]}","{a[1]}","{c}","{b[0]}","{b[1]}","{target_z}"\n' for n, a, c, b in rows)
 
 
+PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
+    f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
+)
+
+
 def bigwarp_json() -> str:
     inner = {
         "type": "BigWarpLandmarks", "numDimensions": 2, "movingPoints": MOVING.tolist(), "fixedPoints": FIXED.tolist(),

@@ -1,7 +1,5 @@
 """Images of holes whose outlines are known: a test's own generator, independent of the package."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Planned patterns: rules kept, codes unique, the same each time, and reasons where nothing fits."""
 
-from __future__ import annotations
-
 from itertools import combinations
 
 import numpy as np
@@ -155,10 +153,8 @@ def test_the_table_as_imaged_is_no_mirror_image_of_an_image():
     assert np.all(seen < pattern.view_um)
     # y down is the camera's way to write the same sheet: hole 1 stands at the lower left in both
     assert stage[0][1] < pattern.view_um[1] / 2 < seen[0][1]
-    np.testing.assert_allclose(
-        Similarity(mirrored=True, rotation_rad=np.pi)(stage - pattern.origin_um),
-        seen - np.array([0, pattern.view_um[1]]),
-    )
+    turned = Similarity(mirrored=True, rotation_rad=np.pi)(stage - pattern.origin_um)
+    np.testing.assert_allclose(turned, seen - np.array([0, pattern.view_um[1]]))
 
 
 def test_the_matching_recognises_what_crops_leave():

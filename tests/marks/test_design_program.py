@@ -1,7 +1,5 @@
 """Stage programs: what the dry run reads is what was designed, and what is not safe is refused."""
 
-from __future__ import annotations
-
 from itertools import permutations
 
 import numpy as np
@@ -62,18 +60,12 @@ def test_any_positions_come_back(points):
     np.testing.assert_allclose(fired_in_order(run, own), held, atol=0.0005 + 1e-9)
 
 
-def test_times_of_the_pattern_are_those_of_the_program(pattern):
+def test_the_program_has_the_times_of_its_pattern_and_its_title_ends_no_comment(pattern):
     slow = pattern.model_copy(update={"pulse_s": 0.0123, "pause_s": 0.0})
     run = dry_run(stage_program(slow))
     np.testing.assert_allclose(run.pulse_s, 0.0123)
     assert "G4 P0.1" not in stage_program(slow)
-
-
-def test_the_same_pattern_gives_the_same_program(pattern):
     assert stage_program(pattern) == stage_program(pattern)
-
-
-def test_the_title_cannot_end_the_comment(pattern):
     nasty = pattern.model_copy(update={"name": "A\nG0 X99 Y99\r\nM3 µ"})
     assert dry_run(stage_program(nasty)).sentence() == dry_run(stage_program(pattern)).sentence()
     assert stage_program(nasty).isascii()
@@ -123,34 +115,26 @@ def test_broken_programs_are_refused(change, word):
     assert str(refusal.value)[0].isupper()
 
 
-def test_a_refusal_names_the_line():
+def test_a_refusal_names_the_line_and_the_range_of_the_stage_is_kept(pattern):
     with pytest.raises(MarkError, match=r"Line 6 of the program \('G4 P5'\)"):
         dry_run("\n".join(SAFE).replace("P0.005", "P5"))
+    limits = StageParams(range_um=(0.0, 0.0, 9_000.0, 9_000.0))
+    with pytest.raises(MarkError, match="out of the stage's range"):
+        dry_run(stage_program(pattern), limits)
+    for stage, word in (({"speed_mm_min": 0.0}, "speed"), ({"pulse_code": "m64", "power": 3.0}, "power")):
+        with pytest.raises(ValidationError, match=word):
+            StageParams(**stage)
 
 
 def test_what_other_programs_write_too():
     """Comments in brackets, line numbers, lower case, modal moves, G1, M30, a tape's percent sign."""
     text = (
-        "%\n(a (program)\nN10 g21 g90\nN20 F600\ng1 x1.0 y1\nm3 s500\ng4p.005\nm5\ng1 x2\ny3\nm3\ng4 p0.005\nm5\nm30\n%"
+        "%\n(a program)\nN10 g21 g90\nN20 F600\ng1 x1.0 y1\nm3 s500\ng4p.005\nm5\ng1 x2\ny3\nm3\ng4 p0.005\nm5\nm30\n%"
     )
-    text = text.replace("(a (program)", "(a program)")
     run = dry_run(text)
     np.testing.assert_allclose(run.fired_um, [[1000, 1000], [2000, 3000]])
-    assert run.length_um == pytest.approx(3000)
-    assert run.time_s == pytest.approx(3 / 10 + 0.01)
+    assert (run.length_um, run.time_s) == (pytest.approx(3000), pytest.approx(3 / 10 + 0.01))
     assert run.least_pause_s == pytest.approx(0.3)
-
-
-def test_the_stage_has_its_own_range(pattern):
-    limits = StageParams(range_um=(0.0, 0.0, 9_000.0, 9_000.0))
-    with pytest.raises(MarkError, match="out of the stage's range"):
-        dry_run(stage_program(pattern), limits)
-
-
-def test_speed_and_power_are_checked():
-    for stage, word in (({"speed_mm_min": 0.0}, "speed"), ({"pulse_code": "m64", "power": 3.0}, "power")):
-        with pytest.raises(ValidationError, match=word):
-            StageParams(**stage)
 
 
 def path_um(points, order, start):

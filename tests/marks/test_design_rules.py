@@ -1,7 +1,5 @@
 """The rules of hole patterns: each can fail, and what is symmetric is always refused."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -34,13 +32,16 @@ def moved(pattern, points):
     return pattern.with_holes(np.asarray(points), ("own",) * len(points))
 
 
-def test_a_good_pattern_breaks_no_rule(good):
+def test_a_good_pattern_breaks_no_rule_and_few_close_or_marking_holes_do(good):
     assert broken(good) == set()
-
-
-def test_count(good):
     assert "count" in broken(moved(good, good.points_um[:11]))
     assert "count" not in broken(moved(good, good.points_um[:12]))
+    points = good.points_um.copy()
+    points[5] = points[4] + [0, 3 * good.diameter_um - 1]
+    assert "spacing" in broken(moved(good, points))
+    assert "spacing" in broken(good.model_copy(update={"spacing_um": 2000.0}))  # asked for more than three diameters
+    corner = np.array(good.frame_low_um)
+    assert "marker" in broken(moved(good, [*good.points_um, corner]))
 
 
 def test_around(good):
@@ -55,23 +56,13 @@ def test_around(good):
         assert ("around" in broken(moved(good, points))) == refused
 
 
-def test_radius(good):
+def test_radius_and_area(good):
     # the same holes around a field with a diagonal of which their rms radius is exactly 0.4
     radius = np.sqrt(np.mean(np.sum((good.points_um - good.points_um.mean(axis=0)) ** 2, axis=1)))
     side = radius / 0.4 / np.sqrt(2)
     for factor, passed in ((0.999, True), (1.001, False)):
         rules = simple_rules(good.model_copy(update={"field_um": (factor * side, factor * side)}))
         assert next(rule.passed for rule in rules if rule.name == "radius") == passed
-
-
-def test_spacing(good):
-    points = good.points_um.copy()
-    points[5] = points[4] + [0, 3 * good.diameter_um - 1]
-    assert "spacing" in broken(moved(good, points))
-    assert "spacing" in broken(good.model_copy(update={"spacing_um": 2000.0}))  # asked for more than three diameters
-
-
-def test_area(good):
     # holes of 175 um with rims of 40 um, pi / 4 * 255^2 um2 each; the view of which that is 3 %
     side = np.sqrt(len(good.holes) * np.pi / 4 * 255**2 / 0.03)
     around = 2 * (good.margin_um[0] + good.border_um)
@@ -79,11 +70,6 @@ def test_area(good):
         field = factor * side - around
         rules = simple_rules(good.model_copy(update={"field_um": (field, field)}))
         assert next(rule.passed for rule in rules if rule.name == "area") == passed
-
-
-def test_marker(good):
-    corner = np.array(good.frame_low_um)
-    assert "marker" in broken(moved(good, [*good.points_um, corner]))
 
 
 def test_crop_against_windows_drawn_at_random(good):
@@ -114,9 +100,8 @@ def symmetric(rng, kind):
         points = np.concatenate([points @ turn.T for turn in turns])
     else:
         way = rng.uniform(0, 2, half)  # along two neighbouring sides
-        points = size * np.where(
-            way[:, None] < 1, np.stack([2 * way - 1, -np.ones(half)], 1), np.stack([np.ones(half), 2 * way - 3], 1)
-        )
+        near, far = np.stack([2 * way - 1, -np.ones(half)], 1), np.stack([np.ones(half), 2 * way - 3], 1)
+        points = size * np.where(way[:, None] < 1, near, far)
         flip = {"half": [-1, -1], "left-right": [-1, 1], "up-down": [1, -1]}[kind]
         points = np.concatenate([points, points * flip])
     return points + rng.normal(0, 4, points.shape)
@@ -136,16 +121,13 @@ def test_symmetric_patterns_are_always_refused(kind, seeds):
         assert rule in values[rule].sentence()
 
 
-def test_symmetry_of_most_holes_is_enough_to_be_refused():
+def test_symmetry_of_most_holes_and_a_line_of_even_pitch_are_refused():
     """Half of the holes turned by 180 degrees: two thirds meet a hole; a sixth may be anywhere."""
     rng = np.random.default_rng(0)
     points = symmetric(rng, "half")
     own = own_pattern(np.concatenate([points, rng.uniform(-7000, 7000, (len(points) // 3, 2))]))
     assert "half turn" in broken(own)
-
-
-def test_a_line_of_even_pitch_is_refused():
-    """Shifted by one pitch, all holes but the ends meet holes; any four look like any other four."""
+    # Shifted by one pitch, all holes but the ends meet holes; any four look like any other four.
     x = 700.0 * np.arange(27)
     points = np.concatenate([np.stack([x, 0 * x], 1), np.stack([x[1:], 0 * x[1:] + 15_000], 1)])
     found = broken(own_pattern(points))
@@ -155,9 +137,7 @@ def test_a_line_of_even_pitch_is_refused():
 def test_code_misfit_by_hand():
     """Two lines of four, of which one pitch differs by 60 um; what runs round the corners differs more."""
     a = np.cumsum([0.0, 1000, 1400, 2100])
-    b = np.cumsum(
-        [0.0, 3000, 2100, 1400, 1060]
-    )  # runs the other way round the field, so in order it is 1060, 1400, 2100
+    b = np.cumsum([0.0, 3000, 2100, 1400, 1060])  # runs the other way round the field: in order 1060, 1400, 2100
     points = np.concatenate([np.stack([a, 0 * a], 1), np.stack([b + 3300, 0 * b + 9000], 1)])
     # with turn, shift and scale free, the misfit of (0, 1000, 2400, 4500) and (0, 1060, 2460, 4560)
     one, two = a - a.mean(), np.cumsum([0.0, 1060, 1400, 2100])
@@ -181,7 +161,7 @@ def test_the_search_does_not_depend_on_where_the_pattern_lies(good, turn, shift,
         assert abs(here.best_count(kind) - there.best_count(kind)) <= 1
 
 
-def test_table_and_tree_find_the_same_holes(good):
+def test_table_and_tree_give_the_same_holes_in_the_order_of_the_design(good):
     index = _HoleIndex(good.points_um)
     assert index.table is not None
     rng = np.random.default_rng(2)
@@ -190,9 +170,6 @@ def test_table_and_tree_find_the_same_holes(good):
     fast = index.holes_at(z[:, None])
     index.table = None
     np.testing.assert_array_equal(fast, index.holes_at(z[:, None]))
-
-
-def test_order_around_is_that_of_the_design(good):
     np.testing.assert_array_equal(perimeter_order(good.points_um), np.arange(len(good.holes)))
 
 

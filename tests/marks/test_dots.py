@@ -1,7 +1,5 @@
 """The dots of a print are taken off, and holes, with which they touch, stay where they are."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -40,9 +38,8 @@ def test_dots_become_paper_and_nothing_else_changes():
     y, x = np.mgrid[: image.shape[0], : image.shape[1]] * PIXEL
     inside = np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) < HOLE / 2 - 10
     assert np.array_equal(out[inside], image[inside])
-    far = (
-        np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) > HOLE / 2 + DOT
-    )  # in which a dot may lie that a hole cuts
+    # A hole may cut a dot.
+    far = np.min([np.hypot(x - a, y - b) for a, b in CENTRES], axis=0) > HOLE / 2 + DOT
     far[:30], far[-30:], far[:, :30], far[:, -30:] = False, False, False, False  # a dot that the border cuts may stay
     assert out[far].min() > 0.75
     paper = image > 0.79

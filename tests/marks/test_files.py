@@ -16,6 +16,7 @@ from marks.files_by_hand import (
     LABELS,
     MOVING,
     MOVING_PIXEL,
+    PAIRS,
     bigwarp_2d,
     bigwarp_3d,
     bigwarp_json,
@@ -43,16 +44,6 @@ from planish.marks.files import (
 from planish.marks.files.formats import formats_table, module_of
 
 PIXELS = {"moving": LayerPixels(MOVING_PIXEL), "fixed": LayerPixels(FIXED_PIXEL)}
-
-
-@pytest.fixture
-def put(tmp_path):
-    def write(text, name="marks.txt"):
-        path = tmp_path / name
-        path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
-        return path
-
-    return write
 
 
 def points(marks, layer):
@@ -84,15 +75,18 @@ def mat_v5(moving, fixed, *, names=("movingPoints", "fixedPoints"), **how):
 
 
 # --- what other programs write
-
-
-def test_bigwarp(put):
+def test_bigwarp_of_two_images_and_of_a_volume(put):
     path = put(bigwarp_2d(), "landmarks.csv")
     marks = read_any(path)
     assert same(marks)
     assert marks.label.values.tolist() == LABELS
     assert marks.attrs["read_from"] == {"format": "bigwarp", "unit": "um", "stated": False}
     assert same(read_any(put(bigwarp_json(), "landmarks.json")))
+    marks = read_any(put(bigwarp_3d()))
+    assert layer_names(marks) == ["volume", "fixed"]
+    assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
+    assert set(used_pairs(read_any(put(bigwarp_3d())))) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
+    assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
 
 
 def test_bigwarp_points_that_are_off_or_not_set(put):
@@ -108,14 +102,6 @@ def test_bigwarp_points_that_are_off_or_not_set(put):
     assert set(pairs.variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
 
 
-def test_bigwarp_of_a_volume_and_an_image(put):
-    marks = read_any(put(bigwarp_3d()))
-    assert layer_names(marks) == ["volume", "fixed"]
-    assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
-    assert set(used_pairs(read_any(put(bigwarp_3d())))) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
-    assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
-
-
 def test_units_that_a_file_does_not_state(put):
     mm = bigwarp_2d()
     for side in (MOVING, FIXED):
@@ -127,12 +113,16 @@ def test_units_that_a_file_does_not_state(put):
     assert same(marks)
 
 
-def test_elastix(put):
+def test_elastix_and_results_of_imagej(put):
     a, b = put(elastix(MOVING / 1000), "mp.txt"), put(elastix(FIXED / 1000), "fp.txt")
     marks = read_any(a, b)
     assert same(marks)
     assert marks.attrs["read_from"] == {"format": "elastix", "unit": "mm", "stated": False}
     assert same(read_any(b, a, swap=True))
+    a, b = put(imagej(MOVING), "a.csv"), put(imagej(FIXED), "b.csv")
+    marks = read_any(a, b)
+    assert same(marks)
+    assert set(marks.moving_source.values) == {"clicked"}
 
 
 @pytest.mark.parametrize("word", ["index", None])
@@ -175,8 +165,7 @@ def test_matlab_counts_from_one(put, make):
     path = put(make(MOVING / MOVING_PIXEL + 1, FIXED / FIXED_PIXEL + 1), "points.mat")
     assert same(read_any(path, **PIXELS))
     first = read_any(put(make(np.ones((3, 2)) * [[1], [2], [3]], np.ones((3, 2)) * [[1], [2], [3]]), "p.mat"), **PIXELS)
-    assert points(first, "moving")[0].tolist() == [0.0, 0.0]
-    assert points(first, "fixed")[1].tolist() == [4.0, 4.0]
+    assert (points(first, "moving")[0].tolist(), points(first, "fixed")[1].tolist()) == ([0.0, 0.0], [4.0, 4.0])
 
 
 def test_matlab_of_another_machine(put):
@@ -187,33 +176,19 @@ def test_matlab_of_another_machine(put):
     assert same(read_any(put(data, "version4.mat"), **PIXELS))
 
 
-def test_imagej_results(put):
-    a, b = put(imagej(MOVING), "a.csv"), put(imagej(FIXED), "b.csv")
-    marks = read_any(a, b)
-    assert same(marks)
-    assert set(marks.moving_source.values) == {"clicked"}
-
-
-def test_the_two_tables_of_planish(put):
-    text = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
-        f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
-    )
-    path = put(text, "pairs.csv")
+def test_the_two_tables_of_planish_also_beside_a_file_of_another_program(put):
+    path = put(PAIRS, "pairs.csv")
     assert same(read_any(path))
     assert set(used_pairs(read_any(path)).variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
     holes = "label,x_um,y_um,diameter_um\nhole 1,1.5,2.5,150\nhole 2,3.5,4.5,\n"
     marks = read_any(put(holes, "holes.csv"))
-    assert layer_names(marks) == ["marks"]
-    assert holes_of(marks, "marks").diameter.values[0] == 150
+    assert (layer_names(marks), holes_of(marks, "marks").diameter.values[0]) == (["marks"], 150)
     assert same(read_any(put(bigwarp_2d().replace('"', ""), "no quotes.csv")))
-
-
-def test_one_file_of_each_kind_goes_with_one_of_another(put):
     holes = "label,x_um,y_um\n" + "".join(f"{n},{x},{y}\n" for n, (x, y) in zip(LABELS, FIXED.tolist(), strict=True))
     assert same(read_any(put(elastix(MOVING / 1000), "a"), put(holes, "holes.csv")))
 
 
-def test_the_formats_of_the_page_are_those_of_the_table():
+def test_the_page_has_the_formats_of_the_table_and_its_example_is_read(put):
     page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(encoding="utf-8")
     assert formats_table() in page
     for name, form in FORMATS.items():
@@ -221,11 +196,12 @@ def test_the_formats_of_the_page_are_those_of_the_table():
         assert callable(module.looks_like)
         assert hasattr(module, "write") == form.writable
         assert len([s for s in form.suffixes if target_of(f"a{s}") == name]) == len(form.suffixes)
+    marks = read_any(put(page.split("```json\n")[1].split("```")[0]))
+    assert marks.label.values.tolist() == ["hole 1", "hole 2"]
+    assert marks.attrs["layers"]["moving"]["size_px"] == {"x": 1200, "y": 1000}
 
 
 # --- planish's own format
-
-
 def test_own_json_holds_everything(put, tmp_path):
     marks = read_any(put(native(), "marks.json"))
     assert marks.label.values.tolist() == ["A", "B", "C, ü"]
@@ -244,14 +220,7 @@ def test_own_json_holds_everything(put, tmp_path):
     assert third.read_bytes() == copy.read_bytes()
 
 
-def test_the_example_of_the_page(put):
-    page = (Path(__file__).resolve().parents[2] / "docs" / "marks-files.md").read_text(encoding="utf-8")
-    marks = read_any(put(page.split("```json\n")[1].split("```")[0]))
-    assert marks.label.values.tolist() == ["hole 1", "hole 2"]
-    assert marks.attrs["layers"]["moving"]["size_px"] == {"x": 1200, "y": 1000}
-
-
-def test_holes_of_one_layer_and_marks_of_three(tmp_path):
+def test_holes_of_one_layer_marks_of_three_and_marks_of_a_run_come_back(tmp_path):
     holes = xr.Dataset({k: ("mark", [v, v + 200.0]) for k, v in (("x", 100.1), ("y", 200.2), ("diameter", 150.0))})
     holes["cov_xx"], holes["cov_yy"], holes["cov_xy"] = (("mark", [v, v]) for v in (4.0, 5.0, -1.0))
     one = marks_of_holes(holes, layer="image", about={"side": "top"})
@@ -267,9 +236,6 @@ def test_holes_of_one_layer_and_marks_of_three(tmp_path):
     assert layer_names(read_any(path)) == ["map", "unprinted", "printed"]
     pairs = used_pairs(read_any(path), moving="map", fixed="printed", least=2)
     assert pairs.moving_y.values.tolist() == [2.0, 6.5]
-
-
-def test_marks_of_a_run_can_be_written(tmp_path):
     names = ("moving_x", "moving_y", "fixed_x", "fixed_y", "residual_x", "residual_y", "residual", "leave_one_out")
     values = np.random.default_rng(1).uniform(0, 1000, (8, 4))
     run = xr.Dataset({name: ("mark", column) for name, column in zip(names, values, strict=True)})
@@ -280,8 +246,6 @@ def test_marks_of_a_run_can_be_written(tmp_path):
 
 
 # --- there and back
-
-
 def some_marks(flat=True, origin=(0.0, 0.0)):
     rng = np.random.default_rng(5)
     moving, fixed = rng.uniform(-500, 20000, (9, 2 if flat else 3)), rng.uniform(0, 20000, (9, 2))
@@ -291,9 +255,8 @@ def some_marks(flat=True, origin=(0.0, 0.0)):
     }
     side = "moving" if flat else "volume"
     about[side] = about.pop("moving")
-    return make_marks(
-        [f"hole {k}" for k in range(9)], {side: Places(um=moving), "fixed": Places(um=fixed)}, about=about
-    )
+    places = {side: Places(um=moving), "fixed": Places(um=fixed)}
+    return make_marks([f"hole {k}" for k in range(9)], places, about=about)
 
 
 BACK = {"moving": LayerPixels((2.7, 2.5), (-350.5, 20.25)), "fixed": LayerPixels((4.1, 4.0))}

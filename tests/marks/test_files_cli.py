@@ -13,54 +13,39 @@ from planish.marks.files import LayerPixels, Places, make_marks, read_any, write
 from planish.pipeline.registration import read_given
 
 
-def test_convert_from_bigwarp_to_everything(planish, tmp_path):
-    source = tmp_path / "landmarks.csv"
+def test_convert_from_bigwarp_to_everything(passes, tmp_path):
+    source, marks = tmp_path / "landmarks.csv", tmp_path / "marks.json"
     source.write_text(bigwarp_2d())
-    code, out, err = planish("marks", "convert", source, tmp_path / "marks.json")
-    assert code == 0, err
+    out, err = passes("marks", "convert", source, marks)
     assert "marks.json: 4 marks (4 used) in moving, fixed" in out
     assert "BigWarp states no unit; the positions were taken as um (--unit)" in err
     sizes = ("--moving-pixel-um", "2.5", "--fixed-pixel-um", "4.0,4.0")
-    for name, to in (
-        ("a.mrk.json", None),
-        ("a.csv", None),
-        ("a.mat", None),
-        ("b.csv", "bigwarp"),
-        ("a.json", "slicer"),
-    ):
-        how = ("--to", to) if to else ()
-        code, _, err = planish("marks", "convert", tmp_path / "marks.json", tmp_path / name, *how, *sizes)
-        assert code == 0, err
+    for name, to in (("a.mrk.json", ()), ("a.csv", ()), ("a.mat", ()), ("b.csv", ["bigwarp"]), ("a.json", ["slicer"])):
+        passes("marks", "convert", marks, tmp_path / name, *(["--to"] if to else []), *to, *sizes)
         assert same(read_any(tmp_path / name, moving=LayerPixels(2.5), fixed=LayerPixels(4.0)))
-    code, out, err = planish("marks", "convert", tmp_path / "marks.json", tmp_path / "e.txt")
-    assert code == 0, err
+    out, err = passes("marks", "convert", marks, tmp_path / "e.txt")
     assert "e-moving.txt" in out
     assert "fixed to moving" in err
     both = (tmp_path / "e-moving.txt", tmp_path / "e-fixed.txt")
-    code, out, err = planish("marks", "convert", *both, tmp_path / "back.json", "--json")
-    assert code == 0, err
+    out, _ = passes("marks", "convert", *both, tmp_path / "back.json", "--json")
     assert json.loads(out)["read"] == {"format": "elastix", "unit": "mm", "stated": False}
     assert same(read_any(tmp_path / "back.json"))
 
 
-def test_convert_asks_for_what_it_needs(planish, tmp_path):
-    (tmp_path / "m.mat").write_bytes(mat_v5(MOVING, FIXED))
-    code, _, err = planish("marks", "convert", tmp_path / "m.mat", tmp_path / "m.json")
-    assert code == 3
-    assert "--moving-pixel-um" in err
-    assert not (tmp_path / "m.json").exists()
-    code, _, err = planish("marks", "convert", tmp_path / "m.mat", tmp_path / "m.json", "--moving-pixel-um", "2;3")
-    assert (code, "SIZE|Y,X|Z,Y,X" in err) == (2, True)
-    code, _, err = planish("marks", "convert", tmp_path / "m.mat")
-    assert (code, "IN and OUT" in err) == (2, True)
+def test_convert_asks_for_what_it_needs(passes, refuses, tmp_path):
+    mat, marks = tmp_path / "m.mat", tmp_path / "m.json"
+    mat.write_bytes(mat_v5(MOVING, FIXED))
+    refuses("marks", "convert", mat, marks, words="--moving-pixel-um", out=False)
+    wrong = ("--moving-pixel-um", "2;3")
+    refuses("marks", "convert", mat, marks, *wrong, words="SIZE|Y,X|Z,Y,X", code=2, out=False)
+    refuses("marks", "convert", mat, words="IN and OUT", code=2, out=False)
     (tmp_path / "fp.txt").write_text(elastix(FIXED))
     origin = ("--moving-origin-um", "-350,20", "--moving-pixel-um", "1", "--fixed-pixel-um", "1")
-    assert planish("marks", "convert", tmp_path / "m.mat", tmp_path / "m.json", *origin)[0] == 0
-    code, _, err = planish("marks", "convert", tmp_path / "m.json", tmp_path / "out.csv", "--to", "bigwarp")
-    assert code == 0
+    passes("marks", "convert", mat, marks, *origin)
+    bigwarp = ("marks", "convert", marks, tmp_path / "out.csv", "--to", "bigwarp")
+    _, err = passes(*bigwarp)
     assert "moving: positions count from its first pixel, at -350,20 um" in err
-    code, _, err = planish("marks", "convert", tmp_path / "m.json", tmp_path / "out.csv", "--to", "bigwarp")
-    assert (code, "already there" in err) == (3, True)
+    refuses(*bigwarp, words="already there", out=False)
 
 
 def read_by_link(path):
@@ -80,13 +65,10 @@ def some_pairs(fixed):
     return make_marks(list("abcd"), {"moving": Places(um=POINTS), "fixed": Places(um=fixed)})
 
 
-def test_a_link_takes_marks_of_other_programs(tmp_path):
+def test_a_link_takes_marks_of_other_programs_and_refuses_what_it_cannot_use(tmp_path):
     for to in ("json", "csv", "bigwarp", "slicer"):
         (path,) = write_any(some_pairs(POINTS + 3.3), tmp_path / f"marks-{to}", to=to)
         assert "the marks were read" in read_by_link(path)
-
-
-def test_a_link_refuses_marks_that_it_cannot_use(tmp_path):
     # The image has pixels of 5 um.
     (path,) = write_any(some_pairs(np.round(POINTS / 5)), tmp_path / "pixels.csv")
     assert "look like pixels" in read_by_link(path)

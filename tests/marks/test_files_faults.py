@@ -5,10 +5,11 @@ import json
 import numpy as np
 import pytest
 
+from folders import refused
 from marks.files_by_hand import (
     FIXED,
-    LABELS,
     MOVING,
+    PAIRS,
     bigwarp_2d,
     bigwarp_3d,
     bigwarp_json,
@@ -21,20 +22,6 @@ from marks.files_by_hand import (
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
 from planish.marks.files import LayerPixels, Places, make_marks, read_any, used_pairs, write_any
-
-PAIRS = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n" + "".join(
-    f"{n},{a[0]},{a[1]},{b[0]},{b[1]}\n" for n, a, b in zip(LABELS, MOVING.tolist(), FIXED.tolist(), strict=True)
-)
-
-
-@pytest.fixture
-def put(tmp_path):
-    def write(text, name="marks.txt"):
-        path = tmp_path / name
-        path.write_bytes(text if isinstance(text, bytes) else text.encode("utf-8"))
-        return path
-
-    return write
 
 
 def lines_with(text, k, new):
@@ -164,17 +151,11 @@ def test_matlab_files_that_are_wrong(put, data, error, message):
         read_any(put(data, "points.mat"), moving=LayerPixels(1.0), fixed=LayerPixels(1.0))
 
 
-def test_files_that_are_not_there(tmp_path):
-    with pytest.raises(FileError, match=r"none\.csv cannot be read"):
-        read_any(tmp_path / "none.csv")
-    with pytest.raises(FileError, match="is no file"):
-        read_any(tmp_path)
-
-
-def test_two_files_that_do_not_go_together(put):
+def test_files_that_are_missing_or_do_not_go_together(tmp_path, put):
+    refused(FileError, r"none\.csv cannot be read", read_any, tmp_path / "none.csv")
+    refused(FileError, "is no file", read_any, tmp_path)
     a, b = put(elastix(MOVING / 1000), "mp.txt"), put(elastix(FIXED[:3] / 1000), "fp.txt")
-    with pytest.raises(MarkError, match=r"4 moving points \(mp.txt\) and 3 fixed points \(fp.txt\).*same number"):
-        read_any(a, b)
+    refused(MarkError, r"4 moving points \(mp.txt\) and 3 fixed points \(fp.txt\).*same number", read_any, a, b)
     with pytest.raises(MarkError, match=r"holds 2 lists of points already"):
         read_any(put(bigwarp_2d(), "b.csv"), a)
     with pytest.raises(MarkError, match=r"already holds the layers moving, fixed"):
@@ -185,8 +166,7 @@ def test_two_files_that_do_not_go_together(put):
 
 def test_units_and_sizes_that_contradict(put):
     path = put(slicer(slicer_list(MOVING / 1000, "a"), slicer_list(FIXED / 1000, "b")))
-    with pytest.raises(SizeError, match="states its unit, mm, and unit= says um"):
-        read_any(path, unit="um")
+    refused(SizeError, "states its unit, mm, and unit= says um", read_any, path, unit="um")
     for wrong in (0, -1, np.nan, (1, 2, 3, 4), ()):
         with pytest.raises(SizeError, match="fixed_pixel_um="):
             read_any(path, fixed=LayerPixels(wrong))
@@ -204,10 +184,8 @@ def test_too_few_marks(put):
     with pytest.raises(MarkError, match=r"holds 3 marks, of which 1 are used and lie in both .*\. At least 3"):
         used_pairs(read_any(put(native())))
     three = make_marks(["a"], dict.fromkeys("klm", Places(um=np.array([[1.0, 2.0]]))))
-    with pytest.raises(MarkError, match="3 layers: k, l, m"):
-        used_pairs(three)
-    with pytest.raises(MarkError, match="no layer 'n'; they have k, l, m"):
-        used_pairs(three, moving="n", fixed="k")
+    refused(MarkError, "3 layers: k, l, m", used_pairs, three)
+    refused(MarkError, "no layer 'n'; they have k, l, m", used_pairs, three, moving="n", fixed="k")
 
 
 # --- marks against their layer
@@ -230,8 +208,7 @@ def pairs_text(fixed):
 ])  # fmt: skip
 def test_marks_that_cannot_lie_in_their_image(put, fixed, message):
     path = put(pairs_text(fixed))
-    with pytest.raises(MarkError, match=message):
-        read_any(path, **LAYER)
+    refused(MarkError, message, read_any, path, **LAYER)
     assert read_any(path, unit="um", **LAYER).sizes["mark"] == len(fixed)  # the last word is the caller's
     assert read_any(path).sizes["mark"] == len(fixed)  # nothing is known of the layer
 
@@ -246,7 +223,7 @@ def test_marks_that_are_um(put, fixed):
     assert read_any(put(pairs_text(fixed)), **LAYER).sizes["mark"] == len(fixed)
 
 
-def test_the_remedy_is_one_that_the_file_allows(put):
+def test_the_remedy_for_pixels_is_one_that_the_file_allows(put):
     pixels = np.array([[160, 200], [1500.5, 130], [900, 1150]])
     rows = [f'"{k}","true","{k}.5","{k * k}.5","{x}","{y}"' for k, (x, y) in enumerate(pixels.tolist())]
     with pytest.raises(MarkError, match="Convert them by planish marks convert --unit pixel"):
@@ -255,9 +232,6 @@ def test_the_remedy_is_one_that_the_file_allows(put):
         read_any(put(pairs_text(pixels)), **LAYER)
     marks = read_any(put("\n".join(rows)), unit="pixel", moving=LayerPixels(1.0), **LAYER)
     np.testing.assert_allclose(marks.fixed_x, pixels[:, 0] * 12.0, rtol=0, atol=1e-9)
-
-
-def test_a_layer_of_fine_pixels(put):
     pixels = np.array([[100, 50], [19000, 700], [6000, 14500]])
     with pytest.raises(MarkError, match="look like pixels"):
         read_any(put(pairs_text(pixels)), fixed=LayerPixels(0.5, shape=(15000, 20000)))
@@ -265,8 +239,6 @@ def test_a_layer_of_fine_pixels(put):
 
 
 # --- writing
-
-
 def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
     marks = read_any(put(bigwarp_2d()))
     for to in ("json", "csv", "bigwarp", "slicer", "elastix", "matlab"):
@@ -279,16 +251,13 @@ def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
             write_any(marks, tmp_path / "no" / "folder", to=to, moving=LayerPixels(2.0), fixed=LayerPixels(2.0))
     with pytest.raises(SizeError, match=r"pixels, and the pixel size of the fixed layer.*--fixed-pixel-um"):
         write_any(marks, tmp_path / "x.mat", moving=LayerPixels(1.0))
-    with pytest.raises(SizeError, match="own unit"):
-        write_any(marks, tmp_path / "x.json", unit="mm")
-    with pytest.raises(FileError, match="does not tell its format"):
-        write_any(marks, tmp_path / "marks.dat")
+    refused(SizeError, "own unit", write_any, marks, tmp_path / "x.json", unit="mm")
+    refused(FileError, "does not tell its format", write_any, marks, tmp_path / "marks.dat")
     volume = read_any(put(bigwarp_3d()))
     with pytest.raises(MarkError, match="MATLAB's control points are flat"):
         write_any(volume, tmp_path / "x.mat", moving=LayerPixels(1.0), fixed=LayerPixels(1.0))
     off = marks.assign(used=("mark", [False] * 4))
-    with pytest.raises(MarkError, match="No mark is used"):
-        write_any(off, tmp_path / "x.txt")
+    refused(MarkError, "No mark is used", write_any, off, tmp_path / "x.txt")
     with pytest.raises(MarkError, match="name of a layer"):
         make_marks(["a"], {"My map": Places(um=np.zeros((1, 2)))})
 

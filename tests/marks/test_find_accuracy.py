@@ -75,15 +75,12 @@ def test_a_blot_without_char_is_no_hole():
     assert (score.false, score.missed) == (0, 0)
 
 
-def test_the_least_error_is_that_of_the_first_wave_of_a_rim():
+def test_the_stated_error_is_that_of_the_rim():
     rng = np.random.default_rng(0)
     angle = np.arange(720) * np.pi / 360
     rims = np.array([around(rng, 4.0, 30.0, np.pi * DIAMETER_UM) for _ in range(4000)])
     assert least_error() == pytest.approx(np.std(2 * np.mean(rims * np.cos(angle), axis=1)), rel=0.05)
-
-
-def test_smooth_rims_are_stated_as_smooth():
-    """Without roughness the stated error is a tenth of a pixel at most."""
+    # Without roughness the stated error is a tenth of a pixel at most.
     scene = make_scene(5, "plain", 35, bright=True, rough_um=0.0)
     found = find_holes(scene.image, pixel_um=scene.pixel)
     assert np.sqrt(np.mean(found.cov_xx.values)) < 0.1 * scene.pixel

@@ -16,9 +16,8 @@ DIAMETERS = {"02": (10.0, 24.0), "05": (6.5, 14.0)}
 def photograph(shared_data):
     """Return a function from the number of a target to its picture."""
     pillow = pytest.importorskip("PIL.Image")
-    return lambda name: np.asarray(
-        pillow.open(shared_data("dot_patterns") / f"dot_pattern_{name}.jpg").convert("L"), dtype=np.float32
-    )
+    folder = shared_data("dot_patterns")
+    return lambda name: np.asarray(pillow.open(folder / f"dot_pattern_{name}.jpg").convert("L"), dtype=np.float32)
 
 
 def dots(image, name):
@@ -113,11 +112,10 @@ def test_centres_stay_when_the_picture_is_turned_or_blurred(photograph, angle, b
     away, partner = KDTree(before).query(back)
     inside = np.hypot(*(before - middle[::-1]).T) < 0.45 * image.shape[0]
     same = (away < 2.0) & inside[partner]
-    print(
-        f"{angle} degrees, blur {blur}: {same.sum()} of {inside.sum()}, {np.sqrt(np.mean(away[same] ** 2) / 2):.3f} px"
-    )
+    rms = np.sqrt(np.mean(away[same] ** 2) / 2)
+    print(f"{angle} degrees, blur {blur}: {same.sum()} of {inside.sum()}, {rms:.3f} px")
     assert same.sum() >= 0.98 * inside.sum()
-    assert np.sqrt(np.mean(away[same] ** 2) / 2) < 0.1
+    assert rms < 0.1
 
 
 @pytest.mark.study
@@ -168,8 +166,6 @@ def test_uneven_light_hides_no_dots(photograph, name, part, light):
     # Dots that the plain photograph leaves out lie a pitch from the others.
     pitch = np.median(KDTree(before).query(before, k=2)[0][:, 1])
     on_lattice = np.abs(KDTree(before).query(other)[0] - pitch) < 0.1 * pitch if len(other) else np.empty(0, bool)
-    print(
-        f"target {name}, {light}: {len(same)} of {len(before)}, {len(other)} others, {on_lattice.sum()} on the lattice"
-    )
+    print(f"{name}, {light}: {len(same)} of {len(before)}, {len(other)} others, {on_lattice.sum()} on the lattice")
     assert len(same) >= 0.97 * len(before)
     assert on_lattice.all()

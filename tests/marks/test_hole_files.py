@@ -9,6 +9,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from folders import refused
 from marks.test_sheet_holes import CENTRES, PIXEL, dataset, layer_maps
 from planish.core.errors import FileError, MarkError
 from planish.marks import (
@@ -28,17 +29,21 @@ def found():
     return find_sheet_holes(dataset(*maps, layers_apart_um=52.0, layer_to_face=0.46))
 
 
-def test_holes_of_a_sheet_come_back_as_they_were(found, tmp_path):
+def test_holes_of_a_sheet_come_back_from_json_and_csv(found, tmp_path):
     write_holes(found, tmp_path / "holes.json")
     back = read_holes(tmp_path / "holes.json")
     xr.testing.assert_identical(back, found)
     assert {k: v.dtype for k, v in back.items()} == {k: v.dtype for k, v in found.items()}
-    assert list(back.variables) == list(found.variables)
-    assert hole_tilt(back) == hole_tilt(found)
+    assert (list(back.variables), hole_tilt(back)) == (list(found.variables), hole_tilt(found))
     assert np.isnan(back["x_bottom"].values).sum() == 1
     write_holes(back, tmp_path / "again.json")
     assert (tmp_path / "again.json").read_bytes() == (tmp_path / "holes.json").read_bytes()
     assert '"through": 5' in (tmp_path / "holes.json").read_text()
+    write_holes(found, tmp_path / "holes.csv")
+    assert (tmp_path / "holes.csv").read_text().startswith("label,x_um,y_um,diameter_um\nhole 1,")
+    back = read_holes(tmp_path / "holes.csv")
+    for name in ("x", "y", "diameter"):
+        np.testing.assert_array_equal(back[name], found[name])
 
 
 def test_holes_of_an_image_with_what_others_add(tmp_path):
@@ -61,18 +66,6 @@ def test_every_float_survives(values):
     assert np.isnan(back["x"].values[~known]).all()
 
 
-def test_the_table_to_read(found, tmp_path):
-    write_holes(found, tmp_path / "holes.csv")
-    assert (tmp_path / "holes.csv").read_text().startswith("label,x_um,y_um,diameter_um\nhole 1,")
-    back = read_holes(tmp_path / "holes.csv")
-    for name in ("x", "y", "diameter"):
-        np.testing.assert_array_equal(back[name], found[name])
-
-
-def with_part(found, **change):
-    return holes_to_json(found) | change
-
-
 @pytest.mark.parametrize(("change", "words"), [
     ({"format": "planish-marks"}, "no 'planish-holes'"),
     ({"version": 2}, "version 2.*Update planish"),
@@ -85,7 +78,7 @@ def with_part(found, **change):
 ])  # fmt: skip
 def test_a_malformed_file_is_refused(found, change, words):
     with pytest.raises(MarkError, match=words):
-        holes_from_json(with_part(found, **change), "holes.json")
+        holes_from_json(holes_to_json(found) | change, "holes.json")
     with pytest.raises(MarkError, match="variables: Field required"):
         holes_from_json({k: v for k, v in holes_to_json(found).items() if k != "variables"})
 
@@ -109,31 +102,21 @@ def test_a_malformed_file_is_refused(found, change, words):
 def test_a_malformed_variable_is_named(found, part, words):
     content = holes_to_json(found)
     content["variables"]["x"] = content["variables"]["x"] | part
-    with pytest.raises(MarkError, match=words):
-        holes_from_json(content)
+    refused(MarkError, words, holes_from_json, content)
 
 
 def test_what_has_no_place_in_the_file(found, tmp_path):
-    for wrong in (
-        found.assign_attrs(a=1j),
-        found.assign_attrs(a=[np.inf]),
-        found.assign(a=("mark", np.full(6, np.inf))),
-    ):
-        with pytest.raises(MarkError, match="cannot be written"):
-            holes_to_json(wrong)
+    infinite = np.full(6, np.inf)
+    for wrong in (found.assign_attrs(a=1j), found.assign_attrs(a=[np.inf]), found.assign(a=("mark", infinite))):
+        refused(MarkError, "cannot be written", holes_to_json, wrong)
     with pytest.raises(MarkError, match="two has dims"):
         holes_to_json(found.assign(two=(("mark", "k"), np.zeros((6, 2)))))
-    with pytest.raises(FileError, match=r"\.json keeps everything"):
-        write_holes(found, tmp_path / "holes.txt")
+    refused(FileError, r"\.json keeps everything", write_holes, found, tmp_path / "holes.txt")
     (tmp_path / "holes.json").write_text("{")
-    with pytest.raises(FileError, match="already there"):
-        write_holes(found, tmp_path / "holes.json")
-    with pytest.raises(FileError, match="damaged JSON"):
-        read_holes(tmp_path / "holes.json")
-    with pytest.raises(FileError, match="cannot be written"):
-        write_holes(found, tmp_path / "no" / "holes.json")
-    with pytest.raises(FileError, match="cannot be read"):
-        read_holes(tmp_path / "none.csv")
+    refused(FileError, "already there", write_holes, found, tmp_path / "holes.json")
+    refused(FileError, "damaged JSON", read_holes, tmp_path / "holes.json")
+    refused(FileError, "cannot be written", write_holes, found, tmp_path / "no" / "holes.json")
+    refused(FileError, "cannot be read", read_holes, tmp_path / "none.csv")
 
 
 @pytest.mark.parametrize(("text", "words"), [
@@ -142,8 +125,7 @@ def test_what_has_no_place_in_the_file(found, tmp_path):
 ])  # fmt: skip
 def test_faults_of_a_table(tmp_path, text, words):
     (tmp_path / "holes.csv").write_text(text)
-    with pytest.raises(MarkError, match=words):
-        read_holes(tmp_path / "holes.csv")
+    refused(MarkError, words, read_holes, tmp_path / "holes.csv")
 
 
 def test_the_example_of_the_page():

@@ -30,6 +30,7 @@ def test_nothing_is_counted_where_all_is_taken():
     assert (found.sizes["mark"], counted(found)) == (6, {})
     check = check_holes(found)
     assert (check.state, check.sentence) == ("pass", "6 holes found.")
+    assert holes_from_json(holes_to_json(found)).attrs["not_taken"] == found.attrs["not_taken"]
 
 
 def test_holes_of_another_size_are_counted():
@@ -64,11 +65,6 @@ def test_places_beyond_the_limit_of_an_area_are_a_look(monkeypatch):
     assert "3 holes found; seen and not taken:" in check.sentence
     assert "not measured" in check.sentence
     assert "--hole-um" in check.advice
-
-
-def test_counts_go_through_files():
-    found = find_holes(row_of_holes().image, pixel_um=2.6)
-    assert holes_from_json(holes_to_json(found)).attrs["not_taken"] == found.attrs["not_taken"]
 
 
 @pytest.mark.parametrize("shape", [(300, 400), (37, 500), (8, 9)])

@@ -92,7 +92,7 @@ def test_the_side_that_the_image_shows():
     assert moved["x"].attrs["units"] == "um"
 
 
-def test_holes_that_are_half_through_stay_and_are_counted():
+def test_holes_that_are_half_through_or_not_round_are_counted():
     depth = np.array([1.0, 0.5, 1.0, 0.5, 1.0, 1.0])
     maps = layer_maps(np.array([8.0, 0.0]), depth=depth)
     found = find_sheet_holes(dataset(*maps))
@@ -106,11 +106,7 @@ def test_holes_that_are_half_through_stay_and_are_counted():
     assert found.attrs["offset_count"] == 4
     # Seen from below, the two are not there.
     below = find_sheet_holes(dataset(*maps), side="bottom")
-    assert below.sizes == {"mark": 4}
-    assert below.attrs["other_side_only"] == 2
-
-
-def test_what_is_open_but_not_round_or_not_known_is_unclear():
+    assert (below.sizes, below.attrs["other_side_only"]) == ({"mark": 4}, 2)
     maps = layer_maps(np.zeros(2))
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PIXEL
     maps[2][(np.hypot(x - 250, y - 220) < 100) & (x > 265)] = 1.0
@@ -177,7 +173,7 @@ def test_a_common_offset_is_followed_to_the_face():
     assert hole_tilt(find_holes(maps["presence"].values, pixel_um=PIXEL)) is None
 
 
-def test_a_sheet_without_holes_and_with_one():
+def test_sheets_without_holes_are_followed_and_impossible_requests_refused():
     plain = [np.ones(SHAPE)] * 3
     found = find_sheet_holes(dataset(*plain))
     assert found.sizes == {"mark": 0}
@@ -187,9 +183,6 @@ def test_a_sheet_without_holes_and_with_one():
     assert one.attrs["offset_count"] == 1
     assert np.isfinite(one.attrs["offset_um"]).all()
     assert np.isnan(one.attrs["offset_spread_um"]).all()
-
-
-def test_what_cannot_be_followed():
     maps = dataset(*[np.ones(SHAPE)] * 3)
     with pytest.raises(MarkError, match="'top' or the 'bottom'"):
         find_sheet_holes(maps, side="left")

@@ -4,6 +4,7 @@ import xarray as xr
 from hypothesis import given
 from hypothesis import strategies as st
 
+from folders import refused
 from planish.core.errors import FileError, MarkError, PlanishError
 from planish.marks import write_marks
 from planish.marks.files import read_any, used_pairs
@@ -22,32 +23,24 @@ def read(tmp_path, text):
     return read_marks(path)
 
 
-def test_pairs_on_the_flat_map(tmp_path):
+def test_pairs_on_the_flat_map_with_foreign_labels_and_unused_rows(tmp_path):
     marks = read(tmp_path, FLAT + "A,1.5,2,10,20\nB,3,4e2,30,40\n")
     assert set(marks.variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
-    assert marks.label.values.tolist() == ["A", "B"]
-    assert marks.moving_y.values.tolist() == [2.0, 400.0]
+    assert (marks.label.values.tolist(), marks.moving_y.values.tolist()) == (["A", "B"], [2.0, 400.0])
     assert all(marks[name].attrs["units"] == "um" for name in marks.variables if name != "label")
+    path = tmp_path / "pairs.csv"
+    path.write_bytes(("\ufeff" + FLAT + '"Loch, links",1,2,3,4\r\nü,5,6,7,8\r\n').encode())
+    assert read_marks(path).label.values.tolist() == ["Loch, links", "ü"]
+    marks = read(tmp_path, FLAT.strip() + ",used\nA,1,2,3,4,1\nB,5,6,7,8,0\nC,9,9,9,9,False\n")
+    assert marks.label.values.tolist() == ["A"]
 
 
 def test_pairs_in_the_volume_in_any_order_of_columns(tmp_path):
     text = "fixed_y_um;fixed_x_um;volume_z_um;volume_y_um;volume_x_um\n1;2;3;4;5\n\n# a remark\n6;7;8;9;10\n"
     marks = read(tmp_path, text)
-    assert marks.volume_x.values.tolist() == [5.0, 10.0]
-    assert marks.fixed_y.values.tolist() == [1.0, 6.0]
+    assert (marks.volume_x.values.tolist(), marks.fixed_y.values.tolist()) == ([5.0, 10.0], [1.0, 6.0])
     assert "moving_x" not in marks
     assert marks.label.values.tolist() == ["1", "2"]
-
-
-def test_a_byte_order_mark_and_foreign_labels(tmp_path):
-    path = tmp_path / "pairs.csv"
-    path.write_bytes(("\ufeff" + FLAT + '"Loch, links",1,2,3,4\r\nü,5,6,7,8\r\n').encode())
-    assert read_marks(path).label.values.tolist() == ["Loch, links", "ü"]
-
-
-def test_rows_not_used_are_left_out(tmp_path):
-    marks = read(tmp_path, FLAT.strip() + ",used\nA,1,2,3,4,1\nB,5,6,7,8,0\nC,9,9,9,9,False\n")
-    assert marks.label.values.tolist() == ["A"]
 
 
 @given(rows=st.lists(st.tuples(lengths, lengths, lengths, lengths), min_size=1, max_size=8))
@@ -78,8 +71,7 @@ def test_results_are_written_beside_the_pairs(tmp_path):
     write_marks(marks, path)
     header, first, second = path.read_text(encoding="utf-8").splitlines()
     assert header == "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um,residual_um,leave_one_out_um,used"
-    assert first.split(",")[-3:] == ["1.0", "0.5", "1"]
-    assert second.split(",")[-1] == "0"
+    assert (first.split(",")[-3:], second.split(",")[-1]) == (["1.0", "0.5", "1"], "0")
 
 
 @pytest.mark.parametrize(("text", "message"), [
@@ -101,21 +93,14 @@ def test_results_are_written_beside_the_pairs(tmp_path):
     (FLAT + "".join(f"{k},x,2,3,4\n" for k in range(20)), "and 12 more"),
 ])  # fmt: skip
 def test_faults_are_named_with_their_rows(tmp_path, text, message):
-    with pytest.raises(PlanishError, match=message):
-        read(tmp_path, text)
+    refused(PlanishError, message, read, tmp_path, text)
 
 
-def test_a_file_that_is_not_there_or_no_text(tmp_path):
-    with pytest.raises(FileError, match=r"none\.csv"):
-        read_marks(tmp_path / "none.csv")
+def test_missing_files_sides_and_places_are_refused(tmp_path):
+    refused(FileError, r"none\.csv", read_marks, tmp_path / "none.csv")
     (tmp_path / "binary.csv").write_bytes(b"\xff\x00\x01")
-    with pytest.raises(FileError, match="UTF-8"):
-        read_marks(tmp_path / "binary.csv")
-
-
-def test_writing_needs_both_sides_and_a_place(tmp_path):
+    refused(FileError, "UTF-8", read_marks, tmp_path / "binary.csv")
     with pytest.raises(MarkError, match="either moving_x"):
         write_marks(xr.Dataset({"fixed_x": ("mark", [1.0])}), tmp_path / "a.csv")
     whole = xr.Dataset({name: ("mark", [1.0]) for name in ("moving_x", "moving_y", "fixed_x", "fixed_y")})
-    with pytest.raises(FileError, match="cannot be written: No such file"):
-        write_marks(whole, tmp_path / "no" / "a.csv")
+    refused(FileError, "cannot be written: No such file", write_marks, whole, tmp_path / "no" / "a.csv")

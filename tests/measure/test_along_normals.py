@@ -65,19 +65,15 @@ def test_one_missing_column_costs_no_more_than_its_own_normals():
     np.testing.assert_allclose(found["thickness"].values[~lost], 78.0, atol=1e-3)
 
 
-def test_missing_and_uncoated():
+def test_missing_and_uncoated_columns_and_refused_surfaces():
     surfaces = sheet(np.zeros((20, 20)), offsets=[10.0, -10.0, 10.0, -10.0, 0.0])
     surfaces["interface_bottom"][:] = np.nan
     surfaces["top"][5, 5] = np.nan
     surfaces["status"][7, 7] = 2
     found = measure_properties(surfaces)
     assert np.isnan(found["coating_bottom"]).all()
-    assert float(found["base_thickness"][10, 10]) == pytest.approx(20.0, abs=1e-3)
-    assert found["status"][5, 5] == 4
+    assert (float(found["base_thickness"][10, 10]), found["status"][5, 5]) == (pytest.approx(20.0, abs=1e-3), 4)
     assert np.isnan(found["thickness"][7, 7])
-
-
-def test_bad_surfaces_are_refused_with_a_count():
     with pytest.raises(SurfaceError, match="at 400 points"):
         measure_properties(sheet(np.zeros((20, 20)), offsets=[-10.0, 10.0, 0.0, 0.0, 0.0]))
     with pytest.raises(SurfaceError, match="lack centre"):

@@ -78,7 +78,7 @@ def test_coat_weight_from_density_and_from_the_balance(made):
         measure_along_rays(sheet.volume, dark, names=["coat_weight_top"], params=options)
 
 
-def test_grammage_and_density_of_a_slab(made):
+def test_grammage_density_and_coat_weight_of_slabs_coated_on_one_or_both_sides(made):
     """Base 50 um at 0.8 g/cm3 and 28 um of coating at 1.6 are 40 + 44.8 g/m2; 84.8 / 78 um is 1.087 g/cm3."""
     sheet = made()
     names = ["grammage", "apparent_density"]
@@ -97,9 +97,6 @@ def test_grammage_and_density_of_a_slab(made):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["grammage"])
     with pytest.raises(CannotMeasure, match="nothing is left for the base"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=names, params=MeasureParams(grammage_g_m2=40.0, **coats))
-
-
-def test_a_sheet_coated_on_one_side(made):
     sheet = made(bottom=0.0)
     options = MeasureParams(coating_g_cm3=1.6, base_g_cm3=0.8)
     found = measure_along_rays(sheet.volume, sheet.surfaces, names=["grammage", "coating_bottom"], params=options)

@@ -22,17 +22,14 @@ def slow_envelope(height, pitch, radius):
     return np.where(np.isfinite(height), np.min(dilated[None, None] + ball, axis=(2, 3)), np.nan)
 
 
-def test_envelope_equals_its_slow_twin():
+def test_an_envelope_equals_its_slow_twin_bridges_a_pit_and_enters_a_wide_one():
     height = np.random.default_rng(0).normal(0, 3, (17, 23))
     height[4:7, 10:12] = np.nan
     found = rolled(height, (2.0, 3.0), 20.0)
     np.testing.assert_allclose(found, slow_envelope(height, (2.0, 3.0), 20.0), atol=1e-9)
     known = np.isfinite(height)
     assert (found[known] >= height[known] - 1e-9).all()
-
-
-def test_a_ball_bridges_a_narrow_pit_and_enters_a_wide_one():
-    """Over a slot 20 um wide a ball of 250 um sinks by 10^2 / 500 = 0.2 um."""
+    # Over a slot 20 um wide a ball of 250 um sinks by 10^2 / 500 = 0.2 um.
     height = np.zeros((3, 400))
     height[:, 190:210] = -15.0
     found = rolled(height, (1.0, 1.0), 250.0)
@@ -58,18 +55,20 @@ def test_filters_pass_their_cut_off_by_half():
     # roughness of a sine: Sq = a / sqrt 2, Sa = 2 a / pi, Ssk = 0, Sku = 1.5, Sdq = 2 pi / L * Sq
     numbers = roughness_numbers(wave[:, :450] * 3.0, (pitch, pitch), s_filter_um=5.0, l_filter_um=cutoff)
     assert numbers.sq == pytest.approx(3 / np.sqrt(2), rel=2e-3)
-    assert numbers.sa == pytest.approx(6 / np.pi, rel=2e-3)
-    assert numbers.ssk == pytest.approx(0.0, abs=1e-6)
-    assert numbers.sku == pytest.approx(1.5, rel=2e-3)
-    assert numbers.sz == pytest.approx(6.0, rel=3e-3)
+    assert (numbers.sa, numbers.ssk) == (pytest.approx(6 / np.pi, rel=2e-3), pytest.approx(0.0, abs=1e-6))
+    assert (numbers.sku, numbers.sz) == (pytest.approx(1.5, rel=2e-3), pytest.approx(6.0, rel=3e-3))
     assert numbers.sdq == pytest.approx(2 * np.pi / cutoff * numbers.sq, rel=5e-3)
 
 
-def test_filters_that_leave_nothing_are_refused():
+def test_filters_and_heights_that_leave_nothing_are_refused():
     with pytest.raises(CannotMeasure, match=r"0.24 x 0.4 mm large.*Give a shorter l_filter_um"):
         scale_limited(np.zeros((60, 100)), (4.0, 4.0), s_filter_um=5.0, l_filter_um=800.0)
     with pytest.raises(CannotMeasure, match="must be shorter"):
         scale_limited(np.zeros((60, 100)), (4.0, 4.0), s_filter_um=500.0, l_filter_um=80.0)
+    limited = np.full((20, 20), np.nan)
+    limited[5, 5], limited[12, 9] = 1.0, 2.0
+    with pytest.raises(CannotMeasure, match="too small"):
+        roughness_numbers(limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)
 
 
 def bent(made, height):
@@ -123,13 +122,6 @@ def test_two_sides(made):
     assert numbers["coating_sd_ratio"] == pytest.approx(2.0, abs=0.02)
     with pytest.raises(CannotMeasure, match="coating_top and coating_bottom"):
         two_sidedness(maps.drop_vars("coating_top"))
-
-
-def test_heights_without_neighbours_have_no_slope_and_are_refused():
-    limited = np.full((20, 20), np.nan)
-    limited[5, 5], limited[12, 9] = 1.0, 2.0
-    with pytest.raises(CannotMeasure, match="too small"):
-        roughness_numbers(limited, (3.0, 3.0), s_filter_um=5.0, l_filter_um=800.0)
 
 
 @pytest.mark.parametrize(("side", "outwards"), [("top", 1.0), ("bottom", -1.0)])

@@ -16,15 +16,12 @@ def blobs(seed=0, shape=(18, 20, 22)):
     return (noise > 0.02).astype(np.uint8)
 
 
-def test_distances_end_at_the_limit_and_where_nothing_is_solid():
+def test_distances_and_inscribed_balls_equal_their_slow_twins():
     void = blobs()
     exact = ndimage.distance_transform_edt(void, sampling=STEP)
     np.testing.assert_allclose(distances(void, STEP, 6.0), np.minimum(exact, 6.0), rtol=1e-6)
     assert (distances(np.ones_like(void), STEP, 6.0) == 6.0).all()
-
-
-def test_inscribed_equals_its_slow_twin():
-    """Every sample takes the largest sphere around any centre that holds it."""
+    # Every sample takes the largest sphere around any centre that holds it.
     void = blobs(1, (12, 13, 14))
     radius = distances(void, STEP, 8.0)
     places = np.stack(

@@ -35,13 +35,19 @@ def test_integral_and_length_equal_dense_sums(lower, upper):
     assert ends == np.count_nonzero(np.diff(inside.astype(int)))
 
 
-def test_what_is_not_known_has_no_integral():
+def test_missing_values_and_missing_or_endless_layers():
     g = np.ones(S.size)
     g[20] = np.nan
     assert np.isnan(pieces(g, -1, 1)[:2]).all()
     assert pieces(g, 2, 4) == pytest.approx([2.0, 2.0, 0])
     assert np.isnan(pieces(g, -11, -5)[:2]).all()
-    assert pieces(g, 4, 3) == [0.0, 0.0, 0.0]
+    assert (pieces(g, 4, 3), layer(profile())[:2]) == ([0.0, 0.0, 0.0], (0.0, 0.0))
+    assert layer(profile((-10.5, 6.5)))[:2] == (pytest.approx(14.0), pytest.approx(14.0))
+    # bright matter deep below the face is no coating
+    assert layer(profile((-4.1, -2.0)))[:2] == (0.0, 0.0)
+    g = profile((1.9, 6.1))
+    g[30] = np.nan
+    assert np.isnan(layer(g)[0])
 
 
 def profile(*pieces):
@@ -67,23 +73,12 @@ def test_a_layer_with_gaps(inward):
     assert layer(values, inward=inward, gap=9.0)[1] == pytest.approx(11.75)
 
 
-def test_no_layer_and_a_layer_without_end():
-    assert layer(profile())[:2] == (0.0, 0.0)
-    assert layer(profile((-10.5, 6.5)))[:2] == (pytest.approx(14.0), pytest.approx(14.0))
-    # bright matter deep below the face is no coating
-    assert layer(profile((-4.1, -2.0)))[:2] == (0.0, 0.0)
-    g = profile((1.9, 6.1))
-    g[30] = np.nan
-    assert np.isnan(layer(g)[0])
-
-
 def test_depths_of_shares_of_an_exact_phase():
     """Ink from 1 um to 5 um below the face: 50 % at 3, 90 % at 4.6."""
     g = np.where((S <= 5.0) & (S >= 1.0), 1.0, 0.0)
     ramp = 0.5 * DS * 0.5  # the phase reaches half way into the steps beside it
     depth, total = kernels.depths_of_shares(one(g), S0, DS, at(6), at(-6), 0.5, 2.0, np.array([0.5, 0.9]))
-    assert total[0, 0] == pytest.approx(4.0 + 2 * 0.25)
-    assert depth[0, 0, 0] == pytest.approx(3.0, abs=1e-6)
+    assert (total[0, 0], depth[0, 0, 0]) == (pytest.approx(4.0 + 2 * 0.25), pytest.approx(3.0, abs=1e-6))
     assert depth[1, 0, 0] == pytest.approx(1.0 - 0.25 + 0.9 * 4.5, abs=ramp)
     none, empty = kernels.depths_of_shares(one(np.zeros(S.size)), S0, DS, at(6), at(-6), 0.5, 2.0, np.array([0.5]))
     assert np.isnan(none[0, 0, 0])

@@ -31,11 +31,24 @@ def slow_grey(made, rays, i, j):
     return at(np.stack([z, y, x], axis=-1))
 
 
-def test_a_ray_equals_its_slow_twin(rough):
+def test_a_ray_equals_its_slow_twin_and_missing_ones_have_reasons(rough):
     rays = straighten(rough.volume, rough.surfaces, slice(0, 52))
     for i, j in ((10, 12), (40, 20), (26, 30), (30, 21)):
         # the kernel works in float64 and stores float32
         np.testing.assert_allclose(rays.grey[i, j], slow_grey(rough, rays, i, j), rtol=1e-6)
+    found = measure_along_rays(rough.volume, rough.surfaces, names=["absorption"])
+    status = found["status"].values
+    assert (status[20:25, 10:14] == 1).all()
+    assert status[30, 20] == Status.NORMAL_LEAVES_SHEET
+    # normals at the border lean out of the volume
+    assert (status[:, [0, -1]] == Status.NORMAL_LEAVES_SHEET).all()
+    assert np.isnan(found["absorption"].values[status != 0]).all()
+    assert found["status"].attrs["flag_meanings"].split()[Status.RAY_LEAVES_VOLUME] == "ray_leaves_volume"
+    padded = rough.surfaces.assign_attrs(padding=0.0)
+    volume = rough.volume.copy(deep=True)
+    volume[:, 40:, :] = 0
+    outside = measure_along_rays(volume, padded, names=["absorption"])["status"].values
+    assert (outside[45:50, 5:35] == Status.RAY_LEAVES_VOLUME).all()
 
 
 def test_normals_and_faces_of_a_tilted_plane(made):
@@ -163,33 +176,13 @@ def test_tiles_and_threads_change_no_byte_of_any_property(rough):
     xr.testing.assert_identical(by_memory["fibre_angle"], whole["fibre_angle"])
 
 
-def test_reasons_of_missing_rays(rough):
-    found = measure_along_rays(rough.volume, rough.surfaces, names=["absorption"])
-    status = found["status"].values
-    assert (status[20:25, 10:14] == 1).all()
-    assert status[30, 20] == Status.NORMAL_LEAVES_SHEET
-    # normals at the border lean out of the volume
-    assert (status[:, [0, -1]] == Status.NORMAL_LEAVES_SHEET).all()
-    assert np.isnan(found["absorption"].values[status != 0]).all()
-    assert found["status"].attrs["flag_meanings"].split()[Status.RAY_LEAVES_VOLUME] == "ray_leaves_volume"
-    padded = rough.surfaces.assign_attrs(padding=0.0)
-    volume = rough.volume.copy(deep=True)
-    volume[:, 40:, :] = 0
-    outside = measure_along_rays(volume, padded, names=["absorption"])["status"].values
-    assert (outside[45:50, 5:35] == Status.RAY_LEAVES_VOLUME).all()
-
-
-def test_a_ray_without_matter_is_low_in_contrast(made):
+def test_a_ray_without_matter_is_low_in_contrast_and_wrong_input_refused(made):
     sheet = made()
     volume = sheet.volume.copy(deep=True)
     volume[:, 20:30, 30:40] = 42.0
     status = measure_along_rays(volume, sheet.surfaces, names=["porosity"])["status"]
     assert (status.values[21:29, 31:39] == Status.LOW_CONTRAST).all()
     assert status.attrs["flag_meanings"].split()[Status.LOW_CONTRAST] == "low_contrast"
-
-
-def test_what_does_not_fit_is_refused(made):
-    sheet = made()
     with pytest.raises(SurfaceError, match="do not belong together"):
         straighten(sheet.volume[:, 1:], sheet.surfaces, slice(0, 5))
     bare = sheet.surfaces.copy()

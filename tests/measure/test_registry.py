@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from folders import refused
 from planish.core.errors import CannotMeasure, ResourceError
 from planish.core.tiles import Engine
 from planish.measure import (
@@ -61,8 +62,7 @@ def test_what_is_wrong_with_a_property_is_said(made):
     sheet = made(size_um=(40.0, 40.0))
     with pytest.raises(CannotMeasure, match=r"no property 'porosty'\. Choose from .*porosity"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["porosty"])
-    with pytest.raises(CannotMeasure, match="No property was named"):
-        measure_along_rays(sheet.volume, sheet.surfaces, names=[])
+    refused(CannotMeasure, "No property was named", measure_along_rays, sheet.volume, sheet.surfaces, names=[])
     wrong = Property(name="wrong", units="1", long_name="Wrong", kind="rays", function=lambda rays: rays.s_um)
     with pytest.raises(CannotMeasure, match=r"'wrong' returned the shape"):
         measure_along_rays(sheet.volume, sheet.surfaces, names=[wrong])
@@ -74,20 +74,18 @@ def test_what_is_wrong_with_a_property_is_said(made):
         measure_along_rays(sheet.volume, sheet.surfaces, names=["fibre_angle"], engine=Engine(memory_bytes=1000))
 
 
-def test_numbers_that_are_none_are_refused():
-    with pytest.raises(ValidationError, match="coating_g_cm3"):
-        MeasureParams(coating_g_cm3=-1.0)
-    with pytest.raises(ValidationError, match="pore_limit_um"):
-        MeasureParams(pore_limit_um=0.0)
-    assert MeasureParams(grammage_g_m2=80.0).known() == {"grammage_g_m2": 80.0}
-
-
-def test_options_are_those_of_the_modules_and_load_neither_numba_nor_scipy():
+def test_options_are_those_of_the_modules_with_a_rule_each_and_checked_numbers():
     assert list(MeasureParams.model_fields)[:3] == ["maps", "rays", "edge_um"]
     assert {"gap_um", "ink_grey", "pore_limit_um", "coating_g_cm3", "l_filter_um"} <= set(MeasureParams.model_fields)
     code = "import sys, planish.measure.params, planish.surface.params; " \
            "print([m for m in ('numba', 'scipy', 'xarray', 'pandas') if m in sys.modules])"  # fmt: skip
     assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "[]\n"
+    for name, one in registered().items():
+        assert one.function.__doc__ or one.function.__module__ == __name__, name
+        assert one.units in ("um", "1", "g/m2", "g/cm3", "deg", "1/mm", "1/mm2"), name
+    refused(ValidationError, "coating_g_cm3", MeasureParams, coating_g_cm3=-1.0)
+    refused(ValidationError, "pore_limit_um", MeasureParams, pore_limit_um=0.0)
+    assert MeasureParams(grammage_g_m2=80.0).known() == {"grammage_g_m2": 80.0}
 
 
 def test_maps_whose_numbers_are_given_are_measured(made):
@@ -104,9 +102,3 @@ def test_maps_whose_numbers_are_given_are_measured(made):
     assert set(numbers.thin) == {"top", "bottom"}
     assert numbers.profiles is not None
     assert len(numbers.profiles.values["porosity"]) == len(numbers.profiles.depth)
-
-
-def test_every_built_in_property_states_its_rule():
-    for name, one in registered().items():
-        assert one.function.__doc__ or one.function.__module__ == __name__, name
-        assert one.units in ("um", "1", "g/m2", "g/cm3", "deg", "1/mm", "1/mm2"), name

@@ -95,8 +95,7 @@ def test_averaging_and_shared_noise_leave_fewer_independent_values():
              "blur_um": 2.5, "padding": np.nan}  # fmt: skip
     layout = {"voxel_um": 3.0, "pitch_um": (3.0, 3.0), "wide": 1.0}
     white = Shared.of(Greys(noise=8.0, single_noise=8.0, **plain), **layout)
-    assert white.patch_um2 == pytest.approx(14 * 9.0)
-    assert white.noise_um == pytest.approx(8.0**2 * 3.0)
+    assert (white.patch_um2, white.noise_um) == (pytest.approx(14 * 9.0), pytest.approx(8.0**2 * 3.0))
     averaged = Shared.of(Greys(noise=2.0, single_noise=8.0, averaged=1.0, **plain), **layout)
     assert averaged.patch_um2 == pytest.approx((14 + 4 * np.pi) * 9.0)
     assert averaged.noise_um < white.noise_um
@@ -105,5 +104,4 @@ def test_averaging_and_shared_noise_leave_fewer_independent_values():
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
     # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
     clean = Shared.of(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
-    assert clean.patch_um2 == pytest.approx(14 * 9.0)
-    assert clean.common_um == common_errors(3.0)
+    assert (clean.patch_um2, clean.common_um) == (pytest.approx(14 * 9.0), common_errors(3.0))

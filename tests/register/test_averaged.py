@@ -122,13 +122,10 @@ def test_exact_marks_of_a_similarity_leave_it_alone(n):
     assert not fit.warnings
 
 
-def test_marks_on_a_line_are_enough():
+def test_marks_on_a_line_are_enough_and_derivatives_are_those_of_the_map():
     points = np.stack([np.linspace(0, 3000, 9), np.linspace(100, 500, 9)], axis=1)
     fit = fit_transform(points, TURN(points), model="auto")
     np.testing.assert_allclose(fit(marks(5)), TURN(marks(5)), rtol=0, atol=1e-6)
-
-
-def test_derivatives_are_those_of_the_map():
     points = marks(9)
     fit = fit_transform(points, wavy(points), model="averaged")
     where, h = marks(20, 4), 1e-2
@@ -153,7 +150,7 @@ def test_a_forced_model_states_what_it_leaves():
     assert not any("structure" in w for w in fit_transform(points, seen, model="auto").warnings)
 
 
-def test_five_of_six():
+def test_five_of_six_and_an_affine_sheet_are_followed():
     """Six pairs by hand, one of them far off, as in a table of a user."""
     points = np.array([[400, 300], [2500, 350], [2600, 1900], [450, 2050], [1400, 1100], [1900, 700.0]])
     seen = TURN(points) + np.random.default_rng(3).normal(0, 0.7, (6, 2))
@@ -162,9 +159,6 @@ def test_five_of_six():
     assert fit.robust_weights.tolist() == [1, 1, 1, 0, 1, 1]
     said = r"5 of 6 marks agree to [23]\.\d um; d is (78|79|80) um off and was left out\."
     assert re.fullmatch(said, fit.agreement(tuple("abcdef")))
-
-
-def test_an_affine_sheet_is_followed():
     truth = Affine(linear=((1.01, 0.003), (0.0, 0.99)))
     points, where = marks(14), marks(200, 6)
     fit = fit_transform(points, truth(points) + np.random.default_rng(4).normal(0, 1, (14, 2)), model="auto")

@@ -1,7 +1,5 @@
 """Transformations one after the other."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np
@@ -29,15 +27,11 @@ def chain(noise_um: float = 0.0, seed: int = 0) -> Chain:
     return Chain(fits=(first, fit_transform(between, moved(SECOND, between), model="similarity", mirrored=True)))
 
 
-def test_composed_transformation_is_both_one_after_the_other():
+def test_a_chain_composes_its_links_similarities_and_hands():
     both = chain()
     points = np.random.default_rng(1).uniform(-1000, 5000, (7, 3, 2))
     np.testing.assert_allclose(both(points), SECOND(FIRST(points)), atol=1e-8)
     np.testing.assert_allclose(both.inverse(both(points)), points, atol=1e-8)
-
-
-def test_similarity_of_a_chain_is_that_of_the_product():
-    both = chain()
     assert both.mirrored
     assert both.similarity.mirrored
     assert both.similarity.scale == pytest.approx(1.01 * 0.98, rel=1e-12)
@@ -45,6 +39,10 @@ def test_similarity_of_a_chain_is_that_of_the_product():
     step = 1e-3
     numeric = (both([1000.0 + step, 500.0]) - both([1000.0 - step, 500.0])) / (2 * step)
     np.testing.assert_allclose(both.jacobian([1000.0, 500.0])[:, 0], numeric, atol=1e-6)
+    first, second = chain().fits
+    back = fit_transform(second.fixed, second.moving, model="similarity", mirrored=True)
+    assert Chain(fits=(first, second)).mirrored
+    assert not Chain(fits=(first, second, back)).mirrored
 
 
 def certain(fit: FittedTransform) -> FittedTransform:
@@ -79,14 +77,7 @@ def test_the_error_of_a_link_is_carried_on_by_the_scale_of_the_next():
     assert scale > 1.9
 
 
-def test_two_mirrored_links_keep_the_hand():
-    first, second = chain().fits
-    back = fit_transform(second.fixed, second.moving, model="similarity", mirrored=True)
-    assert Chain(fits=(first, second)).mirrored
-    assert not Chain(fits=(first, second, back)).mirrored
-
-
-def test_one_link_is_the_fit_itself():
+def test_a_single_link_is_the_fit_itself_and_no_link_is_refused():
     fit = chain(1.0).fits[0]
     alone = Chain(fits=(fit,))
     points = np.array([[10.0, 20.0], [3000.0, 100.0]])
@@ -96,8 +87,5 @@ def test_one_link_is_the_fit_itself():
         scale=fit.transform.scale, rotation_rad=fit.transform.rotation_rad, shift_um=fit.transform.shift_um,
         mirrored=fit.transform.mirrored,
     )  # fmt: skip
-
-
-def test_no_link_is_refused():
     with pytest.raises(CannotRegister, match="at least one"):
         Chain(fits=())

@@ -7,12 +7,7 @@ import xarray as xr
 import planish as pl
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.register import (
-    DesignedHoles,
-    RegistrationParams,
-    fit_transform,
-    register_marks,
-)
+from planish.register import DesignedHoles, RegistrationParams, fit_transform, register_marks
 from register.patterns import scattered
 
 TURN = Similarity(scale=1.01, rotation_rad=0.4, shift_um=(300.0, -120.0))
@@ -40,7 +35,7 @@ def sides(seed=0, n=12):
     return a, b, order, covariances(n, rng), covariances(n, rng)
 
 
-def test_holes_are_matched_and_weighted_by_their_covariances():
+def test_holes_are_matched_by_their_covariances_which_pairs_given_back_repeat():
     a, b, order, of_a, of_b = sides()
     found = register_marks(plane("volume", a, of_a), plane("image", b, of_b), params=PARAMS)
     assert np.array_equal(order[found.pairs[:, 1]], found.pairs[:, 0])
@@ -50,11 +45,7 @@ def test_holes_are_matched_and_weighted_by_their_covariances():
     twin = fit_transform(
         a[found.pairs[:, 0]], b[found.pairs[:, 1]], model="auto", weights=weights, lowest="similarity"
     )  # fmt: skip
-    assert found.fit(a).tobytes() == twin(a).tobytes()
-    assert found.fit.sentence == twin.sentence
-
-
-def test_the_pairs_that_were_found_given_back_are_the_same_registration():
+    assert (found.fit(a).tobytes(), found.fit.sentence) == (twin(a).tobytes(), twin.sentence)
     a, b, _, of_a, of_b = sides(1)
     planes = plane("volume", a, of_a), plane("image", b, of_b)
     found = register_marks(*planes, params=PARAMS)
@@ -62,15 +53,12 @@ def test_the_pairs_that_were_found_given_back_are_the_same_registration():
     assert again.fit(a).tobytes() == found.fit(a).tobytes()
     assert again.fit.expected_error_um(a).tobytes() == found.fit.expected_error_um(a).tobytes()
     assert (again.sentence, again.second_best) == ("", None)
-
-
-def test_without_covariances_all_marks_weigh_the_same():
     a, b, _, of_a, _ = sides(2)
     found = register_marks(plane("volume", a, of_a), plane("image", b), params=PARAMS)
     assert np.all(found.fit.weights == 1.0)
 
 
-def test_opposite_sides_see_each_other_mirrored():
+def test_opposite_sides_are_mirrored_and_plain_marks_show_the_top():
     a, b, order, *_ = sides(3)
     b = b * (-1.0, 1.0)
     with pytest.raises(CannotRegister, match="mirror=True"):
@@ -80,10 +68,7 @@ def test_opposite_sides_see_each_other_mirrored():
     assert np.array_equal(order[found.pairs[:, 1]], found.pairs[:, 0])
     mirrored = register_marks(plane("volume", a), plane("image", b), params=RegistrationParams(mirror=True))
     assert mirrored.fit(a).tobytes() == found.fit(a).tobytes()
-
-
-def test_plain_marks_show_the_top_unless_they_say_another_side():
-    """What :func:`planish.register_marks` documents of marks that are places alone."""
+    # What :func:`planish.register_marks` documents of marks that are places alone.
     a, b, *_ = sides(3)
     marks, same, behind = (
         xr.Dataset({k: ("mark", xy[:, n]) for n, k in enumerate("xy")}) for xy in (a, b, b * (-1, 1))
@@ -97,15 +82,12 @@ def test_plain_marks_show_the_top_unless_they_say_another_side():
     assert "``seen_from``" in str(pl.register_marks.__doc__)
 
 
-def test_the_design_identifies_the_holes():
+def test_the_design_identifies_the_holes_and_few_pairs_or_a_wrong_scale_are_refused():
     a, b, order, *_ = sides(4)
     design = DesignedHoles(name="coded", places_um=a, labels=tuple(f"H{k}" for k in range(12)))
     found = register_marks(plane("volume", a[2:]), plane("image", b), params=PARAMS, pattern=design)
     assert found.design == "Holes identified by the pattern coded of 12 holes."
     assert [int(label[1:]) for label in found.labels] == order[found.pairs[:, 1]].tolist()
-
-
-def test_what_cannot_be_registered_is_refused():
     a, b, *_ = sides(5)
     with pytest.raises(MarkError, match="2 control points given"):
         register_marks(plane("volume", a), plane("image", b), params=PARAMS, pairs=np.array([[0, 0], [1, 1]]))

@@ -6,11 +6,7 @@ import numpy as np
 import pytest
 
 from planish.core.transform import Affine, Projective, Similarity
-from planish.register import (
-    fit_transform,
-    registration_from_json,
-    registration_to_json,
-)  # fmt: skip
+from planish.register import fit_transform, registration_from_json, registration_to_json
 from planish.register.models import MODELS
 from planish.register.pairs import Pairs
 
@@ -118,7 +114,7 @@ def test_json_gives_the_fit_back_to_the_byte(model, robust):
         assert of(again).tobytes() == of(fit).tobytes()
 
 
-def test_json_keeps_what_it_has_no_numbers_for():
+def test_json_keeps_missing_numbers_and_a_point_behind_the_camera_has_no_image():
     """Two marks say nothing of their error (NaN); a spline without bending has an infinite smoothing."""
     points = marks(7)
     for model, n in (("similarity", 2), ("tps", 7)):
@@ -126,9 +122,10 @@ def test_json_keeps_what_it_has_no_numbers_for():
         again = registration_from_json(json.loads(json.dumps(registration_to_json(fit), allow_nan=False)))
         np.testing.assert_array_equal(again.expected_error_um(points), fit.expected_error_um(points))
         assert getattr(again.transform, "smoothing_um2", 0) == getattr(fit.transform, "smoothing_um2", 0)
+    assert np.isnan(TRUTHS["projective"]([[-60000.0, 0.0]])).all()
 
 
-def test_expected_error_of_many_marks_is_near_the_closed_form_of_a_similarity():
+def test_expected_errors_are_those_of_the_closed_form_whatever_the_weights_factor():
     """FLE**2 / n (1 + d**2 / f**2), where the marks show no deviation; more for the deviations that they cannot rule
     out: up to twice at the border for 60 marks, less in the middle.
     """
@@ -140,9 +137,6 @@ def test_expected_error_of_many_marks_is_near_the_closed_form_of_a_similarity():
     ratio = fit.expected_error_um(where) / (fit.localisation_error_um / np.sqrt(60) * np.sqrt(1 + away / f2))
     assert ratio.min() > 0.99
     assert ratio.max() < 2.0
-
-
-def test_a_constant_factor_of_the_weights_changes_nothing():
     rng = np.random.default_rng(7)
     points = marks(12)
     seen = TURN(points) + rng.normal(0, 3, (12, 2))
@@ -150,7 +144,3 @@ def test_a_constant_factor_of_the_weights_changes_nothing():
         a, b = (fit_transform(points, seen, model=model, weights=np.full(12, k)) for k in (1.0, 50.0))
         np.testing.assert_allclose(a(points), b(points), rtol=0, atol=1e-5)
         np.testing.assert_allclose(a.expected_error_um(points), b.expected_error_um(points), rtol=1e-4)
-
-
-def test_a_point_behind_the_camera_has_no_image():
-    assert np.isnan(TRUTHS["projective"]([[-60000.0, 0.0]])).all()

@@ -5,6 +5,7 @@ import pytest
 from scipy import ndimage
 
 from analyze.fields import by_shift
+from folders import refused
 from planish.analyze import cross_fitted
 from planish.core.errors import CannotRegister, SizeError
 from planish.register import fit_transform
@@ -128,8 +129,7 @@ def test_a_fold_is_refused_and_a_strain_is_told(monkeypatch):
 
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(noise=4000.0)}
     monkeypatch.setattr(module, "_searched", lambda *_: bent(900.0))
-    with pytest.raises(CannotRegister, match="folds the map near"):
-        refine(linked, image, valid, **settings)
+    refused(CannotRegister, "folds the map near", refine, linked, image, valid, **settings)
     monkeypatch.setattr(module, "_searched", lambda *_: bent(30.0))
     found = refine(linked, image, valid, **settings)
     assert found.strain > 0.01
@@ -139,24 +139,20 @@ def test_a_fold_is_refused_and_a_strain_is_told(monkeypatch):
 def test_what_cannot_be_refined_is_refused(monkeypatch):
     linked, image, valid = maps(constant(0.0, 0.0), 5)
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit()}
-    with pytest.raises(CannotRegister, match="one grid"):
-        refine(linked[1:], image, None, **settings)
+    refused(CannotRegister, "one grid", refine, linked[1:], image, None, **settings)
     with pytest.raises(CannotRegister, match="400"):
         refine(linked, image, valid & (places()[..., 0] < 30), **settings)
-    with pytest.raises(CannotRegister, match="constant"):
-        refine(linked, 0 * image, valid, **settings)
+    refused(CannotRegister, "constant", refine, linked, 0 * image, valid, **settings)
     with pytest.raises(SizeError, match="positive lengths"):
         refine(linked, image, valid, **settings, options=RefineOptions(grid_um=0.0))
     exact = fit_transform([[0, 0], [900, 100]], [[0, 0], [900, 100]])
-    with pytest.raises(CannotRegister, match="nothing bounds"):
-        refine(linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=exact)
+    refused(CannotRegister, "nothing bounds", refine, linked, image, valid, pixel_um=(PIXEL, PIXEL), fit=exact)
 
     def missing(_name):
         raise ImportError
 
     monkeypatch.setattr(importlib, "import_module", missing)
-    with pytest.raises(CannotRegister, match=r"planish\[refine\]"):
-        refine(linked, image, valid, **settings)
+    refused(CannotRegister, r"planish\[refine\]", refine, linked, image, valid, **settings)
 
 
 def test_a_refined_correlation_is_cross_fitted():

@@ -19,7 +19,7 @@ def refused(kind, words, moving, fixed, **more):
         fit_transform(moving, fixed, **more)
 
 
-def test_shapes_and_counts():
+def test_shapes_counts_and_missing_numbers_are_named():
     refused(MarkError, "4 moving and 5 fixed", marks(4), marks(5))
     refused(MarkError, "Transpose", marks(5).T, marks(5))
     refused(MarkError, r"shape \(5, 3\)", np.ones((5, 3)), marks(5))
@@ -27,9 +27,6 @@ def test_shapes_and_counts():
     refused(MarkError, "not negative", marks(5), marks(5), weights=[1, 1, 1, 1, -1])
     refused(MarkError, "covariance of mark 0", marks(3), marks(3), weights=np.ones((3, 2, 2)))
     refused(MarkError, "model is 'spline'", marks(5), marks(5), model="spline")
-
-
-def test_what_is_not_finite_is_named():
     broken = marks(6)
     broken[2, 1], broken[4, 0] = np.nan, np.inf
     refused(MarkError, "moving marks 2, 4 not finite", broken, marks(6))
@@ -42,15 +39,12 @@ def test_too_few(model, n):
     refused(MarkError, "pairs? of marks given", marks(n), marks(n), model=model)
 
 
-def test_doubles():
+def test_doubles_are_refused_and_repeated_pairs_count_once():
     points = marks(6)
     twice = points.copy()
     twice[4] = twice[1]
     refused(MarkError, "Marks 1 and 4 lie at one place on the moving side.*um apart on the other", twice, points)
     refused(MarkError, "Marks 1 and 4 lie at one place on the fixed side", points, twice)
-
-
-def test_repeated_pairs_count_once():
     points = np.concatenate([marks(7), marks(7)[2:4]])
     there = TURN(points) + np.tile(np.random.default_rng(1).normal(0, 2, (7, 2)), (2, 1))[:9]
     there[7:] = there[2:4]
@@ -68,9 +62,23 @@ def test_a_line(model):
     np.testing.assert_allclose(fit_transform(points, TURN(points))(points), TURN(points), rtol=0, atol=1e-9)
 
 
-def test_all_but_one_on_a_line_fix_no_projective():
+def test_lines_mirrors_pixels_wrong_pairs_and_few_marks_are_named():
     points = np.array([[0, 0], [1000, 0], [2000, 0], [3500, 0], [500, 1000.0]])
     refused(CannotRegister, "do not fix one projective", points, TURN(points), model="projective")
+    points = marks(10)
+    there = Similarity(rotation_rad=0.05, mirrored=True)(points)
+    refused(MarkError, "Probably one map shows the other side.*mirror=True", points, there)
+    refused(MarkError, "not mirrored after all", points, TURN(points), mirrored=True)
+    points = marks(10)
+    fit = fit_transform(points / 12.1, points)
+    assert "Scale 12.1: one side is probably in pixels" in fit.warnings[0]
+    assert not fit_transform(points, TURN(points)).warnings
+    fit = fit_transform(marks(10), marks(10, seed=1), robust=False)
+    assert any("many pairs are wrong" in w for w in fit.warnings)
+    assert "5 marks only" in fit_transform(marks(5), TURN(marks(5))).warnings[0]
+    for data in (None, "", [], {}, {"format": "other"}, {"format": "planish registration 1", "model": "affine"}):
+        with pytest.raises(MarkError, match=r"no registration|format 'other'"):
+            registration_from_json(data)
 
 
 @pytest.mark.parametrize("model", ["rigid", "similarity", "affine", "projective", "tps", "auto"])
@@ -80,32 +88,3 @@ def test_exchanged_columns(model, noise):
     there = Similarity(rotation_rad=0.05)(points) + np.random.default_rng(1).normal(0, noise, (10, 2))
     refused(MarkError, "Probably x and y are exchanged", points, there[:, ::-1], model=model)
     refused(MarkError, "Probably x and y are exchanged", points[:, ::-1], there, model=model)
-
-
-def test_an_undeclared_mirror():
-    points = marks(10)
-    there = Similarity(rotation_rad=0.05, mirrored=True)(points)
-    refused(MarkError, "Probably one map shows the other side.*mirror=True", points, there)
-    refused(MarkError, "not mirrored after all", points, TURN(points), mirrored=True)
-
-
-def test_pixels_are_suspected():
-    points = marks(10)
-    fit = fit_transform(points / 12.1, points)
-    assert "Scale 12.1: one side is probably in pixels" in fit.warnings[0]
-    assert not fit_transform(points, TURN(points)).warnings
-
-
-def test_wrong_pairs_are_said():
-    fit = fit_transform(marks(10), marks(10, seed=1), robust=False)
-    assert any("many pairs are wrong" in w for w in fit.warnings)
-
-
-def test_few_marks_are_said():
-    assert "5 marks only" in fit_transform(marks(5), TURN(marks(5))).warnings[0]
-
-
-def test_what_is_no_registration_is_refused():
-    for data in (None, "", [], {}, {"format": "other"}, {"format": "planish registration 1", "model": "affine"}):
-        with pytest.raises(MarkError, match=r"no registration|format 'other'"):
-            registration_from_json(data)

@@ -74,7 +74,7 @@ def test_the_smoothing_is_the_one_that_misses_marks_left_out_least():
     assert all(best <= cost(s) * (1 + 1e-6) for s in [0.0, *np.logspace(0, 12, 200), np.inf])
 
 
-def test_derivatives_are_differences():
+def test_derivatives_are_differences_and_the_inverse_is_nan_where_there_is_none():
     moving = marks(15)
     spline = Smoothing(pairs_of(moving, bent(moving))).spline(1e3)
     where, step = marks(40, seed=6), 1e-3
@@ -82,10 +82,6 @@ def test_derivatives_are_differences():
         off = step * np.eye(2)[axis]
         slope = (spline(where + off) - spline(where - off)) / (2 * step)
         np.testing.assert_allclose(spline.jacobian(where)[..., axis], slope, rtol=0, atol=1e-8)
-
-
-def test_the_inverse_is_nan_where_it_finds_nothing():
-    moving = marks(15)
     spline = Smoothing(pairs_of(moving, bent(moving))).spline(0.0)
     inside = spline([[1000.0, 1200.0]])[0]
     found = spline.inverse([inside, [9e5, 0.0], [np.nan, 1.0]])
@@ -94,7 +90,7 @@ def test_the_inverse_is_nan_where_it_finds_nothing():
     assert spline.inverse(np.full((3, 4, 2), np.nan)).shape == (3, 4, 2)
 
 
-def test_a_fold_is_refused_with_its_place():
+def test_a_fold_is_refused_with_its_place_and_a_strain_of_one_per_cent_reported():
     moving = np.stack(np.meshgrid(np.arange(5.0), np.arange(5.0)), axis=-1).reshape(-1, 2) * 500
     fixed = moving.copy()
     # Two neighbours have changed places, exactly enough in number that no spline of the others passes them by.
@@ -102,9 +98,6 @@ def test_a_fold_is_refused_with_its_place():
     fixed[moving[:, 0] == 1500.0] -= [700.0, 0.0]
     with pytest.raises(CannotRegister, match="folds the map near"):
         fit_transform(moving, fixed, model="tps", robust=False)
-
-
-def test_a_strain_of_one_per_cent_is_said():
     moving = marks(20)
     assert "Local strain" not in str(fit_transform(moving, bent(moving, amount=5.0), model="tps").warnings)
     fit = fit_transform(moving, bent(moving, amount=60.0), model="tps")

@@ -1,7 +1,5 @@
 """What the tests of pages read of a page."""
 
-from __future__ import annotations
-
 import re
 from html.parser import HTMLParser
 

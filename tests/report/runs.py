@@ -1,7 +1,5 @@
 """Small runs as the pipeline gives them, for the tests of their page."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures as files: they stand alone, hold what the page shows, and come with their numbers."""
 
-from __future__ import annotations
-
 import csv
 import re
 from pathlib import Path
@@ -46,11 +44,6 @@ def figures(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(tmp_path_factory.mktemp("run") / "a", with_evidence())
 
 
-def table(path: Path) -> list[dict[str, str]]:
-    with path.open(encoding="utf-8", newline="") as file:
-        return list(csv.DictReader(file))
-
-
 def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
     page = Page((figures.parent / "report.html").read_text(encoding="utf-8"))
     drawn = sorted(figures.glob("*.svg"))
@@ -58,8 +51,7 @@ def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
     assert [path.name[:2] for path in drawn] == [f"{k:02d}" for k in range(1, len(drawn) + 1)]
     for path, shown in zip(drawn, page.svgs, strict=True):
         root = ElementTree.parse(path).getroot()
-        assert root.tag == "{http://www.w3.org/2000/svg}svg"
-        assert root.attrib["aria-label"] == shown["aria-label"]
+        assert (root.tag, root.attrib["aria-label"]) == ("{http://www.w3.org/2000/svg}svg", shown["aria-label"])
         assert "Liberation Sans" in root.attrib["font-family"]
         title, caption = root[0].text, root[1].text
         assert title == shown["aria-label"]
@@ -67,7 +59,8 @@ def test_every_figure_of_the_page_is_a_file(figures: Path) -> None:
 
 
 def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
-    found = {re.sub(r"^\d+-", "", path.stem): table(path) for path in sorted(figures.glob("*.csv"))}
+    rows = {path.stem: csv.DictReader(path.read_text(encoding="utf-8").splitlines()) for path in figures.glob("*.csv")}
+    found = {re.sub(r"^\d+-", "", stem): list(rows[stem]) for stem in sorted(rows)}
     run = with_evidence()
     linked = run["groups"]["linked"]
     a, b = block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])
@@ -90,7 +83,7 @@ def test_same_run_gives_the_same_files(figures: Path, tmp_path: Path) -> None:
     assert {p.name: p.read_bytes() for p in figures.iterdir()} == {p.name: p.read_bytes() for p in again.iterdir()}
 
 
-def test_hostile_titles_name_no_other_place_and_stay_text(tmp_path: Path) -> None:
+def test_hostile_titles_stay_text_and_a_figure_alone_lies_on_white(tmp_path: Path) -> None:
     run = a_run(linked=False)
     title = '../../x"><script>紙</script>'
     run["groups"]["maps"]["coating_top"].attrs["long_name"] = title
@@ -98,9 +91,6 @@ def test_hostile_titles_name_no_other_place_and_stay_text(tmp_path: Path) -> Non
     assert {path.parent for path in tmp_path.rglob("*.svg")} == {folder}
     assert (folder / "01-x-script-script.svg").is_file()
     assert ElementTree.parse(folder / "01-x-script-script.svg").getroot()[0].text == title
-
-
-def test_a_figure_alone_lies_on_white() -> None:
     root = ElementTree.fromstring(standalone(Canvas(20, 10).picture(title="紙", caption="a < b")).encode())
     assert root[1].text == "a < b"
     assert root[2].attrib["fill"] == "#ffffff"

@@ -1,7 +1,5 @@
 """The first page: what leads and what does not, and that the whole page can be read on any screen."""
 
-from __future__ import annotations
-
 import re
 from typing import Any
 
@@ -30,16 +28,6 @@ def page_with(state: str, *, linked: bool = True) -> str:
         "sentence": "Dust was found.", "figures": ["coating_top"],
     })  # fmt: skip
     return page_of(run)
-
-
-@pytest.fixture(scope="module")
-def link_page() -> str:
-    return page_of(a_run())
-
-
-@pytest.fixture(scope="module")
-def map_page() -> str:
-    return page_of(a_run(linked=False))
 
 
 @pytest.fixture(scope="module")
@@ -81,10 +69,13 @@ def test_both_maps_have_one_grid_and_one_mask() -> None:
     assert frames[0].group(1) == frames[1].group(1)
 
 
-def test_scatter_has_both_lines(link_page: str) -> None:
+def test_maps_scatters_and_counts_of_the_first_page(link_page: str) -> None:
     svg = first_of(link_page).split("<figure")[3]
     lines = re.findall(r'<path d="M[^"]*" fill="none" stroke="#b3402a"[^>]*>', svg)
     assert ["stroke-dasharray" in line for line in lines] == [False, True]
+    maps = [f for f in link_page.split("<figure")[1:] if re.search(r"(x, y|u, v) / µm", f)]
+    # All but the scatters, the slices, and the convergence.
+    assert len(maps) == link_page.count("<figure") - 5
 
 
 @pytest.mark.parametrize("linked", [True, False])
@@ -99,11 +90,17 @@ def test_only_lights_that_are_not_green_stand_on_the_first_page(state: str, link
     assert head.count("Clean the sheet.") == 1
 
 
-def test_a_map_has_a_first_page_of_its_own(map_page: str) -> None:
+def test_a_map_has_a_first_page_of_its_own_and_one_mean_of_a_property(map_page: str) -> None:
     html = first_of(map_page)
     assert re.findall(r"<b>Figure (\d)\. (.*?)\.</b>", html) == [("1", "Coating thickness, top side")]
     assert len(re.findall(r'<dd class="value">', html)) == 4
     assert "A second field" in Page(html).text("li")
+    # The results say 20 ± 2; the pixels of the map themselves spread by 2.1 about that.
+    captions = re.findall(r"<figcaption>(.*?)</figcaption>", map_page, flags=re.DOTALL)
+    stated = [c for c in captions if "standard deviation of" in c]
+    assert len(stated) == 5
+    for caption in stated:
+        assert "20.0 ± 2.00 µm (mean ± standard deviation of n = 12\u202f000 columns)" in caption
 
 
 def test_first_page_of_several_layers_shows_the_weakest_pair(layers_page: str) -> None:
@@ -154,18 +151,15 @@ def test_what_would_make_it_surer_follows_from_the_results(
 
 
 @pytest.mark.parametrize("name", ["link_page", "map_page", "layers_page"])
-def test_every_box_that_scrolls_is_reached_with_the_keyboard(name: str, request: pytest.FixtureRequest) -> None:
+def test_boxes_that_scroll_are_reached_with_the_keyboard_and_drawings_have_names(
+    name: str, request: pytest.FixtureRequest
+) -> None:
     page = Page(request.getfixturevalue(name))
     assert page.boxes
     for box in page.boxes:
         assert (box["tabindex"], box["role"]) == ("0", "region")
         assert box["aria-label"].strip()
     assert page.loose == []
-
-
-@pytest.mark.parametrize("name", ["link_page", "map_page", "layers_page"])
-def test_every_drawing_has_a_name(name: str, request: pytest.FixtureRequest) -> None:
-    page = Page(request.getfixturevalue(name))
     assert page.svgs
     for svg in page.svgs:
         assert svg["role"] == "img"
@@ -191,21 +185,6 @@ def test_both_coatings_of_a_sheet_share_their_colours() -> None:
     assert float(bottom[-1]) > 45
 
 
-def test_a_property_has_one_mean_on_the_whole_page(map_page: str) -> None:
-    # The results say 20 ± 2; the pixels of the map themselves spread by 2.1 about that.
-    captions = re.findall(r"<figcaption>(.*?)</figcaption>", map_page, flags=re.DOTALL)
-    stated = [c for c in captions if "standard deviation of" in c]
-    assert len(stated) == 5
-    for caption in stated:
-        assert "20.0 ± 2.00 µm (mean ± standard deviation of n = 12\u202f000 columns)" in caption
-
-
 def test_columns_and_pixels_are_told_apart_once(link_page: str, map_page: str) -> None:
     for page in (link_page, map_page):
         assert page.count('id="counted"') == 1
-
-
-def test_maps_have_axes(link_page: str) -> None:
-    maps = [f for f in link_page.split("<figure")[1:] if re.search(r"(x, y|u, v) / µm", f)]
-    # All but the scatters, the slices, and the convergence.
-    assert len(maps) == link_page.count("<figure") - 5

@@ -1,7 +1,5 @@
 """What the results hold of a lag."""
 
-from __future__ import annotations
-
 import json
 import math
 from typing import Any
@@ -56,7 +54,6 @@ def test_results_of_a_lag_that_says_nothing_are_none() -> None:
     found = _lag(a_lag(silence="texture", tiles=False), expected_um=4.0, headline="coating_top")
     json.dumps(found, allow_nan=False)
     assert [found[k] for k in ("lag_um", "se_um", "length_um", "agrees", "light", "tile_um")] == [None] * 6
-    assert found["tiles"] == []
-    assert found["silence"] == "texture"
+    assert (found["tiles"], found["silence"]) == ([], "texture")
     for missing in (None, NAN):
         assert _lag(a_lag(), expected_um=missing, headline="coating_top")["expected_um"] is None

@@ -1,7 +1,5 @@
 """The page of several layers: what it shows of each layer and each pair, and that names stay text."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -164,12 +162,9 @@ def test_page_shows_every_layer_and_pair(page: str) -> None:
         assert "mask" in caption.lower()
 
 
-def test_every_correlation_says_how_the_maps_were_registered(page: str) -> None:
+def test_the_page_states_registrations_and_differences_of_the_same_quantity(page: str) -> None:
     # The weakest correlation in a tile and in the scatter of the first page, a caption for each pair, and the table.
     assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 1 + 3 + 1
-
-
-def test_the_difference_is_given_where_both_are_the_same_quantity(page: str) -> None:
     rows = [largest(group) for group in by_pair(Results.model_validate(layers()["results"]))]
     assert [row.point_um for row in rows] == [60.0] * 3
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
@@ -179,12 +174,18 @@ def test_the_difference_is_given_where_both_are_the_same_quantity(page: str) -> 
     assert drawn == [True, True, False]
 
 
-def test_difference_and_its_drawing_have_one_sign() -> None:
+def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_drawn() -> None:
     given = layers()
     a, b = (given["groups"][f"layers/{name}"]["coating_top"] for name in ("before", "after"))
     first, second = block_means(a, b, point_um=60.0)
     row = largest(by_pair(Results.model_validate(given["results"]))[0])
     assert float((second - first).mean()) == pytest.approx(row.difference_mean, abs=0.1)
+    a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
+    row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
+                         intercept=None, same_quantity=True, units="um")  # fmt: skip
+    drawn = draw_pair(a, a, [row], names=("a", "b"))
+    assert "no correlation" in drawn.svg
+    assert "nan" not in drawn.svg
 
 
 def test_two_instruments_of_one_sheet_are_compared_by_their_difference() -> None:
@@ -247,12 +248,3 @@ def test_same_input_gives_the_same_bytes(tmp_path: Path, page: str) -> None:
     given["results"] = Results.model_validate(given["results"])
     write_report(tmp_path / "report.html", **given)
     assert (tmp_path / "report.html").read_bytes() == page.encode("utf-8")
-
-
-def test_a_pair_without_correlation_is_drawn() -> None:
-    a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
-    row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
-                         intercept=None, same_quantity=True, units="um")  # fmt: skip
-    drawn = draw_pair(a, a, [row], names=("a", "b"))
-    assert "no correlation" in drawn.svg
-    assert "nan" not in drawn.svg

@@ -1,7 +1,5 @@
 """What a notebook shows of runs: key numbers, failed checks, small maps; names stay text."""
 
-from __future__ import annotations
-
 from planish.report import map_html, results_html, run_html
 from planish.results import Results
 from report.pages import Page
@@ -20,12 +18,17 @@ def test_a_link_shows_its_numbers_and_both_maps() -> None:
     assert len(html) < 200_000
 
 
-def test_a_map_shows_the_sheet() -> None:
+def test_a_map_shows_the_sheet_in_its_proportions() -> None:
     run = a_run(linked=False)
     page = Page(run_html(Results.model_validate(run["results"]), run["groups"]))
     assert "mean sheet thickness" in page.text("th")
     assert page.text("figcaption").startswith("Coating thickness, top side / µm, colours from")
     assert page.text("figcaption").endswith("0.857 × 0.54 mm")
+    data = a_run()["groups"]["linked"]["thickness"]
+    page = Page(map_html(data, title="sheet"))
+    # 140 x 90 pixels are drawn 300 pixels wide.
+    assert 'width="300" height="193"' in map_html(data)
+    assert page.text("figcaption").startswith("sheet: Sheet thickness / µm")
 
 
 def test_failed_checks_are_named_and_names_stay_text() -> None:
@@ -39,11 +42,3 @@ def test_failed_checks_are_named_and_names_stay_text() -> None:
     assert "script" not in page.tags
     assert page.text("li").count(hostile) == 2
     assert hostile in page.text("figcaption")
-
-
-def test_a_small_map_keeps_its_proportions() -> None:
-    data = a_run()["groups"]["linked"]["thickness"]
-    page = Page(map_html(data, title="sheet"))
-    # 140 x 90 pixels are drawn 300 pixels wide.
-    assert 'width="300" height="193"' in map_html(data)
-    assert page.text("figcaption").startswith("sheet: Sheet thickness / µm")

@@ -1,7 +1,5 @@
 """What the page says of a registration: its check with its light, its lags and its expected error."""
 
-from __future__ import annotations
-
 import re
 from dataclasses import replace
 from typing import Any
@@ -12,13 +10,7 @@ import xarray as xr
 
 from planish.analyze import LagNumbers, Registration
 from planish.report.draw import FULL, HALF, levels_between
-from planish.report.registration import (
-    blank_ground,
-    draw_expected_error,
-    draw_lags,
-    lag_places,
-    machine_direction,
-)
+from planish.report.registration import blank_ground, draw_expected_error, draw_lags, lag_places, machine_direction
 from planish.report.summary import lag_verdict
 from planish.report.text import REGISTERED, capital, typeset
 from planish.results import RegistrationFacts
@@ -58,8 +50,13 @@ def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], st
     assert lag_verdict(None, first="a", second="b") is None
 
 
-def test_words_of_the_registration_are_those_of_the_analysis() -> None:
+def test_words_units_and_levels_are_the_same_everywhere() -> None:
     assert Registration.MARKS.sentence == REGISTERED
+    assert typeset("lag 2 um, 3 deg; a column") == f"lag 2{MICRO}, 3°; a column"
+    assert (typeset("an umbrella of degrees"), capital("maps of A")) == ("an umbrella of degrees", "Maps of A")
+    levels, step = levels_between(0.93, 2.17, steps=5)
+    np.testing.assert_allclose(levels, [1.0, 1.2, 1.4, 1.6, 1.8, 2.0])
+    assert (step, levels_between(1.0, 1.0, steps=5)[0].size) == (pytest.approx(0.2), 0)
 
 
 def test_the_axis_given_for_the_image_comes_first() -> None:
@@ -69,11 +66,10 @@ def test_the_axis_given_for_the_image_comes_first() -> None:
         return machine_direction(RegistrationFacts.model_validate(facts), "volume")
 
     assert found(md_deg_fixed=10.0, md_deg_fixed_from_moving=12.0) == (10.0, "given for the image")
-    assert found(md_deg_fixed_from_moving=12.0) == (12.0, "carried over from the volume")
-    assert found() is None
+    assert (found(md_deg_fixed_from_moving=12.0), found()) == ((12.0, "carried over from the volume"), None)
 
 
-def test_tiles_lie_where_their_pixels_do() -> None:
+def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
     # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of the small one.
     ground = blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), of="image")
     ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
@@ -81,9 +77,6 @@ def test_tiles_lie_where_their_pixels_do() -> None:
     np.testing.assert_allclose(at, [[112.0, 202.0]])
     np.testing.assert_allclose(lag, [[1.0, 2.0]])
     np.testing.assert_allclose(silent, [[312.0, 202.0]])
-
-
-def test_no_figure_of_lags_unless_one_is_distinct() -> None:
     ground = blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), of="image")
     silent = a_lag().model_copy(update={"tiles": a_lag().tiles[1:]})
     for none in (None, silent, a_lag(tiles=[], tile_um=None)):
@@ -103,13 +96,6 @@ def test_expected_error_states_its_range_and_needs_values() -> None:
     assert even is not None
     assert "Contour" not in even.caption
     assert draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF, of="image", shown="volume") is None
-
-
-def test_levels_are_round_and_inside() -> None:
-    levels, step = levels_between(0.93, 2.17, steps=5)
-    np.testing.assert_allclose(levels, [1.0, 1.2, 1.4, 1.6, 1.8, 2.0])
-    assert step == pytest.approx(0.2)
-    assert levels_between(1.0, 1.0, steps=5)[0].size == 0
 
 
 def test_page_states_what_is_known_of_the_registration() -> None:
@@ -148,9 +134,3 @@ def test_what_others_write_stays_text() -> None:
     page = Page(page_of(run))
     assert "script" not in page.tags
     assert page.text().count(hostile) >= 6
-
-
-def test_units_of_sentences_are_typeset_and_names_left_alone() -> None:
-    assert typeset("lag 2 um, 3 deg; a column") == f"lag 2{MICRO}, 3°; a column"
-    assert typeset("an umbrella of degrees") == "an umbrella of degrees"
-    assert capital("maps of A") == "Maps of A"

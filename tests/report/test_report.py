@@ -1,7 +1,5 @@
 """The page is parsed: what it shows, what it leaves out, and that nothing in it comes from elsewhere."""
 
-from __future__ import annotations
-
 import base64
 import io
 import re
@@ -32,18 +30,8 @@ OF_A_LINK = [
 OF_A_MAP = ["maps", "slices", "flattening", "inputs", "checks", "record", "solver"]
 
 
-@pytest.fixture(scope="module")
-def link_page() -> str:
-    return page_of(a_run())
-
-
-@pytest.fixture(scope="module")
-def map_page() -> str:
-    return page_of(a_run(linked=False, coated=False))
-
-
-def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, map_page: str) -> None:
-    assert Page(map_page).sections == OF_A_MAP
+def test_sections_stand_in_the_order_in_which_a_reader_asks(link_page: str, bare_page: str) -> None:
+    assert Page(bare_page).sections == OF_A_MAP
     page = Page(link_page)
     assert page.sections == OF_A_LINK
     assert [a for a in page.addresses if a.startswith("#")] == ["#checks", *(f"#{name}" for name in page.sections)]
@@ -95,7 +83,7 @@ def test_every_figure_is_embedded_and_states_n_and_mask(link_page: str) -> None:
     assert not re.search(r"[\"( ,]nan", re.sub(r'href="data:[^"]*"', "", link_page))
 
 
-@pytest.mark.parametrize("name", ["link_page", "map_page"])
+@pytest.mark.parametrize("name", ["link_page", "bare_page"])
 def test_nothing_is_fetched_and_nothing_runs(name: str, request: pytest.FixtureRequest) -> None:
     html = request.getfixturevalue(name)
     page = Page(html)
@@ -127,17 +115,16 @@ def test_hostile_names_stay_text() -> None:
     assert {a.split(":")[0] for a in page.addresses if not a.startswith("#")} == {"data"}
 
 
-def test_map_only_leaves_out_what_needs_an_image_and_says_so(map_page: str) -> None:
-    page = Page(map_page)
+def test_a_map_alone_leaves_out_what_needs_an_image_and_a_link_without_coating_outlines_the_thickness(
+    bare_page: str,
+) -> None:
+    page = Page(bare_page)
     assert "no image was linked" in page.text("h1")
     assert "No coating was found" in page.text()
     # A property that was measured nowhere has neither a line in the table nor a figure.
     assert PROPERTIES["coating_top"] not in page.text("table")
     assert "Sheet thickness" in page.text("figcaption")
     assert PROPERTIES["coating_top"] not in page.text("figcaption")
-
-
-def test_link_without_coating_outlines_the_thickness() -> None:
     text = Page(page_of(a_run(coated=False))).text("figcaption")
     assert "sheet thickness below" in text
 
@@ -199,7 +186,7 @@ def test_joined_sections_and_bridged_gaps_are_described() -> None:
     assert "Slow drift was removed (tilt)" in Page(page_of(run)).text()
 
 
-def test_numbers_that_are_missing_become_dashes() -> None:
+def test_links_without_numbers_checks_or_expected_error_have_a_page() -> None:
     run = a_run()
     run["results"]["layers"][0]["registration"] |= {"leave_one_out_rms_um": None, "expected_error": None}
     for row in (*run["results"]["correlations"], *run["results"]["comparison"]):
@@ -207,10 +194,6 @@ def test_numbers_that_are_missing_become_dashes() -> None:
     text = Page(page_of(run)).text()
     assert "could not be correlated" in text
     assert not re.search(r"\b(nan|None|inf)\b", text)
-
-
-def test_a_link_without_check_or_expected_error_has_a_page() -> None:
-    run = a_run()
     run["results"]["layers"][0]["registration"] |= {"lag": None, "expected_error": None}
     run["groups"]["linked"] = run["groups"]["linked"].drop_vars("expected_error")
     page = Page(page_of(run))
@@ -224,18 +207,14 @@ def coating_and_image(linked: xr.Dataset) -> list[xr.DataArray]:
     return [linked[name].where(linked["valid"]) for name in ("coating_top", "image")]
 
 
-def test_points_outside_any_pixel_pair_are_not_drawn() -> None:
-    linked = a_run()["groups"]["linked"]
-    assert [a.size for a in block_means(*coating_and_image(linked), point_um=5.0)] == [0, 0]
-
-
-def test_point_means_have_the_correlation_of_the_maps() -> None:
+def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels() -> None:
     # Without noise in between the image is a straight line over the coating, and so are the means.
     linked = a_run()["groups"]["linked"]
     linked["image"] = 3 * linked["coating_top"] + 5
     a, b = block_means(*coating_and_image(linked), point_um=100.0)
     assert 20 < a.size <= 40  # 540 x 840 um hold 5 x 8 points, and the hole takes some
     np.testing.assert_allclose(b, 3 * a + 5, rtol=1e-6)
+    assert [a.size for a in block_means(*coating_and_image(linked), point_um=5.0)] == [0, 0]
 
 
 @pytest.mark.parametrize(("thin_um", "expected"), [(18.0, "below 18\u202fµm,"), (1.0, "No valid pixel is below 1")])
@@ -246,13 +225,19 @@ def test_outlines_say_which_limit_they_show(thin_um: float, expected: str) -> No
     assert "standard deviations darker" in caption
 
 
-def test_large_maps_are_averaged_by_area_before_they_are_drawn() -> None:
+def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
     stripes = np.tile([0.0, 1.0], (40, 2000))
     shown = reduced(stripes, np.arange(40.0), np.arange(4000.0), width=1000.0)
-    assert shown.values.shape[1] == 1350
-    assert shown.values.mean() == pytest.approx(0.5, abs=1e-3)
+    assert (shown.values.shape[1], shown.values.mean()) == (1350, pytest.approx(0.5, abs=1e-3))
     assert shown.values.std() < 0.2  # picking every third pixel would leave 0.5
     assert shown.width == pytest.approx(4000.0, rel=1e-3)
+    values = np.array([[-5.0, 0.0, 1.0, np.nan]])
+    with Image.open(io.BytesIO(base64.b64decode(image_uri(values, Scale(0.0, 1.0)).split(",")[1]))) as image:
+        found = np.asarray(image.convert("RGB"))[0]
+    assert [bytes(c).hex() for c in found] == ["440154", "440154", "fde725", MISSING[1:]]
+    assert limits(np.array([3.0, 3.0]), GREYS) == Scale(2.5, 3.5, GREYS)
+    assert limits(np.array([np.nan]), GREYS) == Scale(0.0, 1.0, GREYS)
+    assert limits(np.array([-1.0, 3.0]), symmetric=True, percent=0.0) == Scale(-3.0, 3.0)
 
 
 @pytest.mark.parametrize(
@@ -294,16 +279,6 @@ def test_scale_bars_have_round_lengths(value: float, expected: float) -> None:
 def test_ticks_are_round_and_few(low: float, high: float, expected: list[float]) -> None:
     step = round_step((high - low) / 6, above=True)
     np.testing.assert_allclose(multiples(low, high, step), expected, atol=1e-12)
-
-
-def test_colours_follow_the_values_and_missing_ones_are_grey() -> None:
-    values = np.array([[-5.0, 0.0, 1.0, np.nan]])
-    with Image.open(io.BytesIO(base64.b64decode(image_uri(values, Scale(0.0, 1.0)).split(",")[1]))) as image:
-        found = np.asarray(image.convert("RGB"))[0]
-    assert [bytes(c).hex() for c in found] == ["440154", "440154", "fde725", MISSING[1:]]
-    assert limits(np.array([3.0, 3.0]), GREYS) == Scale(2.5, 3.5, GREYS)
-    assert limits(np.array([np.nan]), GREYS) == Scale(0.0, 1.0, GREYS)
-    assert limits(np.array([-1.0, 3.0]), symmetric=True, percent=0.0) == Scale(-3.0, 3.0)
 
 
 def test_drawings_place_what_they_show() -> None:

@@ -51,7 +51,7 @@ def sheet(angle=20.0):
     return surfaces, flat.assign_coords(y=y, x=x)
 
 
-def test_flat_maps():
+def test_flat_maps_have_the_pixel_of_the_columns_and_need_properties():
     surfaces, flat = sheet()
     maps = resample_maps(surfaces, flat, map_um=1.7)
     u, v = np.meshgrid(maps["u"].values, maps["v"].values)
@@ -67,11 +67,10 @@ def test_flat_maps():
     np.testing.assert_allclose(maps["volume_z"].values[known], 50.0)
     np.testing.assert_allclose(maps["fibre_angle"].values[known], 20.0)
     assert maps.attrs == {"overlaps": 0, "layers_apart_um": 10.0, "layer_to_face": 0.5}
-
-
-def test_the_pixel_is_that_of_the_columns_where_none_is_given():
     maps = resample_maps(*sheet())
     assert np.isclose(maps["u"].values[1] - maps["u"].values[0], np.sqrt(6.0))
+    with pytest.raises(SurfaceError, match="planish measure"):
+        resample_maps(surfaces[["centre", "top"]], flat)
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
@@ -105,9 +104,3 @@ def test_an_image_on_a_reference_and_its_expected_error():
     error = PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
     np.testing.assert_array_equal(np.isfinite(error.values), known)
     np.testing.assert_allclose(error.values[known], (1 + 0.01 * points[..., 0])[known], rtol=1e-6)
-
-
-def test_surfaces_without_properties_are_refused():
-    surfaces, flat = sheet()
-    with pytest.raises(SurfaceError, match="planish measure"):
-        resample_maps(surfaces[["centre", "top"]], flat)

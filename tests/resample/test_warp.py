@@ -198,15 +198,19 @@ def test_large_pixels_only_are_averaged():
         np.testing.assert_allclose(out, truth, rtol=1e-9)
 
 
-def test_the_identity_keeps_every_bit():
+def test_the_identity_keeps_every_bit_half_a_pixel_has_to_be_known_and_nothing_lies_beyond_the_horizon():
     source = noise(70, 65, np.float32)
     np.testing.assert_array_equal(warped(source, 0.37, IDENTITY, (70, 65), 0.37), source)
-
-
-def test_half_of_a_pixel_has_to_be_known():
     source = np.array([[4.0, np.nan, 8.0, np.nan, np.nan, np.nan]])
     out = warped(source, 1.0, IDENTITY, (1, 3), (1.0, 2.0), origin_um=(0.5, 0.0))
     np.testing.assert_array_equal(out, [[4.0, 8.0, np.nan]])
+
+    def half(points):
+        return np.where(points[..., :1] > 40.3, np.nan, points)
+
+    out = warped(ramp(80, 80), 1.0, half, (80, 80), 1.0)
+    assert np.isfinite(out[:, :40]).all()
+    assert np.isnan(out[:, 41:]).all()
 
 
 def test_places_are_right_to_a_hundredth_of_a_pixel_and_affine_maps_are_asked_once():
@@ -246,15 +250,6 @@ def test_a_view_from_aslant_equals_the_twin_of_its_true_places():
     assert np.abs(out - truth)[both].max() < np.hypot(3, 2) * TOLERANCE
 
 
-def test_beyond_the_horizon_nothing_is_valid():
-    def half(points):
-        return np.where(points[..., :1] > 40.3, np.nan, points)
-
-    out = warped(ramp(80, 80), 1.0, half, (80, 80), 1.0)
-    assert np.isfinite(out[:, :40]).all()
-    assert np.isnan(out[:, 41:]).all()
-
-
 @pytest.mark.parametrize("scale", [0.9, 2.2])
 def test_same_bytes_on_any_number_of_threads_and_any_tiles(scale, monkeypatch):
     rows, cols = (700, 600) if scale < 1 else (1250, 1150)
@@ -273,13 +268,15 @@ def test_same_bytes_on_any_number_of_threads_and_any_tiles(scale, monkeypatch):
     assert {other.tobytes() for other in results} == {results[0].tobytes()}
 
 
-def test_nothing_in_common_is_refused_with_what_to_check():
+def test_nothing_in_common_and_singular_maps_are_refused_with_what_to_check():
     with pytest.raises(CannotRegister, match=r"x 5000 to 5030, y 0 to 30 um.*50 um wide and 40 um high.*inverse"):
         warped(ramp(40, 50), 1.0, Similarity(shift_um=(5000.0, 0.0)), (30, 30), 1.0)
     with pytest.raises(CannotRegister, match="overlaps"):  # one pixel beside it
         warped(ramp(40, 50), 1.0, Similarity(shift_um=(51.0, 0.0)), (30, 30), 1.0)
     with pytest.raises(CannotRegister, match="nowhere"):
         warped(ramp(40, 50), 1.0, lambda p: np.full(p.shape, np.nan), (30, 30), 1.0)
+    with pytest.raises(CannotRegister, match="nothing overlaps"):
+        warped(ramp(40, 50), 1.0, Affine(linear=((1.0, 2.0), (0.5, 1.0))), (30, 30), 1.0)
 
 
 @pytest.mark.parametrize("to_source", [lambda p: 0 * p + 30.0, lambda p: np.stack([p[..., 0]] * 2, axis=-1) * 0.5])
@@ -288,12 +285,7 @@ def test_a_transformation_onto_a_point_or_a_line_gives_no_map(to_source):
         warped(noise(60, 80), 1.0, to_source, (50, 60), 1.0)
 
 
-def test_a_singular_transformation_is_refused():
-    with pytest.raises(CannotRegister, match="nothing overlaps"):
-        warped(ramp(40, 50), 1.0, Affine(linear=((1.0, 2.0), (0.5, 1.0))), (30, 30), 1.0)
-
-
-def test_what_cannot_be_warped_is_refused():
+def test_images_that_cannot_be_warped_or_do_not_fit_are_refused_before_the_work():
     for image in (ramp(4, 5) * 1j, noise(4, 5, np.uint8), ramp(4, 5)[..., None], ramp(0, 5)):
         with pytest.raises(InputError, match=r"\(rows, cols\) of floats"):
             warped(image, 1.0, IDENTITY, (4, 5), 1.0)
@@ -302,9 +294,6 @@ def test_what_cannot_be_warped_is_refused():
             warped(ramp(4, 5), pixel, IDENTITY, (4, 5), 1.0)
     with pytest.raises(SizeError, match="grid"):
         warped(ramp(4, 5), 1.0, IDENTITY, (0, 5), 1.0)
-
-
-def test_what_does_not_fit_into_the_memory_is_refused_before_the_work():
     with pytest.raises(ResourceError, match=r"0\.2. GB are allowed.*coarser"):
         warped(noise(10, 10), 1.0, IDENTITY, (10**5, 10**5), 1.0, memory_bytes=2 * 10**8 + 10**7)
     big = np.broadcast_to(np.float32(1), (20000, 20000))

@@ -1,7 +1,5 @@
 """A made-up series of sections whose every pose is known: a bent sheet with fibres, photographed by a careless hand."""
 
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

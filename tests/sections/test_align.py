@@ -1,7 +1,5 @@
 """Alignment of sections whose every pose is known, and each kernel against its slow twin."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -42,7 +40,7 @@ def test_quick_errors_are_taken_off(series: Series, alignment) -> None:
     assert rms(after[:, 1]) / 2 < alignment.jitter_left_um[1] < 2 * rms(after[:, 1])
 
 
-def test_missing_sections_move_nothing(series: Series, alignment) -> None:
+def test_missing_sections_and_a_nick_move_nothing_and_rotations_are_not_made_worse(series: Series, alignment) -> None:
     error = alignment.shift_um - series.shift_um
     for gap in (np.searchsorted(series.positions_um, 50 * PITCH_UM), np.searchsorted(series.positions_um, 120 * 3.0)):
         beside = split(series.positions_um, error)[1][gap - 3 : gap + 3]
@@ -50,13 +48,14 @@ def test_missing_sections_move_nothing(series: Series, alignment) -> None:
         assert np.abs(beside[:, 0]).max() < 0.9
         step = error[gap, 0] - error[gap - 1, 0]
         assert abs(step) < 0.9
-
-
-def test_rotations_are_not_made_worse(series: Series, alignment) -> None:
     before = rms(series.rotation_rad)
     after = rms(alignment.rotation_rad - series.rotation_rad)
     print(f"rotation {np.rad2deg(before):.4f} -> {np.rad2deg(after):.4f} degrees")
     assert after < before  # in 2 mm its own error is as large as what there is to find
+    stack = series.stack.copy()
+    stack[:, :, 500:502] = np.minimum(stack[:, :, 500:502].astype(int) + 60, 255)
+    found = align_sections(SectionSeries(stack, series.positions_um, PIXEL_UM))
+    assert rms(found.shift_um - alignment.shift_um) < 0.2
 
 
 @pytest.mark.study
@@ -136,9 +135,7 @@ def test_what_is_no_series_is_refused() -> None:
 
 
 # --- parts ---------------------------------------------------------------------------------------------------
-
-
-def test_slow_part_is_the_smoother_applied_twice() -> None:
+def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics() -> None:
     rng = np.random.default_rng(1)
     y, cut = rng.normal(size=40), 10.0
     fourth = np.diff(np.eye(40), 4, axis=0)
@@ -146,9 +143,6 @@ def test_slow_part_is_the_smoother_applied_twice() -> None:
     smoother = np.linalg.inv(np.eye(40) + stiffness * fourth.T @ fourth)
     twin = smoother @ y + smoother @ (y - smoother @ y)
     np.testing.assert_allclose(slow_part(np.arange(40.0) * 3, y, cutoff_um=cut * 3), twin, atol=1e-9)
-
-
-def test_slow_part_passes_cubics_over_uneven_places() -> None:
     x = 3 * np.arange(120) + np.random.default_rng(2).uniform(-1, 1, 120)
     y = 1 + x - 0.01 * x**2 + 1e-5 * x**3
     np.testing.assert_allclose(slow_part(x, y, cutoff_um=150.0), y, atol=1e-3)
@@ -167,11 +161,28 @@ def test_places_survive_a_fifth_of_wrong_pairs() -> None:
     assert np.median(kept[wrong]) < 0.01
 
 
-def test_block_means_twin() -> None:
+def test_block_means_smoothing_and_layers_equal_their_twins() -> None:
     section = np.random.default_rng(4).normal(size=(17, 23)).astype(np.float32)
     section[3, 4] = np.nan
     out = block_means(section, 3, 5)
     np.testing.assert_allclose(out, section[:15, :20].reshape(5, 3, 4, 5).mean(axis=(1, 3)), rtol=1e-5, atol=1e-6)
+    values = np.random.default_rng(6).normal(size=(9, 12)).astype(np.float32)
+    down, across = (np.array(w, np.float32) for w in ([0.25, 0.5, 0.25], [0.1, 0.2, 0.4, 0.2, 0.1]))
+    out = np.empty_like(values)
+    smooth(values, down, across, np.empty(20, np.float32), out)
+    padded = np.pad(values.astype(float), ((1, 1), (2, 2)), mode="edge")
+    twin = np.zeros(values.shape)
+    for (i, v), (j, w) in ((a, b) for a in enumerate(down) for b in enumerate(across)):
+        twin += v * w * padded[i : i + 9, j : j + 12]
+    np.testing.assert_allclose(out, twin, atol=1e-6)
+    section = np.random.default_rng(9).normal(size=(30, 12)).astype(np.float32)
+    section[15, 3] = np.nan
+    height = np.linspace(12, 17, 12).astype(np.float32)
+    core, off = core_and_background(section, height, 4.0, 8.0, (1, 3))
+    away = np.abs(np.arange(30)[:, None] - height)
+    inside = section[away <= 4]
+    np.testing.assert_array_equal(core, inside[np.isfinite(inside)])
+    np.testing.assert_array_equal(off, section[away >= 8][::3])
 
 
 def test_straighten_twin() -> None:
@@ -200,18 +211,6 @@ def bilinear(section, y: float, x: float) -> float:
     p, q = y - i, x - j
     a = section[i : i + 2, j : j + 2].astype(float)
     return float(np.array([1 - p, p]) @ a @ np.array([1 - q, q]))
-
-
-def test_smooth_twin() -> None:
-    values = np.random.default_rng(6).normal(size=(9, 12)).astype(np.float32)
-    down, across = (np.array(w, np.float32) for w in ([0.25, 0.5, 0.25], [0.1, 0.2, 0.4, 0.2, 0.1]))
-    out = np.empty_like(values)
-    smooth(values, down, across, np.empty(20, np.float32), out)
-    padded = np.pad(values.astype(float), ((1, 1), (2, 2)), mode="edge")
-    twin = np.zeros(values.shape)
-    for (i, v), (j, w) in ((a, b) for a in enumerate(down) for b in enumerate(across)):
-        twin += v * w * padded[i : i + 9, j : j + 12]
-    np.testing.assert_allclose(out, twin, atol=1e-6)
 
 
 def test_pair_sums_twin() -> None:
@@ -260,21 +259,3 @@ def test_between_twin(turn: float, shift: tuple[float, float]) -> None:
             twin[r, c] += share * (grade[0] * bilinear(padded, y, x) + grade[1])
     np.testing.assert_allclose(real, twin, atol=2e-3)
     assert np.abs(whole.astype(float) - np.clip(twin, 0, 255)).max() <= 0.502
-
-
-def test_layers_twin() -> None:
-    section = np.random.default_rng(9).normal(size=(30, 12)).astype(np.float32)
-    section[15, 3] = np.nan
-    height = np.linspace(12, 17, 12).astype(np.float32)
-    core, off = core_and_background(section, height, 4.0, 8.0, (1, 3))
-    away = np.abs(np.arange(30)[:, None] - height)
-    inside = section[away <= 4]
-    np.testing.assert_array_equal(core, inside[np.isfinite(inside)])
-    np.testing.assert_array_equal(off, section[away >= 8][::3])
-
-
-def test_a_knifes_nick_does_not_hold_the_columns(series: Series, alignment) -> None:
-    stack = series.stack.copy()
-    stack[:, :, 500:502] = np.minimum(stack[:, :, 500:502].astype(int) + 60, 255)
-    found = align_sections(SectionSeries(stack, series.positions_um, PIXEL_UM))
-    assert rms(found.shift_um - alignment.shift_um) < 0.2

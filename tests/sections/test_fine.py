@@ -1,7 +1,5 @@
 """Fine texture: noise shortens no displacement, and the error that is said is the one that is left."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -18,7 +16,7 @@ def shared_and_plain(a, b) -> tuple[np.ndarray, np.ndarray]:
     return found[1, 0], found[0, 0]
 
 
-def test_shared_gradients_twin() -> None:
+def test_shared_gradients_equal_their_twin_and_noise_does_not_shorten_a_displacement() -> None:
     a, b = np.random.default_rng(1).normal(size=(2, 9, 30)).astype(np.float32)
     shared, plain = shared_and_plain(a, b)
     (ar, ac), (br, bc) = ([g[1:-1, 1:-1] for g in np.gradient(v.astype(float))] for v in (a, b))
@@ -27,9 +25,6 @@ def test_shared_gradients_twin() -> None:
     twin = [(w * ar * br).sum(), 0.5 * (w * (ar * bc + ac * br)).sum(), (w * ac * bc).sum()]
     np.testing.assert_allclose(shared[[0, 1, 3]], twin, rtol=1e-3, atol=1e-3)
     np.testing.assert_array_equal(shared[6:], plain[6:])
-
-
-def test_noise_does_not_shorten_a_displacement() -> None:
     rng = np.random.default_rng(2)
     texture = fibres((60, 1600), (1.0, 0.5), rng, 6.0)  # samples half a unit apart: a shift of one is 0.5 exactly
     a, b = (texture[:, k : k + 1598 : 2] + rng.normal(0, 0.3, (60, 799)) for k in (1, 0))

@@ -56,8 +56,7 @@ def test_what_lies_still_brings_back_the_bend(drifting):
     fixed = fixed_places(stack, PIXEL_UM, rows=(0, strip - 4))
     free = align_sections(SectionSeries(moved, series.positions_um, PIXEL_UM))
     held = align_sections(SectionSeries(moved, series.positions_um, PIXEL_UM), fixed=fixed)
-    assert free.fixed == (False, False, False)
-    assert held.fixed == (True, False, True)
+    assert (free.fixed, held.fixed) == ((False, False, False), (True, False, True))
     # what comes in is the slow part of all that the fixture shows, and nothing else
     true = series.shift_um[:, 0] + drift[:, 0]
     away = series.positions_um - series.positions_um[0]
@@ -67,16 +66,13 @@ def test_what_lies_still_brings_back_the_bend(drifting):
     np.testing.assert_array_equal(held.shift_um[:, 1], free.shift_um[:, 1])
 
 
-def test_a_small_step_is_found_whatever_the_gain():
+def test_a_small_step_is_found_whatever_the_gain_and_a_strip_without_a_line_refused():
     x = np.arange(60.0)
     template = ndtr((x - 30) / 3)[None]
     moved = 0.7 * ndtr((x - 30.4) / 3)[None, None] + 5
     step, alike = _match_template(moved, template)
     assert step[0, 0] == pytest.approx(0.4, abs=0.02)
     assert alike[0, 0] > 0.99
-
-
-def test_a_strip_without_a_line_is_refused():
     noise = np.random.default_rng(0).normal(100, 5, (30, 60, 80))
     with pytest.raises(VolumeError, match="no line or edge"):
         fixed_places(noise, PIXEL_UM, rows=(5, 40))

@@ -1,7 +1,5 @@
 """Sections on a regular grid: right places, one interpolation, gaps bridged or named."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -25,21 +23,15 @@ def posed(n: int, shift=(0.0, 0.0), turn: float = 0.0, aligned=None) -> Alignmen
     )  # fmt: skip
 
 
-def test_even_sections_without_corrections_stay_as_they_are() -> None:
+def test_uneven_and_even_sections_lie_at_their_true_places() -> None:
     stack = np.random.default_rng(1).integers(0, 255, (9, 12, 20)).astype(np.uint16)
     volume = regular_volume(SectionSeries(stack, 50 + 3.0 * np.arange(9), (2.0, 4.0)))
     np.testing.assert_array_equal(volume.values, stack)
-    assert volume.dtype == np.uint16
-    assert volume.dims == ("z", "y", "x")
+    assert (volume.dtype, volume.dims) == (np.uint16, ("z", "y", "x"))
     np.testing.assert_array_equal(volume.z, 3.0 * np.arange(9))
     np.testing.assert_array_equal(volume.x, 4.0 * np.arange(20))
-    assert volume.attrs["voxel_um"] == [3.0, 2.0, 4.0]
-    assert volume.attrs["full_scale"] == 65535
-    assert volume.attrs["first_position_um"] == 50.0
-    assert volume.attrs["sections_missing"] == 0
-
-
-def test_uneven_sections_are_interpolated_at_their_true_places() -> None:
+    assert (volume.attrs["voxel_um"], volume.attrs["full_scale"]) == ([3.0, 2.0, 4.0], 65535)
+    assert (volume.attrs["first_position_um"], volume.attrs["sections_missing"]) == (50.0, 0)
     positions = np.array([0, 3, 6.5, 9, 11, 14, 17, 20.0])
     volume = regular_volume(SectionSeries(ramp(positions).astype(np.float32), positions, (2.0, 4.0)))
     np.testing.assert_allclose(volume.values, ramp(volume.z.values), rtol=1e-6)
@@ -56,7 +48,7 @@ def test_up_to_three_missing_sections_are_bridged(direction: float) -> None:
     assert volume.attrs["sections_missing"] == 3
 
 
-def test_longer_gaps_are_named_or_empty() -> None:
+def test_longer_gaps_and_sections_without_alignment_are_named_or_empty() -> None:
     positions = np.array([0, 3, 6, 21, 24, 27.0])
     with pytest.raises(VolumeError, match=r"4 between 6 and 21 um.*At most 3 in a row.*split the series"):
         regular_volume(SectionSeries(ramp(positions).astype(np.uint8), positions, (2.0, 4.0)))
@@ -64,9 +56,6 @@ def test_longer_gaps_are_named_or_empty() -> None:
     empty = np.isnan(volume.values).all(axis=(1, 2))
     np.testing.assert_array_equal(np.flatnonzero(empty), [3, 4, 5, 6])
     assert np.isfinite(volume.values[~empty]).all()
-
-
-def test_sections_that_could_not_be_aligned_count_as_missing() -> None:
     positions = 3.0 * np.arange(8)
     stack = ramp(positions).astype(np.float32)
     stack[4] = 99
@@ -76,7 +65,7 @@ def test_sections_that_could_not_be_aligned_count_as_missing() -> None:
         regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(8, aligned=np.arange(8) == 4))
 
 
-def test_shift_and_turn_are_taken_off_in_one_step() -> None:
+def test_shift_turn_and_gain_are_taken_off_in_one_step() -> None:
     positions = 3.0 * np.arange(4)
     stack = ramp(positions).astype(np.float32)
     volume = regular_volume(SectionSeries(stack, positions, (2.0, 4.0)), alignment=posed(4, (1.0, 6.0), 0.01))
@@ -86,9 +75,6 @@ def test_shift_and_turn_are_taken_off_in_one_step() -> None:
     expected = ramp(positions) + 1.0 + 1.5 + 2.0 * 0.02 * (c - 9.5) - 0.005 * (r - 5.5)
     np.testing.assert_allclose(volume.values[:, 1:-2, 1:-3], expected[:, 1:-2, 1:-3], rtol=1e-5)
     assert volume.attrs["jitter_left_um"] == [0.1, 0.2]
-
-
-def test_gains_are_applied_before_rounding_and_kept_in_range() -> None:
     stack = np.tile(np.array([10, 100, 250], np.uint8), (4, 3, 1))
     gains = Gains(gain=np.full(4, 1.1), offset=np.full(4, -20.0), measured=np.ones(4, bool))
     volume = regular_volume(SectionSeries(stack, 3.0 * np.arange(4), (2.0, 4.0)), gains=gains)
@@ -98,29 +84,22 @@ def test_gains_are_applied_before_rounding_and_kept_in_range() -> None:
 def test_the_whole_stage_puts_the_sheet_where_it_was() -> None:
     truth = make_series(errors=(0.0, 0.0), turn_rad=0.0, noise=0.0, marks=False, sections=64, cols=480)
     series = make_series(drift=0.03, marks=False, sections=64, cols=480, missing=(40, 41, 42))
-    found = align_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    gains = normalise_sections(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    attrs = {"file_name": "v", "voxel_um_source": "the cut counter"}
     where = SectionSeries(series.stack, series.positions_um, PIXEL_UM)
+    found, gains = align_sections(where), normalise_sections(where)
+    attrs = {"file_name": "v", "voxel_um_source": "the cut counter"}
     with limit_threads(1):
         volume = regular_volume(where, alignment=found, gains=gains, attrs=attrs)
     with limit_threads(3):
         again = regular_volume(where, alignment=found, gains=gains, attrs=attrs)
     np.testing.assert_array_equal(volume.values, again.values)
-    assert volume.dtype == np.uint8
-    assert volume.shape == truth.stack.shape
-    assert volume.attrs["file_name"] == "v"
+    assert (volume.dtype, volume.shape, volume.attrs["file_name"]) == (np.uint8, truth.stack.shape, "v")
     assert volume.attrs["voxel_um_source"] == "the cut counter"
-    raw = regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    heights = [np.diff(middle(v.values)) for v in (truth_volume(truth), raw, volume)]
+    exact = regular_volume(SectionSeries(truth.stack, truth.positions_um, PIXEL_UM))
+    heights = [np.diff(middle(v.values)) for v in (exact, regular_volume(where), volume)]
     before, after = (np.std((h - heights[0])[np.r_[:38, 43:63]]) for h in heights[1:])
     print(f"steps from section to section, error {before:.2f} -> {after:.2f} um")
     assert before > 1.5  # 1.5 um in each of two sections is 2.1 um, less what noise adds
     assert after < 0.35  # 0.2 um in each, as for the alignment
-
-
-def truth_volume(series):
-    return regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
 
 
 def middle(values):
@@ -133,8 +112,7 @@ def middle(values):
 def test_pitch_of_the_made_up_series_is_the_nominal_one() -> None:
     series = make_series(sections=20, cols=80, missing=(5,))
     volume = regular_volume(SectionSeries(series.stack, series.positions_um, PIXEL_UM))
-    assert volume.attrs["voxel_um"] == [PITCH_UM, *PIXEL_UM]
-    assert volume.sizes["z"] == 20
+    assert (volume.attrs["voxel_um"], volume.sizes["z"]) == ([PITCH_UM, *PIXEL_UM], 20)
 
 
 class OneByOne:

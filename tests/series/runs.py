@@ -1,7 +1,5 @@
 """Runs of made-up figures in folders, for the tests of series: no volume, no link."""
 
-from __future__ import annotations
-
 import copy
 from functools import cache
 from pathlib import Path

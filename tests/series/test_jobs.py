@@ -36,8 +36,10 @@ def opened(one: SeriesState, specimen: PlannedSpecimen) -> Job:
     return job
 
 
-def test_what_was_refused_is_not_tried_again_until_it_changes(tmp_path: Path, specimen: PlannedSpecimen) -> None:
+def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
+    one.close(specimen, opened(one, specimen), JobOutcome(state="damaged", message="memory", seconds=1.0))
+    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
     refused = one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no hole", seconds=1.0))
     assert (refused.state, refused.message, refused.run) == ("refused", "no hole", None)
     again = book(tmp_path, specimen).open(specimen, COMPUTE)
@@ -46,12 +48,6 @@ def test_what_was_refused_is_not_tried_again_until_it_changes(tmp_path: Path, sp
     other = book(tmp_path, specimen, changes=("correlate.point_um=50",)).open(specimen, COMPUTE)
     assert isinstance(other, Job)
     tifffile.imwrite(tmp_path / "i.tif", np.ones((8, 7), np.uint8))
-    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
-
-
-def test_want_of_memory_or_disk_is_tried_again(tmp_path: Path, specimen: PlannedSpecimen) -> None:
-    one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), JobOutcome(state="damaged", message="memory", seconds=1.0))
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
 
 

@@ -53,8 +53,7 @@ def test_the_page_needs_nothing_else_and_no_script(written):
     page = Page((out / "report.html").read_text(encoding="utf-8"))
     assert page.sections == ["specimens", "maps", "groups", "differences", "record"]
     assert not {"script", "iframe", "form"} & page.tags
-    assert page.handlers == []
-    assert page.loose == []
+    assert (page.handlers, page.loose) == ([], [])
     outside = [a for a in page.addresses if not a.startswith(("data:", "#", "../run-"))]
     assert outside == []
     assert any("default-src 'none'" in m.get("content", "") for m in page.metas)
@@ -84,16 +83,14 @@ def test_the_table_is_written_in_every_order_and_the_style_shows_the_chosen_one(
         r'<input type="radio" name="order" id="order-\d"(?: checked)?><label for="order-\d">(.+?)<', text
     )
     bodies = re.findall(r'<div class="order order-(\d)">.*?<tbody>(.*?)</tbody>', text, re.S)
-    assert names == ["as listed", "state", "sheet", "mean", "standard deviation"]
-    assert len(bodies) == len(names)
+    assert (names, len(bodies)) == (["as listed", "state", "sheet", "mean", "standard deviation"], len(names))
     orders = [tuple(re.findall(r'<th scope="row" class="name">(?:<a[^>]*>)?(.*?)<', body)) for _, body in bodies]
     assert all(sorted(order) == sorted(orders[0]) and len(order) == len(members) for order in orders)
     assert len(set(orders)) == len(orders)
     for number, _ in bodies:
         assert f"#order-{number}:checked ~ .orders > .order-{number}" in text
     by_mean = orders[[o[0] for o in bodies].index("4")]
-    assert by_mean[0] == "run-1"
-    assert text.count(" checked") == 1
+    assert (by_mean[0], text.count(" checked")) == ("run-1", 1)
     assert sorted(["run-10", "run-2", "Run-1"], key=natural) == ["Run-1", "run-2", "run-10"]
 
 
@@ -114,8 +111,7 @@ def test_tables_hold_every_figure_and_every_specimen(written):
         specimens = list(csv.DictReader(file))
     assert [row["specimen"] for row in specimens] == [m.name for m in members]
     assert float(specimens[1]["coating_top_mean_um"]) == 20.0
-    assert specimens[3]["coating_top_mean_um_trust"] == "doubtful"
-    assert specimens[3]["checks_look"] == "coverage"
+    assert (specimens[3]["coating_top_mean_um_trust"], specimens[3]["checks_look"]) == ("doubtful", "coverage")
     assert specimens[8]["state"] == "refused"
     with (out / "values.csv").open(encoding="utf-8", newline="") as file:
         values = list(csv.DictReader(file))
@@ -138,8 +134,7 @@ def test_a_series_comes_back_as_arrays(written):
     assert study.r_low.sel(pair="coating_top/image", point_um=100, specimen="run-1").item() == 0.63
     assert study.thin_share.sel(map="coating_top", limit_um=5.0).values[0] == 0.02
     assert study.trust.sel(map="coating_top").values.tolist() == [0, 0, 0, 1, 0, 0, 0, 0, -1]
-    assert study.paper.values.tolist() == ["A"] * 4 + ["B"] * 5
-    assert study.state.values[-1] == "refused"
+    assert (study.paper.values.tolist(), study.state.values[-1]) == (["A"] * 4 + ["B"] * 5, "refused")
     assert study.marks_used.sel(registration="volume/image").values[0] == 3
     assert coating.groupby("paper").mean().sel(paper="B").item() == pytest.approx(24.5)
 
@@ -194,8 +189,7 @@ def test_a_factor_with_the_name_of_a_column_keeps_apart(tmp_path):
     (tmp_path / "out").mkdir()
     write_series(members, tmp_path, Declared(), tmp_path / "out")
     study = pl.open_study(tmp_path / "out")
-    assert study.factor_map.values.tolist() == ["M"]
-    assert study.state.values.tolist() == ["whole"]
+    assert (study.factor_map.values.tolist(), study.state.values.tolist()) == (["M"], ["whole"])
     assert study.factor_state.values.tolist() == ["wet"]
 
 
@@ -206,8 +200,7 @@ def test_parquet_holds_what_the_table_holds(written):
     _, members, home, _ = written
     rows = gather(members, home).rows
     table = pq.read_table(io.BytesIO(parquet_bytes(*figures_table(rows, ["paper", "sheet"]))))
-    assert table.num_rows == len(rows)
-    assert table.column("value").to_pylist() == [row.value for row in rows]
+    assert (table.num_rows, table.column("value").to_pylist()) == (len(rows), [row.value for row in rows])
     assert table.column("paper").to_pylist() == [row.factors["paper"] for row in rows]
 
 

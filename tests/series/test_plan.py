@@ -25,8 +25,7 @@ def test_a_table_gives_files_factors_and_options(tmp_path: Path) -> None:
     first, second = read_plan(table).specimens
     assert first.name == "Süd 1-1"
     assert first.files == (str(tmp_path / "a" / "v.tif"), str(tmp_path / "a" / "i.tif"))
-    assert first.factors == {"paper": "Süd 1", "sheet": "1"}
-    assert first.changes == ("volume.through=y",)
+    assert (first.factors, first.changes) == ({"paper": "Süd 1", "sheet": "1"}, ("volume.through=y",))
     assert second.changes == ()
 
 
@@ -37,13 +36,19 @@ def test_the_table_of_any_spreadsheet_is_read(tmp_path: Path, sign: str) -> None
     assert [one.name for one in read_plan(table).specimens] == ["A 1"]
 
 
-def test_names_come_from_factors_then_files_then_numbers(tmp_path: Path) -> None:
+def test_specimens_are_named_by_factors_files_or_numbers_and_studies_name_each_other(tmp_path: Path) -> None:
     def names(text: str) -> list[str]:
         return [one.name for one in read_plan(write(tmp_path, text)).specimens]
 
     assert names("volume,sheet\na.tif,1\nb.tif,2\n") == ["1", "2"]
     assert names("volume,sheet\na.tif,1\nb.tif,1\n") == ["a", "b"]
     assert names("volume,sheet\nx/v.tif,1\ny/v.tif,1\n") == ["specimen-1", "specimen-2"]
+    series = write(tmp_path, SERIES, "series.toml")
+    single = write(tmp_path, '[volume]\npath = "v.tif"\n', "study.toml")
+    for verb, path, other in (("run", series, "planish study"), ("study", single, "planish run")):
+        done = CliRunner().invoke(planish, [verb, str(path), "--out", str(tmp_path / "out")])
+        assert other in str(done.exception)
+        assert not (tmp_path / "out").exists()
 
 
 @pytest.mark.parametrize(
@@ -120,15 +125,6 @@ def test_what_is_wrong_with_a_series_is_named_with_its_line(tmp_path: Path, old:
     with pytest.raises(InputError) as caught:
         read_plan(write(tmp_path, SERIES.replace(old, new, 1), "series.toml"))
     assert words in str(caught.value)
-
-
-def test_run_and_study_name_each_other(tmp_path: Path) -> None:
-    series = write(tmp_path, SERIES, "series.toml")
-    single = write(tmp_path, '[volume]\npath = "v.tif"\n', "study.toml")
-    for verb, path, other in (("run", series, "planish study"), ("study", single, "planish run")):
-        done = CliRunner().invoke(planish, [verb, str(path), "--out", str(tmp_path / "out")])
-        assert other in str(done.exception)
-        assert not (tmp_path / "out").exists()
 
 
 def test_a_map_that_no_sheet_can_have_is_refused_before_anything_is_linked(tmp_path: Path) -> None:

@@ -57,8 +57,7 @@ def test_the_same_sheets_before_and_after_are_paired_and_before_comes_first(tmp_
     assert (d.levels, d.kind, d.sheets, d.unpaired) == (("before", "after"), "paired", (3, 3), ("sheet 9",))
     assert d.p == pytest.approx(paired.pvalue, rel=1e-9)
     assert d.interval == pytest.approx(tuple(paired.confidence_interval()), rel=1e-9)
-    assert d.equivalence.verdict == "equivalent"
-    assert d.difference == pytest.approx((after - before).mean())
+    assert (d.equivalence.verdict, d.difference) == ("equivalent", pytest.approx((after - before).mean()))
 
 
 def test_two_papers_before_and_after_are_compared_within_each_paper(tmp_path):
@@ -145,8 +144,7 @@ def test_maps_without_an_image_and_links_meet_in_what_both_have(tmp_path):
     rows = [({"sheet": "1"}, results_of()), ({"sheet": "2"}, results_of(mean=21.0, linked=False))]
     results = said(tmp_path, *rows)
     assert [one.kind for one in results.specimens] == ["sheet on image", "map"]
-    assert of(results, "mean").fields == 2
-    assert of(results, "r").left_out == ("run-2",)
+    assert (of(results, "mean").fields, of(results, "r").left_out) == (2, ("run-2",))
     assert results.specimens[1].cells[number_of(results, "r")].why_not == "not linked"
     assert any("different kinds" in c for c in results.cautions)
 
@@ -175,8 +173,7 @@ def test_two_volumes_list_bias_limits_and_the_scale_that_both_share(tmp_path):
     [found] = results.instruments
     assert (found.specimen, found.a, found.b, found.map) == ("run-1", "ct", "sections", "coating_top")
     assert (found.bias, found.limits, found.shared_um) == (0.5, (-1.46, 2.46), 40.0)
-    assert found.limit_intervals[1] == (2.2, 2.8)
-    assert found.slopes == pytest.approx((0.8, 1 / 0.9))
+    assert (found.limit_intervals[1], found.slopes) == ((2.2, 2.8), pytest.approx((0.8, 1 / 0.9)))
     rows = {(r.quantity, r.at_um): r for r in gather(series(tmp_path / "b", ({}, two_volumes())), tmp_path / "b").rows}
     assert (rows["bias", 100.0].low, rows["bias", 100.0].high, rows["shared_um", 100.0].value) == (0.4, 0.6, 40.0)
 

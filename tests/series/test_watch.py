@@ -47,22 +47,18 @@ def test_pairs_are_taken_once_when_they_are_whole_and_stand_still(tmp_path: Path
     write(tmp_path / "Süd 1_img.tif")
     whole = write(tmp_path / "Süd 1_ct.tif")
     (tmp_path / "Süd 1_ct.tif").write_bytes(whole[:3000])
-    assert look(0) is None
-    assert look(20) is None
+    assert (look(0), look(20)) == (None, None)
     (tmp_path / "Süd 1_ct.tif").write_bytes(whole[:5000])  # still being written
-    assert look(20) is None
-    assert said == []
+    assert (look(20), said) == (None, [])
     assert look(31) is None  # stands still, and is not whole
-    assert look(31) is None
-    assert len(said) == 1
+    assert (look(31), len(said)) == (None, 1)
     assert "tried again" in said[0]
     (tmp_path / "part").write_bytes(whole)
     (tmp_path / "part").replace(tmp_path / "Süd 1_ct.tif")  # renamed at the end
     assert look(1) is None
     found = look(31)
     assert found is not None
-    assert (found.name, found.factors) == ("Süd-1", {"paper": "Süd", "sheet": "1"})
-    assert look(100) is None
+    assert (found.name, found.factors, look(100)) == ("Süd-1", {"paper": "Süd", "sheet": "1"}, None)
     with pytest.raises(StopIteration):
         look(101)
 
@@ -99,8 +95,7 @@ def test_a_part_of_each_file_is_taken_when_all_of_it_stands_still(tmp_path: Path
         assert look(20) is None  # the second time the file was written anew
     found = look(31)
     assert found is not None
-    assert (found.name, found.files) == ("1", (f"{tmp_path / '1_ct.h5'}:/entry/a",))
-    assert said == []
+    assert (found.name, found.files, said) == ("1", (f"{tmp_path / '1_ct.h5'}:/entry/a",), [])
 
 
 @pytest.mark.parametrize(

@@ -76,14 +76,11 @@ def test_a_coating_that_is_nowhere_thicker_than_the_blur(coats):
     assert found.attrs["grey_coating_top"] == pytest.approx(210, abs=15)
 
 
-def test_with_its_grey_told_a_layer_of_half_a_micrometre_is_half_a_micrometre():
+def test_a_coating_grey_makes_thin_layers_right_and_is_refused_on_the_wrong_side_of_the_base():
     sheet = replace(PLAIN, coats=(0.5, 0.0), voxel=1.37)
     found = find_surfaces(sheet.volume(), params=SurfaceParams(coating_grey=210.0))
     assert np.nanmean((found["top"] - found["interface_top"]).values) == pytest.approx(0.5, abs=0.3)
     assert np.isnan(found["interface_bottom"]).all()
-
-
-def test_a_coating_grey_on_the_wrong_side_of_the_base_is_refused():
     with pytest.raises(VolumeError, match="coating_grey="):
         find_surfaces(PLAIN.volume(), params=SurfaceParams(coating_grey=70.0))
 
@@ -92,13 +89,8 @@ def test_a_thin_layer_beside_a_thick_one_is_not_as_thick_as_the_blur():
     """A wedge from 0 to 12 um: the thick end tells the grey."""
     sheet = replace(PLAIN, lateral=(40, 120), voxel=1.37)
     wedge = np.linspace(0.0, 12.0, 120)
-    grey = np.stack(
-        [
-            replace(sheet, lateral=(40, 2), coats=(t, 12.0), seed=k).volume().values[:, :, 0]
-            for k, t in enumerate(wedge)
-        ],
-        axis=-1,
-    )
+    strips = (replace(sheet, lateral=(40, 2), coats=(t, 12.0), seed=k) for k, t in enumerate(wedge))
+    grey = np.stack([strip.volume().values[:, :, 0] for strip in strips], axis=-1)
     found = find_surfaces(sheet.volume().copy(data=grey))
     thickness = np.nanmean((found["top"] - found["interface_top"]).values, axis=0)
     for at in (0.5, 1.0, 2.0, 3.0, 6.0):

@@ -20,14 +20,10 @@ def blended(grey, slope_r, slope_c):
     return both
 
 
-def edge(slope_r, slope_c, width):
-    r, c, d = np.meshgrid(np.arange(15.0), np.arange(15.0), np.arange(60.0), indexing="ij")
-    return ndtr((d - 28 - slope_r * (r - 7) - slope_c * (c - 7)) / width).astype(np.float32)
-
-
 @pytest.mark.parametrize("slopes", [(0.0, 0.0), (0.8, 0.33), (-1.4, 0.5), (0.0, -2.0)])
 def test_an_inclined_edge_keeps_its_width(slopes):
-    grey = edge(*slopes, 1.2)
+    r, c, d = np.meshgrid(np.arange(15.0), np.arange(15.0), np.arange(60.0), indexing="ij")
+    grey = ndtr((d - 28 - slopes[0] * (r - 7) - slopes[1] * (c - 7)) / 1.2).astype(np.float32)
     assert_allclose(blended(grey, *slopes)[7, 7], grey[7, 7], atol=0.012)  # cubic between voxels
     if slopes[0]:  # what it was without the move
         assert np.abs(blended(grey, 0.0, 0.0)[7, 7] - grey[7, 7]).max() > 0.06

@@ -47,11 +47,7 @@ def spoilt(grey=AIR, seed=0, through="z", top="high"):
     values = values * (1 - share) + np.minimum(values, grey) * share + rng.normal(0, 4.0, SHAPE)
     coords = {k: np.arange(n) * VOXEL for k, n in zip("zyx", SHAPE, strict=True)}
     volume = xr.DataArray(values, dims=("z", "y", "x"), coords=coords)
-    return posed(volume, truth, through, top)
-
-
-def posed(volume, truth, through, top):
-    """The same sheet with its normal along another axis, or its top at the low end."""
+    # the same sheet with its normal along another axis, or its top at the low end
     frame = Frame(through=through, top=top)
     names = dict(zip("zyx", (through, frame.rows, frame.cols), strict=True))
     if top == "low":
@@ -184,7 +180,7 @@ def test_corrections_of_a_search_are_read_from_a_file(tmp_path):
     assert surfaces_of(measure_properties(at_once))["top"].equals(at_once["top"])
 
 
-def test_a_point_where_the_face_was_right_changes_next_to_nothing():
+def test_a_point_on_the_right_face_changes_next_to_nothing_and_one_outside_is_refused():
     volume, truth, _ = spoilt()
     place = {"z": float(found()["top"].values[20, 20]), "y": 60.0, "x": 60.0, "face": "top"}
     asked = Corrections(stretches=(Stretch.model_validate({"id": "c1", "points": [place]}),))
@@ -194,6 +190,11 @@ def test_a_point_where_the_face_was_right_changes_next_to_nothing():
     assert not drawn[~near].any()
     assert np.count_nonzero(drawn) < 0.02 * np.count_nonzero(near)
     assert np.abs(corrected["top"].values - truth)[near].max() < VOXEL
+    volume, _, _ = spoilt()
+    place = {"z": 100, "y": 1e4, "x": 10, "face": "top"}
+    asked = Corrections.model_validate({"stretches": [{"id": "c1", "points": [place]}]})
+    with pytest.raises(InputError, match="its y goes from 0 to 357 um"):
+        correct_surfaces(found(), volume, asked)
 
 
 @pytest.mark.parametrize(
@@ -212,15 +213,6 @@ def test_a_file_that_holds_no_corrections_is_refused(tmp_path, text, words):
     path.write_text(text, encoding="utf-8")
     with pytest.raises(FileError, match=words):
         read_corrections(path)
-
-
-def test_a_point_outside_the_volume_is_refused():
-    volume, _, _ = spoilt()
-    asked = Corrections.model_validate(
-        {"stretches": [{"id": "c1", "points": [{"z": 100, "y": 1e4, "x": 10, "face": "top"}]}]}
-    )
-    with pytest.raises(InputError, match="its y goes from 0 to 357 um"):
-        correct_surfaces(found(), volume, asked)
 
 
 def test_kriging_meets_its_points_and_is_as_wrong_as_it_says():

@@ -34,7 +34,7 @@ def test_boundaries_lie_within_half_a_voxel(tilt, through):
     assert np.isnan(found["interface_bottom"]).all()
 
 
-def test_meanings_may_be_given_and_several_labels_may_mean_the_same():
+def test_labels_get_their_meanings_and_pores_are_no_face():
     labels = SHEET.labels()
     plain = from_labels(labels)
     other = np.array([7, 3, 9], dtype=np.uint8)[labels.values]
@@ -42,9 +42,6 @@ def test_meanings_may_be_given_and_several_labels_may_mean_the_same():
     found = from_labels(labels.copy(data=other), air=(7,), base=(3, 4), coating=(9,))
     for name in ("top", "bottom", "interface_top", "centre"):
         np.testing.assert_array_equal(found[name], plain[name])
-
-
-def test_pores_belong_to_the_sheet_and_are_no_face():
     labels = SHEET.labels().values.copy()
     labels[(labels == 1) & (np.random.default_rng(0).random(labels.shape) < 0.3)] = 5
     given = SHEET.labels().copy(data=labels)
@@ -86,7 +83,7 @@ def test_thresholds_of_a_mixture():
     assert 8 < otsu(values[:8000], 2)[0] < 42
 
 
-def test_the_published_way_on_an_uncoated_sheet():
+def test_the_published_method_fits_an_uncoated_sheet_and_thickens_a_thin_coating():
     sheet = replace(SHEET, coats=(0.0, 0.0), tilt=(0.0, 10.0))
     found = find_surfaces(sheet.volume(), params=SurfaceParams(method="paper"))
     assert found.attrs["method"] == "paper"
@@ -94,9 +91,6 @@ def test_the_published_way_on_an_uncoated_sheet():
         error = found[name].values - sheet.surfaces()[name]
         assert abs(np.nanmean(error)) < 0.2
         assert np.sqrt(np.nanmean(error**2)) < 0.5 * sheet.voxel
-
-
-def test_the_published_way_makes_a_thin_coating_thicker_than_the_profile_does():
     sheet = replace(SHEET, coats=(5.0, 14.0))
     paper, profile = (
         float(np.nanmean((found["top"] - found["interface_top"]).values))

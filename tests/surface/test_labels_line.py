@@ -44,15 +44,12 @@ def test_grey_properties_of_labels_are_refused(labels, tmp_path):
 
 
 @pytest.mark.study
-def test_labels_without_a_coating_are_said_on_the_command_line(planish, labels, tmp_path):
+def test_labels_without_a_coating_are_said_on_the_command_line(passes, refuses, labels, tmp_path):
     """The base is then the whole sheet; the same label may not mean both."""
     out = tmp_path / "run"
     meaning = ("--labels", "--label-base", "1,2", "--voxel-um", "4")
-    code, _, err = planish("map", labels, *meaning, "-o", out)
-    assert code == 3
-    assert "The label 2 was given two meanings" in err
-    code, _, err = planish("map", labels, *meaning, "--label-coating", "none", "-o", out)
-    assert code == 0, err
+    refuses("map", labels, *meaning, words="The label 2 was given two meanings")
+    passes("map", labels, *meaning, "--label-coating", "none", "-o", out)
     maps = open_run(out).groups["maps"]
     np.testing.assert_allclose(maps["base_thickness"], maps["thickness"], atol=1e-3)
     assert open_run(out).study.layers[0].surface.labels.coating == ()

@@ -41,9 +41,8 @@ def test_centre_of_folded_paper_lies_where_others_found_it(letter, part):
     volume, points, normals = letter
     rows, cols, through, seed = PARTS[part]
     crop = volume.isel(y=slice(*rows), x=slice(*cols))
-    found = find_surfaces(
-        crop, frame=Frame(through=through), params=SurfaceParams(seed_um=seed, cutoff_um=12.0, rim_um=2.0)
-    )
+    params = SurfaceParams(seed_um=seed, cutoff_um=12.0, rim_um=2.0)
+    found = find_surfaces(crop, frame=Frame(through=through), params=params)
     status, centre = found["status"].values, found["centre"].values
     row_axis, col_axis = found.attrs["row_axis"], found.attrs["col_axis"]
     rise = np.gradient(centre)
@@ -76,9 +75,8 @@ def test_centre_of_folded_paper_lies_where_others_found_it(letter, part):
 def test_where_the_paper_touches_itself_nothing_is_measured(letter):
     """At z = 8 a blob lies against the inside of the upper flap, around x = 21."""
     crop = letter[0].isel(y=slice(0, 30), x=slice(0, 30))
-    found = find_surfaces(
-        crop, frame=Frame(through="y"), params=SurfaceParams(seed_um=(8.0, 9.0, 3.0), cutoff_um=12.0, rim_um=2.0)
-    )
+    params = SurfaceParams(seed_um=(8.0, 9.0, 3.0), cutoff_um=12.0, rim_um=2.0)
+    found = find_surfaces(crop, frame=Frame(through="y"), params=params)
     status = found["status"].values
     print(f"touching: {100 * np.mean(status == 5):.0f} % of the columns")
     assert (status == 5).mean() > 0.1

@@ -37,7 +37,7 @@ def test_the_closed_form_solves_the_differential_equation(backing, s, k, weight)
     assert layer_over(backing, s, k, weight) == pytest.approx(want, abs=1e-8)
 
 
-def test_two_fluxes_through_a_layer_give_the_same():
+def test_limits_and_a_second_flux_give_the_closed_form():
     # The equations as they are first stated, di/dW = -(s + k) i + s j down and up, without Riccati's form between.
     s, k, weight, backing = 90.0, 0.3, 0.02, 0.79
     done = solve_ivp(
@@ -46,6 +46,11 @@ def test_two_fluxes_through_a_layer_give_the_same():
     )  # fmt: skip
     down, up = done.y[:, -1]
     assert layer_over(backing, s, k, weight) == pytest.approx(up / down, abs=1e-10)
+    # A layer that only absorbs is passed twice: exp(-2 k W).
+    assert layer_over(0.6, 0.0, 5.0, 0.1) == pytest.approx(0.6 * np.exp(-1.0), abs=1e-14)
+    # Over black and without absorption: s W / (1 + s W).
+    assert layer_over(0.0, 50.0, 0.0, 0.04) == pytest.approx(2.0 / 3.0, abs=1e-14)
+    assert layer_over(np.zeros((3, 1)), 50.0, 0.3, np.zeros(4)).shape == (3, 4)
 
 
 @given(backing=share, s=st.floats(0.0, 500.0), weight=st.floats(0.0, 1.0))
@@ -72,21 +77,10 @@ def test_two_layers_of_the_same_are_one(backing, s, k, one, two):
     assert 0.0 <= twice <= 1.0 + 1e-12
 
 
-def test_the_limits_nothing_and_black():
-    # A layer that only absorbs is passed twice: exp(-2 k W).
-    assert layer_over(0.6, 0.0, 5.0, 0.1) == pytest.approx(0.6 * np.exp(-1.0), abs=1e-14)
-    # Over black and without absorption: s W / (1 + s W).
-    assert layer_over(0.0, 50.0, 0.0, 0.04) == pytest.approx(2.0 / 3.0, abs=1e-14)
-    assert layer_over(np.zeros((3, 1)), 50.0, 0.3, np.zeros(4)).shape == (3, 4)
-
-
-def test_brightness_over_coat_weight_is_as_computed_elsewhere():
+def test_brightness_over_coat_weight_and_piles_are_as_computed_elsewhere():
     # 0 to 30 g/m2 with s 150 and k 0.3 over an infinite base with s 45 and k 1.2; figures to three digits.
     got = layer_over(infinite_stack(45.0, 1.2), 150.0, 0.3, np.array([0.0, 5.0, 10.0, 20.0, 30.0]) * 1e-3)
     np.testing.assert_allclose(got, [0.794, 0.820, 0.839, 0.866, 0.884], atol=6e-4)
-
-
-def test_a_pile_of_sheets_is_what_one_more_sheet_does_not_change():
     for paper in (PaperParams(), PRESETS["board"][1], PRESETS["sc50"][1]):
         one_more = sheet_reflectance(
             paper, "pile", coating_top_um=paper.coating_top_um, coating_bottom_um=paper.coating_bottom_um
@@ -95,7 +89,7 @@ def test_a_pile_of_sheets_is_what_one_more_sheet_does_not_change():
     assert pile_reflectance(PRESETS["sc50"][1]) == pytest.approx(infinite_stack(45.0, 1.2), abs=1e-12)
 
 
-def test_a_coating_makes_the_sheet_brighter_and_black_behind_it_darker():
+def test_each_map_and_a_coating_act_on_the_brightness_in_their_own_sense():
     coating = np.linspace(0.0, 40.0, 81)
     paper = PaperParams()
     pile, black = (
@@ -109,9 +103,6 @@ def test_a_coating_makes_the_sheet_brighter_and_black_behind_it_darker():
     assert (np.diff(pile, 2) < 0).all()
     assert (pile > 0.78).all()
     assert (pile < 0.93).all()
-
-
-def test_each_map_of_the_sheet_acts_in_its_own_sense():
     paper = PaperParams()
     usual = {"coating_top_um": 17.4, "coating_bottom_um": 17.4}
     at = sheet_reflectance(paper, "black", **usual)

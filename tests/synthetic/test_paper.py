@@ -40,29 +40,27 @@ def _correlation_um(field):
     return PITCH_UM * np.interp(-np.exp(-1), -lags[:400] / lags[0], np.arange(400))
 
 
-def test_base_thickness(wfc):
+def test_base_thickness_faces_and_densities(wfc):
     base = _layers(wfc)[1]
     # 27 mm2 hold a dozen flocs: the mean wanders by some tenths of a micrometre
-    assert base.mean() == pytest.approx(55.0, abs=0.5)
-    assert base.std() == pytest.approx(4.0, rel=0.08)
+    assert (base.mean(), base.std()) == (pytest.approx(55.0, abs=0.5), pytest.approx(4.0, rel=0.08))
     fine = base - lowpass(base, 400.0)
-    assert fine.std() == pytest.approx(3.0, rel=0.08)
-    assert (base - fine).std() == pytest.approx(2.5, rel=0.12)
-
-
-def test_faces_of_the_base(wfc):
+    assert (fine.std(), (base - fine).std()) == (pytest.approx(3.0, rel=0.08), pytest.approx(2.5, rel=0.12))
     top, bottom = wfc.faces[1].astype(float), -wfc.faces[2].astype(float)
-    assert top.std() == pytest.approx(3.5, rel=0.05)
-    assert bottom.std() == pytest.approx(3.5, rel=0.05)
+    assert (top.std(), bottom.std()) == (pytest.approx(3.5, rel=0.05), pytest.approx(3.5, rel=0.05))
     # outward heights: -0.3 is asked for; -0.37 follows from the two spreads of 3.5 and 4 um
     assert np.corrcoef(top.ravel(), bottom.ravel())[0, 1] == pytest.approx(-0.35, abs=0.08)
+    density, mass = wfc.coating_density.astype(float), wfc.base_mass.astype(float)
+    assert density.std() == pytest.approx(0.04, rel=0.15)
+    # 0.3 is asked for; few flocs lie in 27 mm2
+    assert np.corrcoef(density.ravel(), mass.ravel())[0, 1] == pytest.approx(0.3, abs=0.12)
+    assert mass.mean() == pytest.approx(1, abs=1e-3)
 
 
 @pytest.mark.parametrize("side", [0, 2])
 def test_coating(wfc, side):
     coating = _layers(wfc)[side]
-    assert coating.mean() == pytest.approx(17.4, abs=0.3)
-    assert coating.std() == pytest.approx(4.5, rel=0.05)
+    assert (coating.mean(), coating.std()) == (pytest.approx(17.4, abs=0.3), pytest.approx(4.5, rel=0.05))
     assert 0.01 <= (coating < 5).mean() <= 0.03
     assert coating.min() >= 0
     assert stats.skew(coating.ravel()[::11]) < -0.3  # thin where fibres stand up
@@ -94,8 +92,7 @@ def test_the_outer_face_follows_the_base_by_half_at_the_levelling_wavelength():
 @pytest.mark.parametrize("length", [20.0, 35.0, 100.0, 300.0])
 def test_correlation_lengths(length):
     field = noise((1200, 1500), length, generator(0, "test"))
-    assert field.mean() == pytest.approx(0, abs=1e-9)
-    assert field.std() == pytest.approx(1)
+    assert (field.mean(), field.std()) == (pytest.approx(0, abs=1e-9), pytest.approx(1))
     assert _correlation_um(field) == pytest.approx(length, rel=0.12)  # few waves of 300 um fit in
 
 
@@ -119,28 +116,23 @@ def test_fibres_have_the_directions_of_their_distribution(anisotropy):
     assert np.mean(found) == pytest.approx(special.i1(kappa) / special.i0(kappa), abs=0.08)
 
 
-def test_fibres_lie_along_the_machine_direction():
+def test_fibres_and_streaks_lie_along_the_machine_direction():
     """The quick half of the study above: u runs along the columns."""
     net = ndimage.gaussian_filter(fibres((1000, 1000), 4.0, 4.0, generator(0, "net")), 2.0)
     across, along = np.gradient(net)
     assert np.mean(across**2) > 1.5 * np.mean(along**2)
-
-
-def test_streaks_run_along_the_machine():
     field = streaks((300, 200), 600.0, generator(0, "streaks"))
-    assert np.ptp(field, axis=1).max() == 0
-    assert field[:, 0].std() == pytest.approx(1)
+    assert (np.ptp(field, axis=1).max(), field[:, 0].std()) == (0, pytest.approx(1))
 
 
-def test_density_of_the_coating(wfc):
-    density, mass = wfc.coating_density.astype(float), wfc.base_mass.astype(float)
-    assert density.std() == pytest.approx(0.04, rel=0.15)
-    # 0.3 is asked for; few flocs lie in 27 mm2
-    assert np.corrcoef(density.ravel(), mass.ravel())[0, 1] == pytest.approx(0.3, abs=0.12)
-    assert mass.mean() == pytest.approx(1, abs=1e-3)
-
-
-def test_calendering_presses_the_outer_faces_and_leaves_the_coating():
+def test_texture_of_the_base_and_calendering():
+    texture = _sheet(PaperParams(), high=QUARTER / 2).texture
+    assert texture.mean() == pytest.approx(1.0, abs=0.03)
+    # fibres 0.20, and grains of filler that a scanner's blur averages away
+    calm = ndimage.gaussian_filter(texture.astype(float), (0, 2, 2))
+    assert calm[5].std() == pytest.approx(0.2, rel=0.15)
+    middle, face = (texture[k] - calm[k] for k in (5, 0))
+    assert middle.std() > face.std()
     before, after = (_sheet(PRESETS[name][1], high=QUARTER) for name in ("wfc135", "wfc135-calendered"))
     assert after.faces[0].std() == pytest.approx(0.5 * before.faces[0].std(), rel=0.1)
     means = [[layer.mean() for layer in _layers(sheet)[:2]] for sheet in (before, after)]
@@ -158,17 +150,7 @@ def test_every_preset_is_a_sheet(name):
         assert layer.mean() == pytest.approx(mean, abs=0.3)
 
 
-def test_texture_of_the_base():
-    texture = _sheet(PaperParams(), high=QUARTER / 2).texture
-    assert texture.mean() == pytest.approx(1.0, abs=0.03)
-    # fibres 0.20, and grains of filler that a scanner's blur averages away
-    calm = ndimage.gaussian_filter(texture.astype(float), (0, 2, 2))
-    assert calm[5].std() == pytest.approx(0.2, rel=0.15)
-    middle, face = (texture[k] - calm[k] for k in (5, 0))
-    assert middle.std() > face.std()
-
-
-def test_coded_pattern_has_no_two_equal_pitches():
+def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
     params = HoleParams(stage_um=0.0)
     holes = hole_pattern(params, np.zeros(2), np.array([8200.0, 6100.0]), 0)
     assert len(holes) == 21
@@ -177,9 +159,6 @@ def test_coded_pattern_has_no_two_equal_pitches():
     assert pitches.min() >= 500 - 1e-6
     assert pitches.max() <= 950 + 1e-6
     assert len(np.unique(np.round(pitches, 3))) == len(pitches)
-
-
-def test_the_stage_errs_as_it_is_told():
     designed = hole_pattern(HoleParams(stage_um=0.0), np.zeros(2), np.array([8200.0, 6100.0]), 0)
     errors = [
         hole_pattern(HoleParams(stage_um=4.0), np.zeros(2), np.array([8200.0, 6100.0]), seed) - designed

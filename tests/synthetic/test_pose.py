@@ -42,21 +42,25 @@ def test_the_inverse_is_exact(rotation, scale, mirrored, stretch, radial, point)
     np.testing.assert_allclose(pose(pose.inverse(np.array(point))), point, rtol=0, atol=1e-9)
 
 
-def test_missing_points_stay_missing_and_so_do_those_beyond_the_fold():
+def test_a_pose_keeps_missing_points_small_shifts_and_its_file():
     pose = CameraPose(similarity=Similarity(), radial=-0.1, half_diagonal_um=100.0)
     back = pose.inverse([[np.nan, 0.0], [150.0, 0.0], [100.0, 0.0]])
     # t - 0.1 t^3 has its maximum of 1.217 at t = 1.826.
     assert np.isnan(back[:2]).all()
     assert np.isfinite(back[2]).all()
+    _, pose = drawn(seed=2, shift_range_um=100.0)
+    want = 100.0 * np.random.default_rng(2).uniform(-1, 1, 5)[1:3]
+    np.testing.assert_allclose(pose([[1700.0, 700.0]])[0] - pose.centre_um, want, atol=1e-9)
+    _, pose = drawn(seed=3, radial=0.001, stretch=0.002, turn_range_deg=8.0, mirrored=True)
+    known = json.loads(json.dumps(asdict(pose)))
+    again = CameraPose(**{**known, "similarity": Similarity(**known["similarity"])})
+    np.testing.assert_array_equal(again([[900.0, 50.0]]), pose([[900.0, 50.0]]))
 
 
-def test_the_frames_middle_and_the_sheets_middle_are_where_nothing_moves():
+def test_the_middle_stays_the_lens_moves_corners_and_the_stretch_has_two_signs():
     shape, pose = drawn(radial=0.001, stretch=0.002, turn_deg=7.0)
     middle = [[1700.0, 700.0]]
     np.testing.assert_allclose(pose(middle), [[(shape[1] - 1) * 2.0, (shape[0] - 1) * 2.0]], atol=1e-9)  # 4 um / 2
-
-
-def test_the_lens_moves_the_corner_by_k1():
     shape, pose = drawn(radial=0.001)
     corner = np.array([0.0, 0.0])
     straight = replace(pose, radial=0.0)
@@ -64,9 +68,6 @@ def test_the_lens_moves_the_corner_by_k1():
     half = 2.0 * np.hypot(shape[0] - 1, shape[1] - 1)
     assert np.hypot(*moved) == pytest.approx(0.001 * half, rel=1e-9)
     assert (moved < 0).all()  # outwards: a cushion
-
-
-def test_the_stretch_lengthens_one_way_and_shortens_the_other():
     _, pose = drawn(seed=1, stretch=0.002)
     ends = pose([[0.0, 0.0], [1000.0, 0.0], [0.0, 1000.0]])
     along, across = ends[1, 0] - ends[0, 0] - 1000.0, ends[2, 1] - ends[0, 1] - 1000.0
@@ -113,16 +114,3 @@ def test_up_to_15_degrees_the_frame_keeps_its_sides():
         shape, _ = drawn(turn_deg=turn)
         assert shape == (int(1.30 * 2000 / 4), int(1.12 * 3000 / 4))
     assert drawn(turn_deg=90.0)[0] == (int(1.30 * 3000 / 4), int(1.12 * 2000 / 4))
-
-
-def test_a_small_shift_is_taken_as_it_is_drawn():
-    _, pose = drawn(seed=2, shift_range_um=100.0)
-    want = 100.0 * np.random.default_rng(2).uniform(-1, 1, 5)[1:3]
-    np.testing.assert_allclose(pose([[1700.0, 700.0]])[0] - pose.centre_um, want, atol=1e-9)
-
-
-def test_the_pose_goes_into_a_file():
-    _, pose = drawn(seed=3, radial=0.001, stretch=0.002, turn_range_deg=8.0, mirrored=True)
-    known = json.loads(json.dumps(asdict(pose)))
-    again = CameraPose(**{**known, "similarity": Similarity(**known["similarity"])})
-    np.testing.assert_array_equal(again([[900.0, 50.0]]), pose([[900.0, 50.0]]))

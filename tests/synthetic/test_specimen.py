@@ -55,7 +55,7 @@ def test_the_residual_of_the_inverse_is_below_a_hundredth_of_a_micrometre(slope,
     assert np.abs(again - points).max() < 1e-4
 
 
-def test_a_general_cylinder_keeps_every_length():
+def test_a_general_cylinder_keeps_every_length_and_its_slope_is_the_given_one():
     warp = Warp(slope=0.577, tilt_deg=-8.0, ruling_deg=35.0, wavelength_um=2500.0)
     t = np.linspace(0, 1, 20_001)
     for direction in ((1.0, 0.0), (0.0, 1.0), (0.6, 0.8)):
@@ -63,9 +63,6 @@ def test_a_general_cylinder_keeps_every_length():
         length = np.linalg.norm(np.diff(warp.points(u, v), axis=0), axis=1).sum()
         # chords of 0.1 um are shorter than their arcs by less than 1e-9
         assert length == pytest.approx(2000.0, rel=1e-8)
-
-
-def test_the_slope_is_the_one_asked_for():
     warp = Warp(slope=0.5, tilt_deg=3.0, ruling_deg=0.0)
     u = np.linspace(-3000, 3000, 6001)
     normals = warp.normals(u, np.zeros_like(u))
@@ -250,8 +247,7 @@ def test_the_default_specimen_in_one_call(tmp_path, monkeypatch):
     monkeypatch.setattr(module, "DEMO", SMALL)
     specimen = make_specimen(folder=tmp_path / "made")
     voxel, pixel = SMALL.scanner.voxel_um, SMALL.camera.pixel_um
-    assert specimen.volume.dims == ("z", "y", "x")
-    assert float(specimen.volume["x"][1]) == voxel
+    assert (specimen.volume.dims, float(specimen.volume["x"][1])) == (("z", "y", "x"), voxel)
     assert float(specimen.image["y"][2]) == 2 * pixel
     assert specimen.files.volume.is_file()
     assert specimen.files.image.is_file()

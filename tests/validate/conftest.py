@@ -1,7 +1,5 @@
 """A certificate of recorded figures for the tests of its tables and pages; the scenario itself for the studies."""
 
-from __future__ import annotations
-
 import tomllib
 from dataclasses import replace
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Certificates: what becomes of the seeds, of refusals and of limits; tables, page and record of them."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from html.parser import HTMLParser
@@ -31,8 +29,7 @@ def test_no_figure_is_worse_than_recorded(whole_certificate):
 @pytest.mark.study
 def test_the_small_scenario_meets_its_limits(whole_certificate):
     assert whole_certificate.passed, summary(whole_certificate)
-    assert len(whole_certificate.entries) == 3
-    assert len(whole_certificate.entries[0].pictures) == 4
+    assert (len(whole_certificate.entries), len(whole_certificate.entries[0].pictures)) == (3, 4)
 
 
 def made_up(values, *, limits=None, **entry):
@@ -41,16 +38,11 @@ def made_up(values, *, limits=None, **entry):
     return Certificate(scenario=scenario, entries=entries)
 
 
-def test_mean_spread_and_worst():
+def test_the_spread_over_seeds_and_the_worst_one_decide():
     found = made_up([{"tre_p95": 1.0, "top_bias": -0.3}, {"tre_p95": 3.0, "top_bias": 0.1}]).lines()
-    assert found["tre_p95"].mean == 2.0
-    assert found["tre_p95"].sd == pytest.approx(np.sqrt(2.0))
-    assert found["tre_p95"].worst == 3.0
-    assert found["top_bias"].worst == -0.3
+    assert (found["tre_p95"].mean, found["tre_p95"].sd) == (2.0, pytest.approx(np.sqrt(2.0)))
+    assert (found["tre_p95"].worst, found["top_bias"].worst) == (3.0, -0.3)
     assert list(found) == ["top_bias", "tre_p95"]
-
-
-def test_the_worst_seed_has_to_meet_the_limit():
     limits = {"tre_p95": Limit(limit=2.5), "recall_image": Limit(least=0.9), "thin_dice": Limit(least=0.5)}
     found = made_up([{"tre_p95": 1.0, "recall_image": 1.0}, {"tre_p95": 3.0, "recall_image": 1.0}], limits=limits)
     assert {name: line.met for name, line in found.lines().items()} == {
@@ -81,8 +73,7 @@ def test_every_seed_gives_an_entry_and_the_first_an_example(monkeypatch, small):
     monkeypatch.setattr("planish.validate.page.draw_example", lambda _both, seed: [f"maps of {seed}"])
     reports = []
     found = run_scenario(small, [4, 2], progress=lambda *words: reports.append(words))
-    assert [entry.seed for entry in found.entries] == [4, 2]
-    assert found.entries[0].values == {"tre_p95": 7.0}
+    assert ([entry.seed for entry in found.entries], found.entries[0].values) == ([4, 2], {"tre_p95": 7.0})
     assert found.entries[0].failed == ("marks: 7 marks agree to 33.1 um.",)
     assert [entry.pictures for entry in found.entries] == [("maps of 4",), ()]
     assert ("small", "seed 2, 2 of 2") in reports
@@ -104,19 +95,27 @@ def test_a_refusal_is_an_outcome(monkeypatch, small):
 
     monkeypatch.setattr(certify, "run_study", refuse)
     found = run_scenario(small, 1)
-    assert found.entries[0].refusal == "Only 2 holes were found in the volume."
-    assert found.entries[0].values == {}
+    assert (found.entries[0].refusal, found.entries[0].values) == ("Only 2 holes were found in the volume.", {})
     assert not found.passed
     assert "no result" in verdict(found)
     assert "Only 2 holes" in render_page(found)
     assert "Only 2 holes" in markdown(found)
 
 
-def test_a_failed_check_is_kept_with_its_sentence():
+def test_failed_checks_and_notes_stand_on_the_page_with_a_row_of_dots():
     found = made_up([{"tre_p95": 1.0}], failed=("marks: 7 marks agree to 33.1 um only.",))
     assert not found.passed
     assert "a check of the run failed" in summary(found)
     assert "33.1" in render_page(found)
+    found = replace(made_up([{"tre_p95": 1.0}]), notes=("Taken: voxels of 3 um.",))
+    assert "voxels of 3 um" in render_page(found)
+    assert dots((), 1.0) == ""
+    text = dots((0.5, 1.0), 2.0)
+    assert text.count("<circle") == 2
+    # zero at the left margin, the limit at the right one, 0.5 a quarter of the way
+    assert 'cx="40.5"' in text
+    assert dots((-1.0, 1.0), 2.0).count('stroke-width="2"') == 2
+    assert dots((0.0,), 0.0)
 
 
 def test_table_of_a_certificate(certificate):
@@ -153,27 +152,15 @@ def test_the_page_needs_nothing_else(certificate):
     page = Page(text)
     assert "script" not in page.tags
     assert all(source.startswith(("data:", "#")) for source in page.sources)
-    assert page.tags.count("figure") == 5
-    assert text == render_page(certificate)
+    assert (page.tags.count("figure"), text) == (5, render_page(certificate))
     assert verdict(certificate).replace("'", "&#39;") in text
     assert "{{" not in text
 
 
-def test_a_row_of_dots():
-    assert dots((), 1.0) == ""
-    text = dots((0.5, 1.0), 2.0)
-    assert text.count("<circle") == 2
-    # zero at the left margin, the limit at the right one, 0.5 a quarter of the way
-    assert 'cx="40.5"' in text
-    assert dots((-1.0, 1.0), 2.0).count('stroke-width="2"') == 2
-    assert dots((0.0,), 0.0)
-
-
-def test_worse_than_recorded():
+def test_figures_worse_than_recorded_are_named_by_size():
     old = made_up([{"tre_p95": 1.0, "recall_image": 1.0, "r_pixel": 0.5}, {"tre_p95": 1.2, "recall_image": 1.0}])
     kept = record.record(old)
-    assert kept["figures"]["tre_p95"]["mean"] == pytest.approx(1.1)
-    assert record.worse(old, kept) == []
+    assert (kept["figures"]["tre_p95"]["mean"], record.worse(old, kept)) == (pytest.approx(1.1), [])
     # 2 sd are 0.28
     near, far = made_up([{"tre_p95": 1.35, "recall_image": 1.0}]), made_up([{"tre_p95": 1.4, "recall_image": 0.9}])
     assert record.worse(near, kept) == []
@@ -182,14 +169,6 @@ def test_worse_than_recorded():
     better = made_up([{"tre_p95": 0.1, "recall_image": 1.0}])
     assert record.worse(better, kept) == []
     assert "now there is none" in record.worse(made_up([{"recall_image": 1.0}]), kept)[0]
-
-
-def test_signed_errors_are_compared_by_size():
     kept = record.record(made_up([{"top_bias": -0.5}, {"top_bias": -0.5}]))
     assert record.worse(made_up([{"top_bias": 0.5}]), kept) == []
     assert record.worse(made_up([{"top_bias": 0.6}]), kept) != []
-
-
-def test_notes_stand_on_the_page():
-    found = replace(made_up([{"tre_p95": 1.0}]), notes=("Taken: voxels of 3 um.",))
-    assert "voxels of 3 um" in render_page(found)

@@ -1,7 +1,5 @@
 """The command around it: what it prints and writes, and how it ends."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 
@@ -34,15 +32,23 @@ def call(capsys, monkeypatch, certificate):
     return do
 
 
-def test_the_table_and_the_verdict(call):
+def test_the_table_with_its_verdict_and_the_list(call):
     code, out, _ = call()
     assert code == 0
     assert "Registration" in out
     assert "a point of the map is off by" in out
     assert "All 8 limits are met" in out
+    code, out, _ = call("--list")
+    assert code == 0
+    assert all(name in out for name in ("as-1", "as-2", "ct", "quiet", "small"))
+    code, out, _ = call("--list", "--json")
+    assert {"name", "title", "seeds"} == set(json.loads(out)[0])
+    with pytest.raises(FileError, match="There is no scenario") as error:
+        call("--scenario", "smal")
+    assert error.value.exit_code == 3
 
 
-def test_the_files(call, tmp_path):
+def test_files_and_folders_of_scenarios(call, tmp_path):
     code, _, err = call("--out", tmp_path / "out")
     assert code == 0
     assert {p.name for p in (tmp_path / "out").iterdir()} == {
@@ -52,9 +58,6 @@ def test_the_files(call, tmp_path):
     assert "certificate" in err
     with pytest.raises(FileError, match="exists already"):
         call("--out", tmp_path / "out")
-
-
-def test_several_scenarios_have_folders_of_their_own(call, tmp_path):
     code, out, _ = call("--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "out", "--json")
     assert code in (0, 4)
     assert [found["scenario"]["name"] for found in json.loads(out)] == ["small", "quiet"]
@@ -68,20 +71,6 @@ def test_a_missed_limit_ends_with_4(call, monkeypatch, certificate):
     assert code == 4
     assert "MISSED" in out
     assert "missed" in err
-
-
-def test_the_list(call):
-    code, out, _ = call("--list")
-    assert code == 0
-    assert all(name in out for name in ("as-1", "as-2", "ct", "quiet", "small"))
-    code, out, _ = call("--list", "--json")
-    assert {"name", "title", "seeds"} == set(json.loads(out)[0])
-
-
-def test_a_wrong_scenario_ends_with_3(call):
-    with pytest.raises(FileError, match="There is no scenario") as error:
-        call("--scenario", "smal")
-    assert error.value.exit_code == 3
 
 
 def test_specimens_like_a_run(call, linked_run):

@@ -1,7 +1,5 @@
 """Specimens like a run: what is read from a run of a known specimen is what that specimen was made of."""
 
-from __future__ import annotations
-
 import json
 import shutil
 
@@ -30,21 +28,15 @@ def test_a_run_of_a_known_specimen(specimen, linked_run):
     assert 0.5 * true.warp.wavelength_um < found.warp.wavelength_um < 2.0 * true.warp.wavelength_um
 
 
-def test_it_says_what_was_taken_and_what_assumed(linked_run):
+def test_the_template_states_its_sources_and_takes_the_place_of_paper_and_instruments(linked_run):
     found = like_run(linked_run)
     assert "Taken: Voxels of 4 um." in found.notes
     assert any(note.startswith("Assumed: Fringe") for note in found.notes)
     assert all(note.endswith(".") for note in found.notes)
     assert "path" not in json.dumps(found.study)
-
-
-def test_the_scenario_takes_the_place_of_paper_and_instruments(linked_run):
-    found = like_run(linked_run)
     scenario = found.scenario(read_scenario("ct"))
-    assert scenario.params(2).paper == found.params.paper
-    assert scenario.params(2).warp == found.params.warp
-    assert scenario.params(2).seed == 2
-    assert scenario.limits == read_scenario("ct").limits
+    assert (scenario.params(2).paper, scenario.params(2).warp) == (found.params.paper, found.params.warp)
+    assert (scenario.params(2).seed, scenario.limits) == (2, read_scenario("ct").limits)
     assert scenario.instrument == "stack"
 
 

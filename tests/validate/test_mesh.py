@@ -1,7 +1,5 @@
 """The spring mesh alone: the first acceptance scenario, and its figures on errors of known size."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -20,7 +18,7 @@ def test_as_1_with_two_deformations():
     assert 0.1 < found.lines()["mesh_first"].mean < 1.0
 
 
-def test_errors_of_size_and_of_nodes():
+def test_errors_start_and_rest_lengths_of_the_mesh():
     flat = grid(24, 32)
     np.testing.assert_allclose(size_errors(flat * [1.01, 0.98], flat), [0.01, -0.02, 1.01 / 0.98 - 1])
     turn = np.array([[0.6, -0.8], [0.8, 0.6]])
@@ -29,13 +27,8 @@ def test_errors_of_size_and_of_nodes():
     moved[3, 4, 0] += 0.5
     # the mean of 768 nodes moves along by 0.5 / 768, the turn by less
     assert node_error(moved, flat) == pytest.approx(0.5, rel=0.01)
-
-
-def test_start_and_rest_lengths():
     start, rest = deformed(0)
-    assert start.shape == (24, 32, 2)
-    assert np.nanmin(rest) == 1.0
-    assert np.nanmax(rest) == pytest.approx(np.sqrt(2.0))
+    assert (start.shape, np.nanmin(rest), np.nanmax(rest)) == ((24, 32, 2), 1.0, pytest.approx(np.sqrt(2.0)))
     flat, points = cylinder()
     # arcs of equal x are longest at the ends
     lengths = rest_lengths(points)[0, 0, :-1]

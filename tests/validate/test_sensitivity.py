@@ -1,7 +1,5 @@
 """Which stage suffers under which nuisance, on made-up figures; the runs themselves are replaced."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 
@@ -16,8 +14,7 @@ BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "
 
 
 def test_errors_are_taken_apart_as_squares():
-    assert added_error(0.5, 0.4) == pytest.approx(0.3)
-    assert added_error(0.3, 0.4) == 0.0
+    assert (added_error(0.5, 0.4), added_error(0.3, 0.4)) == (pytest.approx(0.3), 0.0)
     assert added_error(None, 0.4) is None
 
 
@@ -65,15 +62,12 @@ def test_independent_nuisances_sum_up(monkeypatch, small):
 
     calls = fake(monkeypatch, effect)
     found = sensitivity(small)
-    assert len(calls) == 2 + len(small.active)
-    assert calls[0] == frozenset()
+    assert (len(calls), calls[0]) == (2 + len(small.active), frozenset())
     suffering = {row.nuisance: row.suffers for row in found.rows}
     assert {k: v for k, v in suffering.items() if v} == {
         "char": "holes", "stage": "registration", "scan_noise": "surfaces"
     }  # fmt: skip
-    assert found.ratio["holes"] == pytest.approx(1.0)
-    assert found.ratio["thickness"] is None
-    assert found.together == {}
+    assert (found.ratio["holes"], found.ratio["thickness"], found.together) == (pytest.approx(1.0), None, {})
     assert "act independently" in sum_sentence("holes", found)
     head, rows = sensitivity_rows(found)
     assert all(len(row) == len(head) for row in rows)
@@ -86,13 +80,12 @@ def test_an_interaction_is_named(monkeypatch, small):
 
     calls = fake(monkeypatch, effect)
     found = sensitivity(small)
-    assert len(calls) == 2 + 2 * len(small.active)
-    assert found.ratio["holes"] == pytest.approx(0.0)
+    assert (len(calls), found.ratio["holes"]) == (2 + 2 * len(small.active), pytest.approx(0.0))
     assert set(found.together["holes"]) == {"char", "scan_blur"}
     assert "burnt rims" in sum_sentence("holes", found)
 
 
-def test_nuisances_that_cancel_each_other_have_a_sentence(monkeypatch, small):
+def test_nuisances_that_cancel_or_are_missing_have_a_sentence(monkeypatch, small):
     def effect(on):
         return {"values": BASE | {"fle_pair": 3.0 if on == {"char"} else 0.3}}
 
@@ -100,6 +93,13 @@ def test_nuisances_that_cancel_each_other_have_a_sentence(monkeypatch, small):
     found = sensitivity(small)
     assert found.ratio["holes"] == float("inf")
     assert "add nothing, although single ones do" in sum_sentence("holes", found)
+    with pytest.raises(InputError, match="no nuisances"):
+        sensitivity(read_scenario("as-1"))
+    with pytest.raises(InputError, match="No nuisance"):
+        sensitivity(read_scenario("quiet"))
+    fake(monkeypatch, lambda _on: {"values": {}, "refusal": "No sheet."})
+    with pytest.raises(InputError, match="No sheet"):
+        sensitivity(small)
 
 
 def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):
@@ -111,20 +111,9 @@ def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):
     fake(monkeypatch, effect)
     found = sensitivity(small)
     row = next(row for row in found.rows if row.nuisance == "half_closed")
-    assert row.refusal == "Only 2 holes found."
-    assert row.suffers is None
+    assert (row.refusal, row.suffers) == ("Only 2 holes found.", None)
     page = render_page(certificate, found)
     assert "no result" in page
     assert page.count('class="n') > 4 * len(found.rows)
     assert "refused" in markdown(certificate, found)
     assert len(as_json(certificate, found)["sensitivity"]["rows"]) == len(small.active)
-
-
-def test_what_has_no_sensitivity(monkeypatch, small):
-    with pytest.raises(InputError, match="no nuisances"):
-        sensitivity(read_scenario("as-1"))
-    with pytest.raises(InputError, match="No nuisance"):
-        sensitivity(read_scenario("quiet"))
-    fake(monkeypatch, lambda _on: {"values": {}, "refusal": "No sheet."})
-    with pytest.raises(InputError, match="No sheet"):
-        sensitivity(small)

@@ -1,7 +1,5 @@
 """Run folders for the tests of the page of ``planish explore``, and what they read of it."""
 
-from __future__ import annotations
-
 import base64
 import json
 import zlib

@@ -1,7 +1,5 @@
 """The page of ``planish explore`` as a file: what it holds, what it says, and that nothing else gets in."""
 
-from __future__ import annotations
-
 import base64
 import hashlib
 import json
@@ -48,8 +46,6 @@ def explored(planish, run, tmp_path):
 
 
 # --- values ----------------------------------------------------------------------------------------------------
-
-
 def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run):
     linked = open_run(linked_run).linked
     titles = {str(v.attrs.get("long_name", k)): k for k, v in linked.data_vars.items()}
@@ -67,11 +63,20 @@ def test_every_value_is_that_of_the_run_to_what_the_page_states(page, linked_run
         np.testing.assert_allclose(page.unpack(spec), linked[f"volume_{axis}"].values, atol=0.02)
 
 
-def test_the_maps_that_lead_come_first_and_places_and_errors_are_no_maps_of_their_own(page):
+def test_leading_maps_come_first_with_the_sentence_of_the_report_and_a_picture_without_script(page, linked_run):
+    report = (linked_run / "report.html").read_text(encoding="utf-8")
+    [lead] = re.findall(r'<p class="lead">(.*?)</p>', report)
+    assert f'<p class="lead">{lead}</p>' in page.html
     titles = [one["title"] for one in page.data["maps"]]
     assert titles[:2] == ["Coating thickness, top side", "Relative grey"]
     assert not [title for title in titles if "error of the coating" in title or "Place" in title]
     assert page.data["grid"]["dx"] == 5.0
+    [image] = [attrs for tag, attrs in page.elements if tag == "img"]
+    assert image["src"].startswith("data:image/")
+    assert image["alt"] == "Coating thickness, top side, as a picture"
+    assert ("div", {"class": "desk", "id": "desk", "hidden": ""}) in page.elements
+    assert "Missing are the other 9 maps, the cursor with its values, the scatter and the slices." in page.words
+    assert "Firefox 113" in page.words
 
 
 def test_slices_are_every_second_row_with_the_faces_of_the_run(page, linked_run):
@@ -109,8 +114,6 @@ def test_a_picture_of_a_slice_shows_the_volume_with_its_top_up(page, specimen_fi
 
 
 # --- what it is made of ----------------------------------------------------------------------------------------
-
-
 def test_nothing_but_its_own_style_and_script_may_run_and_nothing_is_asked_of_a_server(page):
     [policy] = [
         attrs["content"] for tag, attrs in page.elements if attrs.get("http-equiv") == "Content-Security-Policy"
@@ -131,36 +134,17 @@ def test_nothing_but_its_own_style_and_script_may_run_and_nothing_is_asked_of_a_
     assert not re.findall(r"(?:https?:)?//[a-z]|@import|url\(|\beval\b|innerHTML|Function\(", page.style + script)
 
 
-def test_without_a_script_it_shows_the_map_that_leads_and_says_what_is_missing(page):
-    [image] = [attrs for tag, attrs in page.elements if tag == "img"]
-    assert image["src"].startswith("data:image/")
-    assert image["alt"] == "Coating thickness, top side, as a picture"
-    assert ("div", {"class": "desk", "id": "desk", "hidden": ""}) in page.elements
-    assert "Missing are the other 9 maps, the cursor with its values, the scatter and the slices." in page.words
-    assert "Firefox 113" in page.words
-
-
-def test_it_begins_with_the_sentence_of_the_report(page, linked_run):
-    report = (linked_run / "report.html").read_text(encoding="utf-8")
-    [lead] = re.findall(r'<p class="lead">(.*?)</p>', report)
-    assert f'<p class="lead">{lead}</p>' in page.html
-
-
 def test_the_command_says_what_it_wrote_gives_the_same_bytes_again_and_writes_over_nothing(
-    planish, linked_run, tmp_path, page
+    passes, refuses, linked_run, tmp_path, page
 ):
     path = tmp_path / "page.html"
-    code, out, _ = planish("explore", linked_run, "--out", path, "--json")
-    assert code == 0
+    out, _ = passes("explore", linked_run, "--out", path, "--json")
     told = json.loads(out)
-    assert told["bytes"] == path.stat().st_size
-    assert told["maps"] == 10
+    assert (told["bytes"], told["maps"]) == (path.stat().st_size, 10)
     assert told["slices"] == len(page.data["stacks"][0]["at"])
     before = path.read_bytes()
     assert before.decode() == page.html
-    code, _, err = planish("explore", linked_run, "--out", path)
-    assert code == 3
-    assert "never written over" in err
+    refuses("explore", linked_run, "--out", path, words="never written over", out=False)
     assert path.read_bytes() == before
 
 
@@ -177,8 +161,6 @@ def test_it_refuses_an_output_in_the_run_and_what_is_no_run(planish, linked_run,
 
 
 # --- other runs ------------------------------------------------------------------------------------------------
-
-
 def test_where_the_volume_is_gone_it_shows_the_slices_of_the_run_and_says_so(planish, tmp_path):
     page = explored(planish, put(tmp_path / "run", a_run()), tmp_path)
     [stack] = page.data["stacks"]
@@ -201,12 +183,14 @@ def test_another_file_in_the_place_of_the_volume_is_not_shown(planish, linked_ru
     assert "not there unchanged" in page.words
 
 
-def test_a_mapped_sheet_without_an_image(planish, tmp_path):
+def test_sheets_without_an_image_or_any_value(planish, tmp_path):
     page = explored(planish, put(tmp_path / "run", a_run(linked=False)), tmp_path)
     assert page.data["maps"][0]["title"] == "Coating thickness, top side"
     assert page.data["grid"]["names"] == ["u", "v"]
     assert "No image was linked." in page.words
     assert page.data["groups"][0]["valid"] is None
+    page = explored(planish, put(tmp_path / "run", layers(blank=True)), tmp_path)
+    assert np.isnan(page.unpack(page.data["maps"][0])).all()
 
 
 def test_several_layers_each_with_its_own_maps_and_masks(planish, tmp_path):
@@ -222,11 +206,6 @@ def test_several_layers_each_with_its_own_maps_and_masks(planish, tmp_path):
         np.testing.assert_array_equal(page.unpack(page.data["groups"][one["group"]]["valid"]) > 0, valid)
     assert page.data["stacks"] == []
     assert "No slices: the run does not say where its pixels lie in a volume." in page.words
-
-
-def test_maps_without_any_value(planish, tmp_path):
-    page = explored(planish, put(tmp_path / "run", layers(blank=True)), tmp_path)
-    assert np.isnan(page.unpack(page.data["maps"][0])).all()
 
 
 def test_two_sheets_have_the_slices_of_both(planish, linked_run, tmp_path):
@@ -270,16 +249,13 @@ def test_hostile_names_stay_text(planish, tmp_path):
     for group in ("linked", "maps"):
         run["groups"][group]["coating_top"].attrs |= {"long_name": HOSTILE, "units": HOSTILE}
     page = explored(planish, put(tmp_path / "run", run), tmp_path)
-    assert page.data["maps"][0]["title"] == HOSTILE
-    assert len(page.running) == 1
+    assert (page.data["maps"][0]["title"], len(page.running)) == (HOSTILE, 1)
     assert sum(tag == "img" for tag, _ in page.elements) == 1
     assert not [name for _, attrs in page.elements for name in attrs if name.startswith("on")]
     assert page.words.count(HOSTILE) >= 5  # the title, the heading, the check, the map below the picture
 
 
 # --- size ------------------------------------------------------------------------------------------------------
-
-
 @pytest.mark.study
 def test_maps_and_slices_are_thinned_out_to_their_budget_and_the_page_says_so(
     planish, linked_run, tmp_path, monkeypatch, page

@@ -1,7 +1,5 @@
 """The page of ``planish explore`` in a browser, opened from a file: with mouse and keys, narrow, without a script."""
 
-from __future__ import annotations
-
 import os
 import re
 import shutil
@@ -116,8 +114,6 @@ def a_pixel(linked: xr.Dataset) -> tuple[int, int]:
 
 
 # --- what it shows ---------------------------------------------------------------------------------------------
-
-
 def test_the_cursor_gives_the_values_of_the_run_under_the_mouse(opened, path, data, linked):
     window = opened(path)
     row, col = a_pixel(linked)
@@ -197,8 +193,6 @@ def test_other_layers_and_colours_are_chosen_in_the_page(opened, path):
 
 
 # --- selections ------------------------------------------------------------------------------------------------
-
-
 def chosen(data: Explored, linked: xr.Dataset, *, region=None, brush=None) -> tuple[int, float]:
     """n and r of what a region and a brush of the coating leave, counted plainly in the values of the page."""
     a, b = (data.map(str(linked[name].attrs["long_name"]))[1] for name in ("coating_top", "image"))
@@ -271,8 +265,6 @@ def test_a_brush_in_the_scatter_dims_the_other_pixels_of_the_maps(opened, path):
 
 
 # --- without a mouse, narrow, without a script -----------------------------------------------------------------
-
-
 def test_all_of_it_works_with_keys(opened, path):
     window = opened(path)
     left, scatter, slice_ = (window.view(name) for name in ("Left map", "Scatter", "Slice"))
@@ -344,14 +336,11 @@ def test_a_tap_moves_the_cursor(opened, path, data, linked):
     assert abs(y - linked["y"].values[row]) <= 10
 
 
-def test_without_a_script_the_map_that_leads_is_seen(opened, path):
+def test_without_a_script_or_in_an_old_browser_the_leading_map_is_shown(opened, path):
     window = opened(path, java_script_enabled=False)
     assert window.page.locator("#still img").is_visible()
     assert "the script of this page does not run here" in window.page.locator("#why").inner_text()
     assert not window.page.locator("#desk").is_visible()
-
-
-def test_a_browser_that_is_too_old_says_so(opened, path):
     window = opened(path, before="delete window.DecompressionStream")
     assert "too old" in window.page.locator("#why").inner_text()
     assert window.page.locator("#still img").is_visible()
@@ -368,8 +357,6 @@ def test_a_damaged_page_says_so(opened, path, tmp_path):
 
 
 # --- other runs ------------------------------------------------------------------------------------------------
-
-
 def test_a_relation_that_is_withheld_is_not_drawn(opened, tmp_path):
     run = a_run()
     run["results"]["checks"].append(
@@ -403,9 +390,8 @@ def test_hostile_names_do_nothing_in_the_browser(opened, tmp_path):
 
 
 @pytest.mark.study
-def test_a_sheet_through_y_seen_from_the_low_end(opened, planish, laid, tmp_path):
-    code, _, err = planish("link", laid.volume, laid.image, *laid.options, "--out", tmp_path / "run")
-    assert code in (0, 4), err
+def test_a_sheet_through_y_seen_from_the_low_end(opened, passes, laid, tmp_path):
+    passes("link", laid.volume, laid.image, *laid.options, "--out", tmp_path / "run", codes=(0, 4))
     path = tmp_path / "page.html"
     explore(tmp_path / "run", path)
     linked, data = open_run(tmp_path / "run").linked, Explored(path)
@@ -456,9 +442,8 @@ CURSOR = """async () => {
 
 
 @pytest.mark.study
-def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds(opened, path, tmp_path, planish):
-    code, _, err = planish("demo", "--out", tmp_path / "demo")
-    assert code in (0, 4), err
+def test_first_picture_within_a_second_and_the_cursor_within_thirty_milliseconds(opened, path, tmp_path, passes):
+    passes("demo", "--out", tmp_path / "demo", codes=(0, 4))
     page = tmp_path / "demo.html"
     explore(tmp_path / "demo" / "run", page)
     assert page.stat().st_size <= 5_000_000

@@ -1,7 +1,5 @@
 """Packed maps: values to within half a step, what lies beyond, and what is kept exactly."""
 
-from __future__ import annotations
-
 import base64
 import zlib
 
@@ -44,8 +42,7 @@ def test_a_value_is_within_half_a_step_and_what_is_missing_stays_missing(bits):
     np.testing.assert_array_equal(np.isnan(found), np.isnan(data))
     assert np.nanmax(np.abs(found - data)) <= one.error * (1 + 1e-9)
     # 253 steps, or 65 533, over the whole range.
-    assert one.step == pytest.approx((np.nanmax(data) - np.nanmin(data)) / (2**bits - 4))
-    assert one.beyond == 0
+    assert (one.step, one.beyond) == (pytest.approx((np.nanmax(data) - np.nanmin(data)) / (2**bits - 4)), 0)
 
 
 def test_single_values_far_outside_do_not_take_the_digits_and_are_known_to_lie_beyond():
@@ -54,8 +51,7 @@ def test_single_values_far_outside_do_not_take_the_digits_and_are_known_to_lie_b
     data[3, 4], data[9, 9] = 1e6, -1e6
     one = packed(data)
     codes = unpacked(one)
-    assert codes[3, 4] == 255
-    assert codes[9, 9] == 1
+    assert (codes[3, 4], codes[9, 9]) == (255, 1)
     assert one.step < 0.05
     inside = (codes > 1) & (codes < 255)
     assert np.abs(one.low + one.step * (codes - 2) - data)[inside].max() <= one.error * (1 + 1e-9)

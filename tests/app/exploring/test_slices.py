@@ -1,7 +1,5 @@
 """Slices read from a volume: the same voxels for every axis through the sheet, whatever the blocks."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import xarray as xr
