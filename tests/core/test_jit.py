@@ -37,7 +37,7 @@ def test_kernels_lie_outside_the_program_and_those_of_other_libraries_where_they
 def test_the_cache_lies_in_the_given_folder_that_of_the_user_or_where_numba_can_write(user: Path, tmp_path: Path):
     assert Path(folder_of("")).parent == user
     assert Path(folder_of(str(tmp_path / "given"))).parent == tmp_path / "given"
-    given = tmp_path / "given"
+    given = tmp_path / "file"
     given.write_text("no folder")
     assert Path(folder_of(str(given))).parent == user
     user.rename(tmp_path / "moved")
