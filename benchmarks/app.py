@@ -30,7 +30,7 @@ from benchmarks.size import folder_for
 from planish.core.grid import Grid
 from planish.core.tiles import Tile
 from planish.io.map_store import StoredMaps, map_tiles
-from planish.pipeline import link
+from planish.run import link
 
 PIXEL_UM = 1.37
 _SMALL = 900  # pixels a side of the images of which the run is made that is then given large maps

@@ -13,8 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from planish.core.errors import PlanishError
-from planish.pipeline import map_sheet
-from planish.study import Study
+from planish.run import map_sheet
+from planish.run.study import Study
 from planish.synthetic import make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.synthetic.presets import NUISANCES

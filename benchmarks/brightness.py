@@ -18,7 +18,7 @@ from resource import RUSAGE_SELF, getrusage
 import planish as pl
 from planish.analyze import Correlation, correlate, difference_of
 from planish.core.facts import is_known
-from planish.pipeline import Run
+from planish.run import Run
 from planish.synthetic import (
     MICRO_CT,
     PRESETS,

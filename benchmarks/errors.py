@@ -21,9 +21,9 @@ from numpy.typing import NDArray
 from benchmarks.bent import Bent, material
 from planish.core.grid import Grid, values_at
 from planish.flatten import flatten_sheet
-from planish.pipeline.position_error import PositionErrors
 from planish.register import Chain, fit_transform
 from planish.resample import find_places, resample
+from planish.run.position_error import PositionErrors
 from planish.synthetic import CameraParams
 from planish.synthetic.pose import draw_pose
 

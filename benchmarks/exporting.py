@@ -26,8 +26,8 @@ from benchmarks.size import folder_for
 from planish.core.grid import Grid
 from planish.io.map_store import StoredMaps, map_tiles
 from planish.io.run_folder import write_tree
-from planish.pipeline import link
 from planish.register.params import RegistrationParams
+from planish.run import link
 from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
 FORMATS = ("tiff", "ome-tiff", "ome-zarr", "netcdf", "mat")

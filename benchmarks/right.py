@@ -24,9 +24,9 @@ import tifffile
 from benchmarks.wrong.case import Case
 from benchmarks.wrong.specimens import Draw, drawn
 from benchmarks.wrong.table import Row, judged_case, line_of
-from planish.compute import Compute
 from planish.core.errors import PlanishError
-from planish.pipeline.build import map_sheet
+from planish.run.build import map_sheet
+from planish.run.compute import Compute
 
 _DATA = Path(os.environ.get("PLANISH_DATA", Path(__file__).resolve().parents[2] / "shared" / "data"))
 # Path, part (y, x) of it, and options.

@@ -27,7 +27,7 @@ from planish.analyze.sides import texture_of
 from planish.core.checks import Check
 from planish.core.errors import PlanishError
 from planish.core.facts import is_known
-from planish.pipeline.build import link
+from planish.run.build import link
 from planish.synthetic import PRESETS, HoleParams, SpecimenParams, Warp, draw_params
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 import numpy as np
 
-from planish.marks.files import read_any, used_pairs, write_any
+from planish.marks.exchange import read_any, used_pairs, write_any
 from planish.register import fit_transform
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")

@@ -13,8 +13,8 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import planish as pl
-from planish.pipeline import run_study
-from planish.study import as_study
+from planish.run import run_study
+from planish.run.study import as_study
 from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, write_instruments
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")

@@ -22,7 +22,7 @@ from numba.core.compiler_lock import global_compiler_lock
 from numba.core.dispatcher import Dispatcher
 
 from planish.cli import main
-from planish.pipeline import link, open_run
+from planish.run import link, open_run
 from planish.synthetic import (
     CameraParams,
     HoleParams,
@@ -261,7 +261,7 @@ def run_copy(linked_run, tmp_path) -> Path:
 def unread(monkeypatch):
     """No volume may be mapped; the package hides its modules behind functions of the same names."""
     for module in ("linking", "save"):
-        pipeline = import_module(f"planish.pipeline.{module}")
+        pipeline = import_module(f"planish.run.{module}")
         monkeypatch.setattr(pipeline, "map_layer", lambda *_args, **_more: pytest.fail("the volume was mapped"))
 
 

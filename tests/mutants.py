@@ -86,7 +86,7 @@ MUTANTS = [
     Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
     Mutant("marks/regions/model.py", "(ring - 0.5) * size", "ring * size", "test_regions.py"),
     Mutant("marks/regions/imagej.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
-    Mutant("pipeline/overlay.py", "allowed & ~self.regions.inside(part)", "allowed", "test_regions.py"),
+    Mutant("run/overlay.py", "allowed & ~self.regions.inside(part)", "allowed", "test_regions.py"),
     # register
     Mutant("register/similarity.py", "angle, shift_um = float(np.angle(alpha))", "angle, shift_um = -float(np.angle(alpha))", "register/test_fit.py"),
     Mutant("register/similarity.py", "np.sum(share * zc.conj() * wc)", "np.sum(zc.conj() * wc) / len(z)", "register/test_fit.py register/test_models.py"),

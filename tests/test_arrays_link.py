@@ -5,10 +5,10 @@ import pytest
 import tifffile
 
 import planish as pl
-from planish.compute import Compute
 from planish.core.errors import FileError, StudyError
-from planish.pipeline.build import sections_of, study_of
-from planish.study import SECTIONS, read_study
+from planish.run.build import sections_of, study_of
+from planish.run.compute import Compute
+from planish.run.study import SECTIONS, read_study
 
 VOXEL_UM, PIXEL_UM = 4.0, 5.0  # of the small specimen
 
@@ -51,7 +51,7 @@ def test_a_volume_says_how_its_sheet_lies_and_words_go_before_it(tmp_path):
     with pytest.raises(pl.PlanishError):  # there is no sheet in it
         pl.link(volume, image, out=tmp_path / "run")
     assert list(tmp_path.iterdir()) == []  # what was written for it is gone
-    from planish.pipeline.array_layers import layer_sources
+    from planish.run.array_layers import layer_sources
 
     with layer_sources([volume, image], None, "pl.link({})") as sources:
         study = study_of(sources, {})
@@ -86,7 +86,7 @@ def test_words_are_those_of_the_command_line_each_given_once():
     }  # fmt: skip
     assert compute.memory_bytes == 4 * 10**9
     from planish.cli.runs import link as command
-    from planish.pipeline.build import words_of
+    from planish.run.build import words_of
 
     own = {"out", "chain", "set", "figures", "strict", "json", "help"}
     flags = {flag[2:].replace("-", "_") for option in command.params for flag in option.opts if flag.startswith("--")}

@@ -158,7 +158,7 @@ def test_disk_full_while_writing(refuses, corner_file, monkeypatch):
         limit.setrlimit(limit.RLIMIT_FSIZE, (40000, before[1]))
         return new_folder(path, **where)
 
-    monkeypatch.setattr("planish.pipeline.save.new_folder", limited)
+    monkeypatch.setattr("planish.run.save.new_folder", limited)
     try:
         refuses("map", corner_file, words=("disk is full", "Nothing was kept"), code=5)
     finally:

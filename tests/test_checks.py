@@ -16,8 +16,8 @@ from planish.cli.show import run_facts, run_lines
 from planish.core.checks import Check, Light
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts
-from planish.pipeline.summaries import figures_text
 from planish.results import Results
+from planish.run.summaries import figures_text
 
 LIGHTS = {light.name: light for light in CHECKS}
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")

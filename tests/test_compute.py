@@ -14,7 +14,6 @@ import pytest
 
 from folders import bytes_of
 from planish.cli.show import fact_lines
-from planish.compute import Compute, column_step, engine
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, labelled
@@ -23,8 +22,9 @@ from planish.core.tiles import tiles_of
 from planish.io import describe, read_volume
 from planish.io.params import VolumeParams
 from planish.io.store import write_store
-from planish.pipeline import map_sheet, read_whole, run_study
-from planish.study import as_study
+from planish.run import map_sheet, read_whole, run_study
+from planish.run.compute import Compute, column_step, engine
+from planish.run.study import as_study
 from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 

@@ -11,13 +11,13 @@ from scipy import ndimage
 from planish.analyze import CorrelateParams, commonality, correlate, diagnostics, partial
 from planish.analyze.compare import correlate_layers, headline_of
 from planish.analyze.diagnostics import PairWords, correlation_diagnostics
-from planish.compute import Compute
 from planish.core.area import area_mean
 from planish.core.errors import InputError
-from planish.pipeline.preflight import check_request
 from planish.report.summary import cautions
 from planish.results import Results
-from planish.study import as_study
+from planish.run.compute import Compute
+from planish.run.preflight import check_request
+from planish.run.study import as_study
 
 
 @pytest.fixture(scope="module")

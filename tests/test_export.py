@@ -20,7 +20,7 @@ from planish.exports import FORMATS, ExportParams, formats_table, writer_of
 from planish.exports.formats import imported
 from planish.io import map_store
 from planish.io.run_folder import write_tree
-from planish.pipeline import open_run
+from planish.run import open_run
 
 SUFFIXES = {to: form.suffixes[0] for to, form in FORMATS.items() if form.suffixes}
 ONE = {"maps": ["coating_top"]}

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from planish.core.errors import VolumeError
-from planish.pipeline import run_study
-from planish.study import as_study
+from planish.run import run_study
+from planish.run.study import as_study
 from planish.synthetic import (
     CameraParams,
     HoleParams,

@@ -9,7 +9,7 @@ import xarray as xr
 
 from planish.core import bands
 from planish.io import map_store
-from planish.pipeline import open_run
+from planish.run import open_run
 
 
 def numbers(value, place=""):

@@ -12,13 +12,13 @@ import xarray as xr
 from planish.core.transform import Similarity
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks import cut_holes, find_holes, write_marks
-from planish.marks.files import read_any
+from planish.marks.exchange import read_any
 from planish.marks.params import HoleParams
-from planish.pipeline import link, map_sheet, open_run
-from planish.pipeline.layers import Layer, LayerHoles
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
-from planish.study import LayerParams, Study, read_study, write_study
+from planish.run import link, map_sheet, open_run
+from planish.run.layers import Layer, LayerHoles
+from planish.run.study import LayerParams, Study, read_study, write_study
 from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
 from planish.validate.errors import pair_errors
 
@@ -232,7 +232,7 @@ def test_each_face_of_a_layer_is_searched_for_holes_once(monkeypatch):
         searches.append((layer, side, params.printed))
         return xr.Dataset()
 
-    monkeypatch.setattr("planish.pipeline.layers.find_holes", search)
+    monkeypatch.setattr("planish.run.layers.find_holes", search)
     shows_bottom = LayerParams(name="image", image=ImageParams(path="i.tif", side="bottom"))
     sheet = Layer(params=LayerParams(name="sheet", run="run"), source=None, groups={"maps": xr.Dataset()})
     image = Layer(params=shows_bottom, source=None, image=xr.DataArray(np.zeros((2, 2))))

@@ -15,8 +15,8 @@ import tifffile
 from folders import bytes_of, disc_image, write_image
 from planish.core.errors import InputError
 from planish.core.frame import likely_through
-from planish.pipeline import open_run
-from planish.study import read_study, with_values, write_study
+from planish.run import open_run
+from planish.run.study import read_study, with_values, write_study
 
 
 def image_with(path, holes):
@@ -26,7 +26,7 @@ def image_with(path, holes):
 def instead_of_mapping(monkeypatch, work):
     """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the same names."""
     for module in ("linking", "save"):
-        monkeypatch.setattr(import_module(f"planish.pipeline.{module}"), "map_layer", work)
+        monkeypatch.setattr(import_module(f"planish.run.{module}"), "map_layer", work)
 
 
 def mapped(*_args, **_more):
@@ -259,7 +259,7 @@ def again(passes, run, tmp_path, monkeypatch, change, not_repeated):
     passes("run", study, "-o", tmp_path / "fresh", codes=(0, 4))
     with monkeypatch.context() as patch:
         for module, name in not_repeated:
-            patch.setattr(import_module(f"planish.pipeline.{module}"), name, mapped)
+            patch.setattr(import_module(f"planish.run.{module}"), name, mapped)
         passes("run", run / "run.toml", "--set", change, "-o", tmp_path / "set", codes=(0, 4))
     assert bytes_of(tmp_path / "set") == bytes_of(tmp_path / "fresh") != bytes_of(run)
 

@@ -15,13 +15,13 @@ from planish.analyze.kubelka_munk import answer_kubelka_munk, density_of, kubelk
 from planish.analyze.light_spread import answer_light_spread
 from planish.analyze.mottle import mottle_of
 from planish.analyze.params import CorrelateParams
-from planish.compute import Compute
 from planish.core.errors import InputError, PlanishError
 from planish.io.params import ImageParams
-from planish.pipeline import correlate_maps
-from planish.pipeline.preflight import check_request
 from planish.results import EvidenceFacts, Results
-from planish.study import as_study
+from planish.run import correlate_maps
+from planish.run.compute import Compute
+from planish.run.preflight import check_request
+from planish.run.study import as_study
 
 
 def image_of(values, um=4.0, title="Relative grey"):

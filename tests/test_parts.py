@@ -13,7 +13,6 @@ import xarray as xr
 import zarr
 
 from folders import refused
-from planish.compute import silent
 from planish.core.errors import FileError, StudyError
 from planish.exports import ExportSource
 from planish.io import fingerprint
@@ -22,9 +21,10 @@ from planish.io.params import VolumeParams
 from planish.io.run_folder import read_tree, refuse_inside, write_tree
 from planish.io.store import write_store
 from planish.measure import surfaces_of
-from planish.pipeline.build import study_of
+from planish.run.build import study_of
+from planish.run.compute import silent
+from planish.run.study import LayerParams, Study, read_study, write_study
 from planish.series import read_plan
-from planish.study import LayerParams, Study, read_study, write_study
 
 PART = "/entry/a"
 FOLDER = "scan 1" if os.name == "nt" else "scan: 1"  # no name holds a colon on Windows

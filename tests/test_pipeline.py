@@ -13,14 +13,14 @@ import xarray as xr
 from folders import write_image
 from planish.analyze.compare import REGISTRATION_VARIANTS
 from planish.cli.runs import _compare
-from planish.marks.files import read_any
-from planish.pipeline import link, open_run
-from planish.pipeline.cached_maps import sheets_of
-from planish.pipeline.layers import MappedSheets
-from planish.pipeline.run import open_results, open_sheet
-from planish.pipeline.save import save_run
+from planish.marks.exchange import read_any
 from planish.register import fit_transform
-from planish.study import read_study
+from planish.run import link, open_run
+from planish.run.cached_maps import sheets_of
+from planish.run.layers import MappedSheets
+from planish.run.run import open_results, open_sheet
+from planish.run.save import save_run
+from planish.run.study import read_study
 
 ROWS = [*(name for name, _, _ in REGISTRATION_VARIANTS[:2]), "flattened, similarity"]
 

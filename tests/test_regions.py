@@ -19,10 +19,10 @@ from planish.core.grid import Grid
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.regions import Region, Regions, geojson_text, read_regions
 from planish.marks.regions.model import nested
-from planish.pipeline import correlate_maps, link, open_run
-from planish.pipeline.regions import region_facts, regions_on
 from planish.results import Results
-from planish.study import LayerParams, Study, read_study, write_study
+from planish.run import correlate_maps, link, open_run
+from planish.run.regions import region_facts, regions_on
+from planish.run.study import LayerParams, Study, read_study, write_study
 from report.runs import a_run, page_of
 
 SQUARE = [[10, 10], [30, 10], [30, 30], [10, 30], [10, 10]]

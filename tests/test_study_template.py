@@ -8,9 +8,9 @@ import pytest
 import tifffile
 
 from planish.core.options import Params
-from planish.pipeline.build import study_of
-from planish.pipeline.study_template import draft_study
-from planish.study import Study, as_study, in_study_words, read_study
+from planish.run.build import study_of
+from planish.run.study import Study, as_study, in_study_words, read_study
+from planish.run.study_template import draft_study
 
 KEY = re.compile(r"^#(\w+) = ([^#]*)", re.MULTILINE)
 

@@ -23,8 +23,8 @@ from planish.core.tiles import Engine
 from planish.io import guard, read_volume
 from planish.io.run_folder import new_folder, refuse_existing
 from planish.io.store import write_store
-from planish.marks.files import read_any
-from planish.study import as_study, read_study
+from planish.marks.exchange import read_any
+from planish.run.study import as_study, read_study
 from planish.surface import find_surfaces
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -6,7 +6,7 @@ import tifffile
 
 import planish as pl
 from planish.core.errors import CannotMeasure, VolumeError
-from planish.pipeline import map_sheet
+from planish.run import map_sheet
 
 
 @pytest.mark.parametrize(

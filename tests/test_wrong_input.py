@@ -9,7 +9,7 @@ import pytest
 import tifffile
 
 from folders import write_image, write_volume
-from planish.pipeline import open_run
+from planish.run import open_run
 
 
 def marks_file(path, specimen, count, *, error_um=0.5, wrong=None, wrong_um=80.0):

@@ -13,9 +13,9 @@ import tifffile
 from numpy.typing import NDArray
 
 from benchmarks.wrong.specimens import Right
-from planish.compute import Compute
-from planish.pipeline import Run
-from planish.pipeline.build import link
+from planish.run import Run
+from planish.run.build import link
+from planish.run.compute import Compute
 from planish.synthetic import InstrumentFiles, write_instruments
 
 Array = NDArray[np.float64]

@@ -14,7 +14,7 @@ from planish.core.checks import CORRELATION, POSITION, PROPERTIES
 from planish.core.facts import is_known
 from planish.core.frame import Frame
 from planish.core.grid import pitch
-from planish.pipeline import Run
+from planish.run import Run
 
 Array = NDArray[np.float64]
 LEAST_UM, TIMES = 1.0, 2.0

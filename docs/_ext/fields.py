@@ -14,7 +14,7 @@ from pydantic.fields import FieldInfo
 from planish.core.checks import Check
 from planish.core.options import options_of
 from planish.results import Results
-from planish.study import LayerParams, Study
+from planish.run.study import LayerParams, Study
 
 _WORDS = {float: "number", int: "whole number", str: "text", bool: "true or false"}
 _SIGNS = {"gt": ">", "ge": "≥", "lt": "<", "le": "≤"}

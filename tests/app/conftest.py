@@ -17,7 +17,7 @@ import tifffile
 from folders import make_once
 from planish.app.session import Session
 from planish.cli import main
-from planish.pipeline import link, open_run
+from planish.run import link, open_run
 from planish.synthetic import DEMO, make_specimen, write_instruments
 
 START_S = 60.0

@@ -18,9 +18,9 @@ from planish.app.applying import Applying, Busy
 from planish.app.changes import change_of
 from planish.app.server import create_app
 from planish.app.session import Session
-from planish.pipeline import open_run, run_study
 from planish.results import Results
-from planish.study import read_study
+from planish.run import open_run, run_study
+from planish.run.study import read_study
 
 UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")
 
@@ -29,7 +29,7 @@ UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")
 def run(linked_run, tmp_path):
     """The small link beside its files, with a study that leads to them; to be worked on."""
     from planish import __version__
-    from planish.study import write_study
+    from planish.run.study import write_study
 
     folder = Path(shutil.copytree(linked_run, tmp_path / "made" / "run"))
     write_study(read_study(linked_run / "run.toml"), folder, home=folder, version=__version__)

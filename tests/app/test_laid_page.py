@@ -11,7 +11,7 @@ from app.test_maps_page import RIGHT, cursor_gives_the_pixel
 from app.test_surfaces_page import Shown, face_lies_on_the_top
 from planish.core.frame import Frame
 from planish.io.run_folder import read_group
-from planish.pipeline import open_run
+from planish.run import open_run
 
 pytestmark = pytest.mark.study
 

@@ -15,8 +15,8 @@ from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, hi
 from planish.core.area import halved, overviews
 from planish.core.errors import InputError
 from planish.io.run_folder import write_tree
-from planish.pipeline import open_run
 from planish.report import colours
+from planish.run import open_run
 
 SHAPE, PIXEL, ORIGIN = (700, 1100), (2.0, 2.5), (-30.0, 10.0)
 

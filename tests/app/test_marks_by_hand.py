@@ -8,7 +8,7 @@ import pytest
 
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, pair, settled
 from planish.io.run_folder import read_group
-from planish.pipeline import Registration, open_run
+from planish.run import Registration, open_run
 
 pytestmark = pytest.mark.study
 

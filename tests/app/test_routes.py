@@ -15,7 +15,7 @@ from planish.app.server import create_app
 from planish.app.session import Session
 from planish.core.errors import FileError, SizeError
 from planish.io.params import ImageParams
-from planish.pipeline import open_run
+from planish.run import open_run
 
 
 def served(session: Session) -> Client:

@@ -15,8 +15,8 @@ from planish.app.view_routes import slice_message
 from planish.cli import main
 from planish.core.errors import InputError
 from planish.core.frame import Frame
-from planish.pipeline import open_run, run_study
-from planish.study import changed, read_study
+from planish.run import open_run, run_study
+from planish.run.study import changed, read_study
 from planish.surface import Corrections, correct_surfaces
 
 

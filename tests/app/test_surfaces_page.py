@@ -7,7 +7,7 @@ import pytest
 
 from app.marks_page import expect
 from planish.core.frame import Frame
-from planish.pipeline import open_run
+from planish.run import open_run
 
 pytestmark = pytest.mark.study
 

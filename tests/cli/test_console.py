@@ -12,7 +12,7 @@ import pytest
 from planish.cli import console
 from planish.cli.console import stacked, table, wrapped
 from planish.cli.show import finish, stages
-from planish.pipeline.run import open_results
+from planish.run.run import open_results
 
 SHOWN = """
 import time

@@ -66,7 +66,7 @@ def test_a_fault_of_ours_is_a_sentence_and_a_log(planish, specimen_files, tmp_pa
     def broken(*_args, **_kwargs):
         raise RuntimeError("wires crossed")
 
-    monkeypatch.setattr("planish.pipeline.sheet.find_surfaces", broken)
+    monkeypatch.setattr("planish.run.sheet.find_surfaces", broken)
     code, _, err = planish("map", specimen_files[0], "-o", tmp_path / "run")
     assert code == 1
     assert "wires crossed" in err

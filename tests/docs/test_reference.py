@@ -19,9 +19,9 @@ from planish.cli import planish as group
 from planish.core import errors
 from planish.core.options import options_of
 from planish.measure import registered
-from planish.pipeline import open_run
 from planish.results import Results
-from planish.study import LayerParams, Study
+from planish.run import open_run
+from planish.run.study import LayerParams, Study
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

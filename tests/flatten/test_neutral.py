@@ -8,8 +8,8 @@ from planish.core.errors import CannotFlatten
 from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.flatten import FlattenParams, flat_moves, flatten_sheet, variants
-from planish.pipeline.position_error import NEUTRAL, PositionErrors, error_shares
 from planish.register import Chain, fit_transform
+from planish.run.position_error import NEUTRAL, PositionErrors, error_shares
 
 RADIUS, OFFSET = 1500.0, 4.0
 

@@ -7,8 +7,8 @@ import pytest
 from PIL import Image
 
 from planish.core.errors import MarkError
+from planish.design import DesignParams, Pattern, design_pattern, holes_csv, pattern_dxf, read_pattern
 from planish.marks import read_holes
-from planish.marks.design import DesignParams, Pattern, design_pattern, holes_csv, pattern_dxf, read_pattern
 
 FIELD = ("--field-um", "9000,8000")
 
@@ -141,7 +141,7 @@ def test_a_design_is_a_whole_folder(made):
 
 def test_the_true_size_is_true(pattern):
     """The view is so many millimetres wide on the page as in the stage's coordinates."""
-    from planish.marks.design.draw import drawing_page, house_style
+    from planish.design.draw import drawing_page, house_style
 
     with house_style():
         page = drawing_page(pattern)

@@ -8,9 +8,9 @@ from pydantic import ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
-from planish.marks.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, predict
-from planish.marks.design.plan import _blank_pattern, _draw_pattern
-from planish.marks.design.rules import code_rules, crops, simple_rules
+from planish.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, predict
+from planish.design.plan import _blank_pattern, _draw_pattern
+from planish.design.rules import code_rules, crops, simple_rules
 from planish.register import match_marks
 
 

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from pydantic import ValidationError
 
 from planish.core.errors import MarkError
-from planish.marks.design import (
+from planish.design import (
     DesignParams,
     StageParams,
     design_pattern,

@@ -6,8 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from planish.core.errors import MarkError
-from planish.marks.design import DesignParams, check_pattern, design_pattern, own_pattern
-from planish.marks.design.rules import (
+from planish.design import DesignParams, check_pattern, design_pattern, own_pattern
+from planish.design.rules import (
     CROP,
     _HoleIndex,
     code_misfit_um,

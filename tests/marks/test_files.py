@@ -27,7 +27,7 @@ from marks.files_by_hand import (
     slicer_list,
 )
 from planish.marks import read_holes
-from planish.marks.files import (
+from planish.marks.exchange import (
     FORMATS,
     LayerPixels,
     Places,
@@ -41,7 +41,7 @@ from planish.marks.files import (
     used_pairs,
     write_any,
 )
-from planish.marks.files.formats import formats_table, module_of
+from planish.marks.exchange.formats import formats_table, module_of
 
 PIXELS = {"moving": LayerPixels(MOVING_PIXEL), "fixed": LayerPixels(FIXED_PIXEL)}
 

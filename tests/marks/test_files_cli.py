@@ -9,8 +9,8 @@ from marks.files_by_hand import FIXED, MOVING, bigwarp_2d, elastix
 from marks.test_files import mat_v5, same
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
-from planish.marks.files import LayerPixels, Places, make_marks, read_any, write_any
-from planish.pipeline.registration import read_given
+from planish.marks.exchange import LayerPixels, Places, make_marks, read_any, write_any
+from planish.run.registration import read_given
 
 
 def test_convert_from_bigwarp_to_everything(passes, tmp_path):

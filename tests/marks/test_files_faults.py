@@ -21,7 +21,7 @@ from marks.files_by_hand import (
 )
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
-from planish.marks.files import LayerPixels, Places, make_marks, read_any, used_pairs, write_any
+from planish.marks.exchange import LayerPixels, Places, make_marks, read_any, used_pairs, write_any
 
 
 def lines_with(text, k, new):

@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from folders import refused
 from planish.core.errors import FileError, MarkError, PlanishError
 from planish.marks import write_marks
-from planish.marks.files import read_any, used_pairs
+from planish.marks.exchange import read_any, used_pairs
 
 FLAT = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n"
 lengths = st.floats(-1e6, 1e6, allow_nan=False)

@@ -8,8 +8,8 @@ from scipy import ndimage
 from planish.measure import measure_properties
 from planish.measure.registry import Greys
 from planish.measure.uncertainty import Shared, common_errors
-from planish.pipeline.summaries import property_facts
 from planish.resample.maps import _mean_se
+from planish.run.summaries import property_facts
 from planish.surface import find_surfaces
 
 FINE = 4  # sub-slices a voxel: partial volume, as a scanner shows it

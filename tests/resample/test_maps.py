@@ -7,8 +7,8 @@ import xarray as xr
 from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.transform import Similarity, axial_angle
-from planish.pipeline.position_error import PositionErrors
 from planish.resample import resample_image, resample_maps
+from planish.run.position_error import PositionErrors
 
 
 class Placed(Similarity):

@@ -9,8 +9,8 @@ import tifffile
 
 from formats_written import CUBE, NAME, write_hdf5, write_meta, write_nrrd, write_raw, write_zarr
 from planish.cli.series import code_of
-from planish.compute import Compute
 from planish.core.series_results import Member, MemberState
+from planish.run.compute import Compute
 from planish.series import Plan, PlannedSpecimen, SeriesState
 from planish.series.jobs import Job, JobOutcome, do
 

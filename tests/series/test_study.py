@@ -11,7 +11,7 @@ from pathlib import Path
 
 import pytest
 
-from planish.pipeline import link
+from planish.run import link
 
 pytestmark = pytest.mark.study
 

@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from planish.compute import Compute
+from planish.run.compute import Compute
+from planish.run.study import Study
 from planish.series import run
 from planish.series.jobs import Job, JobOutcome, Note
-from planish.study import Study
 
 
 class Death(Exception):

@@ -6,8 +6,8 @@ import tifffile
 from scipy import ndimage
 
 from planish.core.errors import InputError
-from planish.pipeline import open_run, run_study
-from planish.study import as_study
+from planish.run import open_run, run_study
+from planish.run.study import as_study
 from planish.surface import LabelParams, SurfaceParams
 
 

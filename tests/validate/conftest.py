@@ -6,8 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from planish.pipeline import run_study
 from planish.report.draw import HALF, Canvas
+from planish.run import run_study
 from planish.synthetic import make_specimen, write_instruments
 from planish.validate.certify import Certificate, Entry, run_scenario
 from planish.validate.scenario import in_order, read_scenario

@@ -16,12 +16,12 @@ from planish.app.picture import PLANES
 from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
 from planish.core.typing import Bools
-from planish.marks.files import Places, make_marks, marks_text
+from planish.marks.exchange import Places, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
-from planish.pipeline.cached_maps import noted_study
-from planish.pipeline.regions import REGIONS
-from planish.study import EDITS, LayerParams, Study, changed
+from planish.run.cached_maps import noted_study
+from planish.run.regions import REGIONS
+from planish.run.study import EDITS, LayerParams, Study, changed
 
 STAGED = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""

@@ -58,8 +58,8 @@ def _warm_up() -> None:
 
     from planish.core.area import halved_values
     from planish.flatten import relax_grid
-    from planish.pipeline import run_study
     from planish.report.page import report_template
+    from planish.run import run_study
 
     assert callable(run_study)  # it is loaded when it is asked for
     report_template()
@@ -75,8 +75,8 @@ def _warm_up() -> None:
 
 
 def _make_run(order: Mapping[str, Any], send: Any) -> None:
-    from planish.pipeline import run_study
-    from planish.study import Study, in_study_words
+    from planish.run import run_study
+    from planish.run.study import Study, in_study_words
 
     def progress(stage: str, detail: str) -> None:
         send({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})

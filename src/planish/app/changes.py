@@ -10,10 +10,10 @@ from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter,
 
 from planish.core.errors import InputError
 from planish.core.text import printable
-from planish.marks.files.lists import MOST_MARKS
+from planish.marks.exchange.lists import MOST_MARKS
 from planish.marks.regions.model import LONGEST_TEXT
 from planish.register.params import ModelChoice
-from planish.study import Study
+from planish.run.study import Study
 from planish.surface import Corrections, read_corrections
 
 FARTHEST_UM = 1e9

@@ -20,11 +20,11 @@ from planish.app.pictures import Pictures
 from planish.app.session import Session, ends_of, places_of
 from planish.core.errors import MarkError
 from planish.io.run_folder import read_group
-from planish.marks.files import LayerPixels, make_marks, pair_of_layers, read_any, write_any
-from planish.marks.files.formats import TARGETS
-from planish.pipeline.layers import Layer
-from planish.pipeline.registration import volume_to_map
-from planish.pipeline.run import MAPS, is_run
+from planish.marks.exchange import LayerPixels, make_marks, pair_of_layers, read_any, write_any
+from planish.marks.exchange.formats import TARGETS
+from planish.run.layers import Layer
+from planish.run.registration import volume_to_map
+from planish.run.run import MAPS, is_run
 
 _SUFFIXES = (".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat")
 _ENDS = {"json": ".json", "slicer": ".mrk.json", "elastix": ".txt", "matlab": ".mat"}

@@ -15,7 +15,6 @@ import numpy as np
 
 from planish.app.exploring.maps import MapsOfPage, Packed, map_spec, maps_of
 from planish.app.exploring.slices import BUDGET, Stack, stack_of
-from planish.compute import Compute, Progress, silent
 from planish.core.area import area_mean
 from planish.core.checks import CORRELATION, POSITION, concerned, trust_of
 from planish.core.files import write_whole
@@ -27,6 +26,7 @@ from planish.report.colours import MISSING, colours_in_steps, image_uri
 from planish.report.slices import LINES
 from planish.report.text import template
 from planish.results import Results
+from planish.run.compute import Compute, Progress, silent
 
 _PACKAGE = "planish.app.exploring"
 _PARTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")

@@ -24,8 +24,8 @@ from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Session, Stale
 from planish.app.snap import not_snapped, snapped
-from planish.marks.files import FORMATS
-from planish.marks.files.formats import TARGETS
+from planish.marks.exchange import FORMATS
+from planish.marks.exchange.formats import TARGETS
 from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams
 

@@ -26,9 +26,9 @@ from planish.io.image import across, channel_of
 from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
-from planish.pipeline.gathering import LINKED
-from planish.pipeline.run import MAPS, is_run, open_results
-from planish.study import read_study
+from planish.run.gathering import LINKED
+from planish.run.run import MAPS, is_run, open_results
+from planish.run.study import read_study
 
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
 

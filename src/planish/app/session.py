@@ -34,15 +34,15 @@ from planish.core.typing import Floats
 from planish.io import fingerprint, read_image
 from planish.io.params import ImageParams
 from planish.io.run_folder import read_group
-from planish.marks.files import Places
-from planish.marks.files.model import EXTRAS
+from planish.marks.exchange import Places
+from planish.marks.exchange.model import EXTRAS
 from planish.marks.regions import read_regions
-from planish.pipeline import Registration, find_holes
-from planish.pipeline.cached_maps import noted_study
-from planish.pipeline.regions import REGIONS
-from planish.pipeline.run import MAPS, marks_file, open_results
 from planish.results import Results
-from planish.study import EDITS, Study, read_study
+from planish.run import Registration, find_holes
+from planish.run.cached_maps import noted_study
+from planish.run.regions import REGIONS
+from planish.run.run import MAPS, marks_file, open_results
+from planish.run.study import EDITS, Study, read_study
 
 _UNDO, _REDO = b'{"do": "undo"}', b'{"do": "redo"}'
 

@@ -24,8 +24,8 @@ from planish.io.map_store import stored_group
 from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
 from planish.io.sections import is_section_folder
 from planish.measure.rays import directions, meet, slopes_of
-from planish.pipeline.run import MAPS, is_run
-from planish.study import Study
+from planish.run.run import MAPS, is_run
+from planish.run.study import Study
 from planish.surface import Corrections, preview_faces, uncorrected
 
 Direction = Literal["z", "y", "x", "straight"]

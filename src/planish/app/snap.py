@@ -10,8 +10,8 @@ from planish.app.picture import PLANES, Plane
 from planish.app.pictures import Pictures
 from planish.app.session import Session
 from planish.core.grid import Grid
-from planish.marks.files.model import EXTRAS
-from planish.pipeline import find_holes
+from planish.marks.exchange.model import EXTRAS
+from planish.run import find_holes
 
 REACH = 0.75
 """Share of a hole's diameter within which a mark is taken for one of it."""

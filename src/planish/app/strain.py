@@ -15,8 +15,8 @@ from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, held
 from planish.io.map_store import stored_group
 from planish.io.run_folder import read_group
-from planish.pipeline.run import MAPS
-from planish.study import RUN_TOML, read_study
+from planish.run.run import MAPS
+from planish.run.study import RUN_TOML, read_study
 
 
 class StrainDisplay(NamedTuple):

@@ -10,10 +10,10 @@ import click
 
 from planish.cli.console import sentence
 from planish.cli.options import build_params, existing, given_options, json_option, options, out_option, verb
-from planish.compute import Compute
 from planish.core.errors import StudyError
 from planish.exports import FORMATS, ExportParams
 from planish.io.params import ImageParams
+from planish.run.compute import Compute
 
 
 @verb(

@@ -10,11 +10,11 @@ from typing import Any, Literal
 import click
 
 from planish.cli.options import build_params, existing, json_option, options, out_option, verb
-from planish.compute import Compute, engine
 from planish.core.errors import FileError
 from planish.core.text import printable
 from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
+from planish.run.compute import Compute, engine
 
 _OF_IMPORT = ("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols")
 
@@ -36,7 +36,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
 
     run = run_facts(path)
     if run is None and (path / "run.toml").is_file():
-        from planish.pipeline.run import open_results
+        from planish.run.run import open_results
 
         open_results(path)  # says what is wrong with it
     sections: list[Section] = []
@@ -83,7 +83,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     from planish.cli.show import stages
     from planish.io.run_folder import refuse_existing
     from planish.io.store import write_store
-    from planish.pipeline import read_whole
+    from planish.run import read_whole
 
     refuse_existing(out)
     compute = build_params(Compute, values, "compute")

@@ -12,11 +12,11 @@ from pydantic import Field
 from planish.cli.console import table
 from planish.cli.options import Option, Value, Verb, build_params, existing, json_option, options, out_option
 from planish.core.files import write_whole
-from planish.marks.design.params import DesignParams, ImagingParams, StageParams
-from planish.marks.files.formats import FORMATS, TARGETS, target_of
+from planish.design.params import DesignParams, ImagingParams, StageParams
+from planish.marks.exchange.formats import FORMATS, TARGETS, target_of
 
 if TYPE_CHECKING:
-    from planish.marks.design import Pattern, Rule
+    from planish.design import Pattern, Rule
 
 _POSITIVE = click.FloatRange(min=0, min_open=True)
 _UNITS = click.Choice(["um", "mm", "pixel"])
@@ -50,8 +50,8 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
     drawing.pdf with drawing.svg and .png, predicted_error.png and path.png. A pattern that could be taken for itself in
     another position is refused.
     """
+    from planish.design import design_pattern, write_design
     from planish.io.run_folder import new_folder, refuse_existing
-    from planish.marks.design import design_pattern, write_design
 
     if holes_per_cm2 is not None:
         if values["design__holes"] is not None:
@@ -88,7 +88,7 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 
     Ends with 4 when a rule is broken.
     """
-    from planish.marks.design import check_pattern, predict, read_pattern
+    from planish.design import check_pattern, predict, read_pattern
 
     if field_um is not None and min(field_um) <= 0:
         raise click.UsageError("--field-um: width and height have to be positive.")
@@ -121,9 +121,9 @@ def simulate(
     Ends with 4 when the shots are not those of --pattern.
     """
     from planish.core.tables import read_text
+    from planish.design import dry_run, read_pattern
+    from planish.design.draw import path_picture
     from planish.io.run_folder import refuse_existing
-    from planish.marks.design import dry_run, read_pattern
-    from planish.marks.design.draw import path_picture
 
     stage = build_params(StageParams, values, "stage")
     if out is not None:
@@ -203,7 +203,7 @@ def convert(
     holds one layer only, IN is the moving and IN2 the fixed one, and marks belong together in their order. For elastix,
     OUT becomes two files, for -mp and -fp.
     """
-    from planish.marks.files import LayerPixels, about_layer, layer_names, read_any, write_any
+    from planish.marks.exchange import LayerPixels, about_layer, layer_names, read_any, write_any
 
     if not 2 <= len(files) <= 3:
         raise click.UsageError("Give IN and OUT, or IN, IN2 and OUT.")

@@ -25,7 +25,6 @@ from planish.cli.options import (
     verb,
 )
 from planish.cli.show import finish, run_facts, stages
-from planish.compute import Compute
 from planish.core.errors import PlanishError, StudyError
 from planish.core.files import free_path
 from planish.core.sources import is_this_code
@@ -34,7 +33,8 @@ from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
-from planish.study import EDITS, EDITS_APPLIED, RUN_TOML, Study
+from planish.run.compute import Compute
+from planish.run.study import EDITS, EDITS_APPLIED, RUN_TOML, Study
 from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
@@ -67,7 +67,7 @@ def study_from(
     layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False, changes: tuple[str, ...] = ()
 ) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
-    from planish.pipeline.build import study_of
+    from planish.run.build import study_of
 
     sections = {name: fields for name in _SECTIONS if (fields := given_options(values, name))}
     for section, name in (("registration", "marks"), ("registration", "design"), ("correlate", "regions")):
@@ -81,7 +81,7 @@ def study_from(
 
 
 def _changed(study: Study, changes: tuple[str, ...]) -> Study:
-    from planish.study import with_values
+    from planish.run.study import with_values
 
     try:
         return with_values(study, changes) if changes else study
@@ -94,7 +94,7 @@ def _run_and_show(
     figures: bool = False,
 ) -> int:  # fmt: skip
     """Do what a study says, show it, and return the exit code."""
-    from planish.pipeline import run_study
+    from planish.run import run_study
 
     with stages(8 + 3 * len(study.layers)) as progress:
         run = run_study(
@@ -183,7 +183,7 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
     changes has the same bytes; files that differ from those beside STUDY are named.
     """
     from planish.report import FIGURES
-    from planish.study import in_study_words, read_study
+    from planish.run.study import in_study_words, read_study
 
     if study.is_dir():
         study = study / RUN_TOML
@@ -227,7 +227,7 @@ def _compare(old: Path, target: Path) -> None:
 
 def _listed(files: list[str]) -> str:
     """Files in words; those of the store, of which a map has many, as a count and their groups."""
-    from planish.pipeline.run import MAPS
+    from planish.run.run import MAPS
 
     stored = [Path(name).parts for name in files if name.startswith(f"{MAPS}/")]
     phrases = [name for name in files if not name.startswith(f"{MAPS}/")]
@@ -276,7 +276,7 @@ def new(study: Path, volume: Path, image: Path | None) -> None:
     from planish.core.errors import FileError
     from planish.core.files import write_whole
     from planish.io.run_folder import refuse_existing
-    from planish.pipeline.study_template import draft_study
+    from planish.run.study_template import draft_study
 
     if study.suffix.lower() != ".toml":
         raise click.UsageError(f"STUDY comes first and ends in .toml; {study} does not.")

@@ -12,7 +12,7 @@ import click
 
 from planish.cli.console import sentence, table
 from planish.cli.options import Option, build_params, existing, json_option, options, out_option, verb
-from planish.compute import Compute
+from planish.run.compute import Compute
 from planish.series.declared import Declared
 
 if TYPE_CHECKING:

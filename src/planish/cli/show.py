@@ -17,10 +17,10 @@ from planish.core.memory import enough_gb
 from planish.core.text import printable, quoted
 
 if TYPE_CHECKING:
-    from planish.compute import Progress as Tell
     from planish.core.checks import State
-    from planish.pipeline import Run
     from planish.results import ComparisonRow, CorrelationRow, LayerFacts, Results, SheetFacts
+    from planish.run import Run
+    from planish.run.compute import Progress as Tell
 
 
 @contextmanager

@@ -31,13 +31,13 @@ from planish.cli.runs import (
     surface_options,
     volume_options,
 )
-from planish.compute import Compute, silent
 from planish.core.facts import Side
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
 from planish.measure.params import MeasureParams
 from planish.register.params import RegistrationParams
+from planish.run.compute import Compute, silent
 from planish.surface.params import SurfaceParams
 
 if TYPE_CHECKING:
@@ -78,7 +78,7 @@ def _read(path: Path, group: str, needed: str) -> xr.Dataset:
 
 def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumeParams, Compute]:
     """A volume of any kind, how it lies, and what may be used."""
-    from planish.pipeline.volume import read_sheet_volume
+    from planish.run.volume import read_sheet_volume
 
     params = build_params(VolumeParams, values, "volume", path=str(path.absolute()))
     compute = build_params(Compute, values, "compute")
@@ -103,8 +103,8 @@ def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
 @compute_options
 def surface(volume: Path, out: Path, **values: Any) -> None:
     """Find the faces, interfaces and centre surface of the sheet in VOLUME."""
-    from planish.pipeline.sheet import search_sheet
-    from planish.study import LayerParams
+    from planish.run.sheet import search_sheet
+    from planish.run.study import LayerParams
 
     _refuse(out)
     data, params, compute = _volume(volume, values)
@@ -185,7 +185,7 @@ def resample(
 ) -> None:  # fmt: skip
     """Bring the MEASURED properties onto a regular grid of the FLAT sheet, or onto the pixels of an image."""
     from planish.analyze.image_values import compared_image
-    from planish.pipeline import Registration, resample_maps
+    from planish.run import Registration, resample_maps
 
     if (reference is None) != (registration is None):
         raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
@@ -213,7 +213,7 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
     from planish.checks import check_holes
     from planish.marks import write_holes
-    from planish.pipeline import find_holes
+    from planish.run import find_holes
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     _refuse(*files)
@@ -234,7 +234,7 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
     from planish.marks import read_holes, write_marks
-    from planish.pipeline import register_marks
+    from planish.run import register_marks
 
     table = out.with_suffix(".csv")
     _refuse(out, table)
@@ -263,8 +263,8 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
     from planish.checks import rows_with_trust
     from planish.cli.show import correlations, exit_code
     from planish.core.errors import InputError
-    from planish.pipeline import correlate_maps
-    from planish.pipeline.run import is_run, open_results
+    from planish.run import correlate_maps
+    from planish.run.run import is_run, open_results
 
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
     if missing := [name for name in names if name not in data]:
@@ -289,8 +289,8 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 @figures_option
 def report(run: Path, out: Path, figures: bool) -> None:
     """Make the report of a RUN folder again."""
-    from planish.pipeline import open_run
     from planish.report import FIGURES, write_report
+    from planish.run import open_run
 
     figures_folder = out.absolute().with_name(FIGURES) if figures else None
     _refuse(out, *([figures_folder] if figures_folder else []))

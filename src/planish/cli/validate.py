@@ -10,7 +10,7 @@ import click
 
 from planish.cli.console import table
 from planish.cli.options import build_params, json_option, options, out_option, verb
-from planish.compute import Compute
+from planish.run.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
 if TYPE_CHECKING:

@@ -12,7 +12,6 @@ import numpy as np
 from pydantic import ValidationError
 
 from planish.analyze.compare import is_property
-from planish.compute import Compute, Progress, silent
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file, writing
 from planish.core.grid import Grid
@@ -25,8 +24,9 @@ from planish.exports.meshes import SURFACES, Surface, steps_of
 from planish.exports.source import IMAGE, STRAIGHTENED, ExportSource, checked_names
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
 from planish.io.store import write_store
-from planish.pipeline.run import Run
 from planish.results import LayerFacts
+from planish.run.compute import Compute, Progress, silent
+from planish.run.run import Run
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

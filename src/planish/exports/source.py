@@ -14,7 +14,6 @@ import tomli_w
 import xarray as xr
 
 from planish import __version__
-from planish.compute import Compute, Progress
 from planish.core.bands import thinned
 from planish.core.errors import FileError, InputError
 from planish.core.grid import Grid
@@ -25,15 +24,16 @@ from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import group_names, read_group
-from planish.marks.files import LayerPixels
+from planish.marks.exchange import LayerPixels
 from planish.measure import straightened
-from planish.pipeline.registration import Registration
-from planish.pipeline.run import MAPS, Run, marks_file, open_results
-from planish.pipeline.volume import read_sheet_volume
 from planish.report.colours import Scale, colours_of, partner_of
 from planish.resample import image_attrs, resample_image
 from planish.results import LayerFacts, Results
-from planish.study import LayerParams, Study, read_study, to_dict
+from planish.run.compute import Compute, Progress
+from planish.run.registration import Registration
+from planish.run.run import MAPS, Run, marks_file, open_results
+from planish.run.study import LayerParams, Study, read_study, to_dict
+from planish.run.volume import read_sheet_volume
 
 IMAGE = "image"
 """Name of the image on the flat sheet among the maps, and of the image itself among linked maps."""

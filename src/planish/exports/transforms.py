@@ -16,7 +16,7 @@ from planish.core.grid import Grid
 from planish.core.transform import Affine
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
-from planish.marks.files import write_any
+from planish.marks.exchange import write_any
 
 Array = NDArray[np.float64]
 

@@ -1,8 +1,4 @@
-from .design import Pattern as Pattern
-from .design import check_pattern as check_pattern
-from .design import design_pattern as design_pattern
-from .design import own_pattern as own_pattern
-from .files.csv_marks import write_marks as write_marks
+from .exchange.csv_marks import write_marks as write_marks
 from .find import Polarity as Polarity
 from .find import find_holes as find_holes
 from .hole_files import holes_from_json as holes_from_json

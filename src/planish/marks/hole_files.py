@@ -14,8 +14,8 @@ from pydantic import Field, TypeAdapter, ValidationError
 from planish.core.errors import FileError, MarkError
 from planish.core.files import write_whole
 from planish.core.tables import model_faults, parse_table, read_text
-from planish.marks.files.csv_marks import holes_text
-from planish.marks.files.lists import Part, json_text, read_object, refuse
+from planish.marks.exchange.csv_marks import holes_text
+from planish.marks.exchange.lists import Part, json_text, read_object, refuse
 
 FORMAT, VERSION = "planish-holes", 1
 _REMEDY = "Find the holes again, or correct these parts."

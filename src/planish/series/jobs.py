@@ -14,7 +14,6 @@ from statistics import median
 
 from pydantic import Field, ValidationError
 
-from planish.compute import Compute, run_key
 from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.facts import Facts
 from planish.core.files import write_whole, writing
@@ -24,11 +23,12 @@ from planish.io import find_place, fingerprint
 from planish.io.hashes import files_of
 from planish.io.info import describe
 from planish.io.run_folder import acquire_lock, refuse_existing, sweep
-from planish.pipeline.run import is_run, open_results
-from planish.pipeline.save import run_study
+from planish.run.compute import Compute, run_key
+from planish.run.run import is_run, open_results
+from planish.run.save import run_study
+from planish.run.study import RUN_TOML, Study, in_study_words, to_dict, with_paths
 from planish.series.gather import as_judged
 from planish.series.plan import Plan, PlannedSpecimen
-from planish.study import RUN_TOML, Study, in_study_words, to_dict, with_paths
 
 RUNS = "runs"
 """Folder of the runs within that of the series."""

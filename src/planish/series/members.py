@@ -9,7 +9,7 @@ from pathlib import Path
 from planish.core.errors import FileError, InputError
 from planish.core.series_results import Member
 from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
-from planish.pipeline.run import is_run
+from planish.run.run import is_run
 
 _MOST_NAMES = 5
 

@@ -19,8 +19,8 @@ from planish.core.series_results import Cell, Member, Quantity, RunKind, SeriesR
 from planish.core.tables import table_text
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
-from planish.pipeline.run import MAPS
 from planish.report import SmallMap, series_page, small_map
+from planish.run.run import MAPS
 from planish.series.declared import Declared, declared_of
 from planish.series.gather import FigureRow, gather
 from planish.series.members import relative_path

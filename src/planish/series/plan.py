@@ -18,9 +18,9 @@ from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
 from planish.core.series_results import Member
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
-from planish.pipeline.build import study_of
+from planish.run.build import study_of
+from planish.run.study import Study, as_study, in_study_words, with_paths, with_values
 from planish.series.declared import Declared
-from planish.study import Study, as_study, in_study_words, with_paths, with_values
 
 _NO_FACTORS = ("name", "volume", "image", "layers", "set")
 _NEEDED = "It needs a column volume, or layers with a semicolon between them"

@@ -18,9 +18,9 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Final
 
-from planish.compute import Compute, engine
 from planish.core.series_results import Member
 from planish.core.threads import count_threads
+from planish.run.compute import Compute, engine
 from planish.series.jobs import Job, JobOutcome, SeriesState, do, killed
 from planish.series.plan import Plan, PlannedSpecimen
 

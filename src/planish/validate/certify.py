@@ -10,10 +10,10 @@ from pathlib import Path
 
 import numpy as np
 
-from planish.compute import Compute, Progress, silent
 from planish.core.errors import InputError, PlanishError, ResourceError
-from planish.pipeline import run_study
 from planish.report.draw import Picture
+from planish.run import run_study
+from planish.run.compute import Compute, Progress, silent
 from planish.synthetic import InstrumentFiles, Specimen, make_specimen, write_instruments
 from planish.synthetic.params import SpecimenParams
 from planish.synthetic.presets import NUISANCES

@@ -16,9 +16,9 @@ from planish.core.grid import Grid, pitch, values_at
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats
 from planish.marks import find_holes
-from planish.pipeline import Run
 from planish.register import FittedTransform, fit_transform
 from planish.resample import find_places, resample
+from planish.run import Run
 from planish.sections.network import quick_part
 from planish.synthetic import InstrumentFiles, Specimen
 from planish.validate.scenario import PAIR, Values

@@ -13,7 +13,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.typing import Floats
 from planish.marks import find_holes
-from planish.pipeline import Run, open_run
+from planish.run import Run, open_run
 from planish.synthetic import SIZES_UM, SpecimenParams
 from planish.validate.scenario import Scenario
 

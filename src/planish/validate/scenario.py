@@ -20,7 +20,7 @@ from pydantic import (
 )
 
 from planish.core.errors import FileError, InputError
-from planish.study import Study, faults_of
+from planish.run.study import Study, faults_of
 from planish.synthetic.params import SIZES_UM, SpecimenParams, draw_params
 from planish.synthetic.presets import NUISANCES, PRESETS, nuisances_of, with_only
 

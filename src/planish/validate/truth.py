@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.typing import Bools, Floats
-from planish.pipeline import Run
 from planish.register import FittedTransform
+from planish.run import Run
 from planish.synthetic import InstrumentFiles, Sheet, Specimen
 from planish.validate.scenario import Values
 

@@ -14,7 +14,7 @@ import xarray as xr
 
 from app.exploring.made import Explored, put
 from planish.app import explore
-from planish.pipeline import open_run
+from planish.run import open_run
 from report.runs import a_run
 
 pytestmark = pytest.mark.study

@@ -5,10 +5,10 @@ import pytest
 import xarray as xr
 
 from planish.app.exploring import slices
-from planish.compute import silent
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, labelled
 from planish.report.colours import Scale
+from planish.run.compute import silent
 
 
 class Counted(LazyArray):

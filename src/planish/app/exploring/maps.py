@@ -21,10 +21,10 @@ from planish.core.typing import Floats
 from planish.exports.source import IMAGE, ExportSource
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
-from planish.pipeline.run import MAPS
 from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
+from planish.run.run import MAPS
 
 Codes = NDArray[np.unsignedinteger[Any]]
 

@@ -14,15 +14,15 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.app.exploring.maps import Packed, packed
-from planish.compute import Compute, Progress
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
 from planish.exports import ExportSource
 from planish.io.sections import is_section_folder
-from planish.pipeline.volume import read_whole
 from planish.report.colours import GREYS, Scale, limits
 from planish.report.slices import LINES, Slice, take_slice
 from planish.results import LayerFacts
+from planish.run.compute import Compute, Progress
+from planish.run.volume import read_whole
 
 BUDGET = 5_000_000
 """Letters that all slices may take."""

@@ -1,0 +1,389 @@
+"""Files of a design, among them its pages: pattern, predicted error and path of the stage. All repeat to the byte."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Sequence
+from functools import partial
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib import style
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
+from matplotlib.backends.backend_svg import FigureCanvasSVG
+from matplotlib.cm import ScalarMappable
+from matplotlib.colors import Normalize
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+from matplotlib.patches import Circle, Rectangle
+
+from planish.core.typing import Floats
+from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
+from planish.design.params import ImagingParams, StageParams
+from planish.design.pattern import P95, Pattern, Predicted, holes_csv, predict
+from planish.design.rules import Rule
+
+INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
+BURNT = "#e8c9b8"
+ASIDE = 226.0  # where the right column begins
+_ROOM = (180.0, 148.0)  # of the plan
+_LEFT, _TOP = 24.0, 36.0
+_SCALES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 25, 30, 40, 50)
+
+_STYLE: dict[str, Any] = {
+    "font.family": "DejaVu Sans",
+    "font.size": 8,
+    "text.color": INK,
+    "text.parse_math": False,  # a dollar sign in a name is a dollar sign
+    "axes.edgecolor": SOFT,
+    "axes.linewidth": 0.5,
+    "xtick.color": SOFT,
+    "ytick.color": SOFT,
+    "svg.hashsalt": "planish",  # ids that are the same each time
+    "svg.fonttype": "path",  # readable where the typeface is not installed
+    "pdf.fonttype": 3,
+}
+# Draw in one style, whatever the user's settings; they are restored afterwards.
+house_style = partial(style.context, ["default", _STYLE])
+
+
+class Page:
+    """A landscape A4 page with a magnified plan and a column beside it, in mm from its upper left corner.
+
+    The plan shows ``size_um`` (x, y) from its lower left corner ``low_um`` on; ``note`` stands behind the scale.
+    """
+
+    width, height = 297.0, 210.0
+
+    def __init__(
+        self, title: str, subtitle: str, low_um: Sequence[float], size_um: Sequence[float], *, note: str = ""
+    ) -> None:
+        self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white")
+        self.text(12, 13, title, fontsize=14, fontweight="bold")
+        self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
+        most = min(1000 * room / side for room, side in zip(_ROOM, size_um, strict=True))
+        self.scale = max((scale for scale in _SCALES if scale <= most), default=most)
+        x_mm, y_mm = (
+            edge + (room - side * self.scale / 1000) / 2
+            for edge, room, side in zip((_LEFT, _TOP), _ROOM, size_um, strict=True)
+        )
+        self.plan = self.add_plan(x_mm, y_mm, low_um, size_um, self.scale)
+        self.scale_bar(_LEFT, 199, self.scale, most=40)
+        ratio = f"{self.scale:g}:1" if self.scale >= 1 else f"1:{1 / self.scale:.3g}"
+        self.text(_LEFT + 66, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
+        x = (ASIDE - 6) / self.width
+        self.figure.add_artist(Line2D([x, x], [0.05, 0.85], color=FAINT, lw=0.6))
+        self.bottom = 38.0
+
+    def add_plan(
+        self, x_mm: float, y_mm: float, low_um: Sequence[float], size_um: Sequence[float], scale: float
+    ) -> Axes:
+        """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
+        across, down = (scale * side / 1000 for side in size_um)
+        box = (x_mm / self.width, 1 - (y_mm + down) / self.height, across / self.width, down / self.height)
+        axes = self.figure.add_axes(box)
+        axes.set_xlim(low_um[0], low_um[0] + size_um[0])
+        axes.set_ylim(low_um[1], low_um[1] + size_um[1])
+        axes.set_axis_off()
+        return axes
+
+    def text(self, x_mm: float, y_mm: float, text: str, **options: Any) -> None:
+        """Write, from the base line on."""
+        self.figure.text(x_mm / self.width, 1 - y_mm / self.height, text, va="baseline", **options)
+
+    def aside(self, title: str, rows: Sequence[tuple[str, str]] = (), notes: Sequence[str] = ()) -> None:
+        """Write names with their values, and notes, under a title; the next part of the column stands below."""
+        self.text(ASIDE, self.bottom, title, fontweight="bold", fontsize=9)
+        self.bottom += 6
+        for name, value in rows:
+            self.text(ASIDE, self.bottom, name, color=SOFT, fontsize=7.5)
+            self.text(ASIDE + 27, self.bottom, value, fontsize=7.5)
+            self.bottom += 4.9
+        for note in notes:
+            self.text(ASIDE, self.bottom + 3, note, color=SOFT, fontsize=7)
+            self.bottom += 3.6
+        self.bottom += 10
+
+    def scale_bar(self, x_mm: float, y_mm: float, scale: float, *, most: float) -> None:
+        """Draw a round length of at most ``most`` millimetres of paper."""
+        power = 10.0 ** np.floor(np.log10(most / scale))
+        length = float(power * max(k for k in (1, 2, 5) if k * power <= most / scale * (1 + 1e-9)))
+        axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length, 1000 / scale), scale)
+        axes.plot([0, 1000 * length], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
+        self.text(x_mm + length * scale + 2, y_mm + 1.4, f"{length:g} mm", fontsize=8)
+
+
+def encode(pages: Sequence[Page], kind: str, title: str = "") -> bytes:
+    """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
+    file = io.BytesIO()
+    if kind == "svg":
+        FigureCanvasSVG(pages[0].figure).print_svg(file, metadata={"Date": None, "Creator": "planish"})
+    elif kind == "png":
+        FigureCanvasAgg(pages[0].figure).print_png(file, metadata={"Software": "planish"})
+    else:
+        facts = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
+        with PdfPages(file, metadata=facts) as pdf:
+            for page in pages:
+                FigureCanvasPdf(page.figure)
+                pdf.savefig(page.figure)
+    return file.getvalue()
+
+
+_ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
+
+
+def drawing_page(pattern: Pattern) -> Page:
+    """Draw a pattern as the laser sees it, y up: magnified with its pitches and numbers, and in its true size."""
+    holes = f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser sees it"
+    view, (x, y) = pattern.view_um, pattern.origin_um
+    page = Page(f"Laser holes: {pattern.name}", holes, (x, y), view, note="; pitches in mm")
+    axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
+    _holes(axes, pattern, SOFT)
+    _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
+    (field_x, field_y), (width, height) = pattern.field_low_um, pattern.field_um
+    note = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
+    _write(axes, (field_x + width / 2, field_y + height / 2), note, color=SOFT, fontsize=9, linespacing=1.6)
+    _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
+    for dx, dy, name in ((11 * mm, 0, "x"), (0, 11 * mm, "y")):
+        arrow = {**_ARROW, "color": ACCENT}
+        axes.annotate("", (x + dx, y + dy), (x, y), annotation_clip=False, arrowprops=arrow)
+        _write(axes, (x + dx, y + dy), name, (6 * bool(dx), 6 * bool(dy)), color=ACCENT, fontsize=8)
+    if pattern.layout != "own":
+        _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
+        corner = pattern.frame_low_um
+        axes.plot(*[[value] for value in corner], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
+        axes.annotate(
+            "no hole in this corner:\nit shows the orientation", corner, (field_x + 13 * mm, field_y + 13 * mm),
+            color=ACCENT, fontsize=7.5, ha="left", va="bottom",
+            arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
+        )  # fmt: skip
+    rows = [
+        ("layout", f"{pattern.layout}, seed {pattern.seed}"),
+        ("hole", f"{pattern.diameter_um:g} µm"),
+        ("burnt rim", f"{pattern.rim_um:g} µm"),
+        ("pulse, pause", f"{1000 * pattern.pulse_s:g} ms, {1000 * pattern.pause_s:g} ms"),
+        ("frame", f"{_size(pattern.frame_um)} mm"),
+        ("margin to field", f"{pattern.margin_um[0]:g}, {pattern.margin_um[1]:g} µm"),
+        ("least spacing", f"{pattern.spacing_um:g} µm"),
+        ("to be imaged", f"{_size(view)} mm"),
+    ]
+    page.aside("To burn", rows, ("dashed: what both instruments", "have to image; dark: the hole;", "brown: its rim"))
+    if view[0] <= 62_000 and view[1] <= 95_000:
+        page.aside("True size (print without fitting)")
+        _holes(page.add_plan(ASIDE, page.bottom - 12, (x, y), view, 1.0), pattern, FAINT)
+        page.scale_bar(ASIDE, page.bottom - 9 + view[1] / 1000, 1.0, most=10)
+    return page
+
+
+def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Sequence[Rule]) -> Page:
+    """Draw the predicted error over the field, with its numbers and the rules."""
+    about = "rms distance between a point of one map and the same point of the other, by the marks alone; similarity"
+    page = Page("Predicted error of the registration", about, pattern.origin_um, pattern.view_um)
+    _error_map(page, pattern, predicted)
+    _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
+    _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
+    page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
+    places = predicted.field_um
+    worst = places[1 + int(np.argmax(predicted.at(places[1:])))]
+    pad = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
+    for place, error, name in (
+        (places[0], predicted.centre_um, "middle"),
+        (worst, predicted.corner_um, "worst corner"),
+    ):
+        page.plan.plot(*place[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
+        x, y = np.sign(places[0] - place)
+        side = {1: "left", 0: "center", -1: "right"}[int(x)]
+        text = f"{name}: {error:.2f} µm"
+        _write(page.plan, place, text, (10 * x, 12 * (y or -1)), ha=side, fontsize=8.5, bbox=pad)
+    rows = [
+        ("one hole", f"{predicted.fle_um:.2f} µm rms"),
+        ("holes N", f"{len(predicted.holes_um)}"),
+        ("rms radius f", f"{predicted.radius_um / 1000:.2f} mm"),
+        ("middle", f"{predicted.centre_um:.2f} µm rms"),
+        ("worst corner", f"{predicted.corner_um:.2f} µm rms"),
+        ("95 % there", f"< {P95 * predicted.corner_um:.2f} µm"),
+        ("pixels", f"{imaging.pixel_um[0]:g} and {imaging.pixel_um[1]:g} µm"),
+        ("rim roughness", f"{imaging.roughness_um:g} µm"),
+        ("varies over", f"{imaging.rim_length_um:g} µm"),
+    ]
+    page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
+    limits = [
+        f"{rule.value:.{0 if rule.unit in ('um', 'holes') else 2}f} {rule.unit.replace('um', 'µm')}".strip()
+        + f"  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"
+        for rule in rules
+    ]
+    page.aside("Rules", [(rule.name, limit) for rule, limit in zip(rules, limits, strict=True)])
+    return page
+
+
+def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
+    """Draw the predicted error over the field in colours and contours, with a bar of the colours."""
+    axes, low, field = page.plan, np.array(pattern.field_low_um), np.array(pattern.field_um)
+    # Pixels along the longer side of the map.
+    across, up = (np.linspace(0, side, max(20, round(200 * side / field.max()))) for side in field)
+    grid = np.stack(np.meshgrid(low[0] + across, low[1] + up), axis=-1)
+    error = predicted.at(grid)
+    norm = Normalize(float(error.min()), float(error.max()))
+    extent = (float(low[0]), float(low[0] + field[0]), float(low[1]), float(low[1] + field[1]))
+    limits = axes.axis()
+    axes.imshow(
+        error, extent=extent, origin="lower", norm=norm, cmap="cividis", aspect="auto", interpolation="bilinear"
+    )
+    axes.axis(limits)
+    levels = np.linspace(float(error.min()), float(error.max()), 7)[1:-1]
+    lines = axes.contour(grid[..., 0], grid[..., 1], error, levels=levels, colors="white", linewidths=0.6)
+    axes.clabel(lines, fmt="%.2f", fontsize=7)
+    box = axes.get_position()
+    bar = page.figure.colorbar(
+        ScalarMappable(norm=norm, cmap="cividis"),
+        cax=page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height)),
+    )
+    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    bar.ax.set_title("µm", fontsize=8)
+
+
+def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
+    """Draw the path of a stage program, from its dry run."""
+    points, path = run.fired_um, run.path_um
+    size = np.maximum(np.ptp(path, axis=0), 1000.0)
+    border = 0.03 * float(size.max())
+    low, size = path.min(axis=0) - border, size + 2 * border
+    page = Page(title, run.sentence(), low.tolist(), size.tolist(), note="; numbers: order of the shots")
+    axes = page.plan
+    axes.plot(*path.T, "-", color=SOFT, lw=0.8, clip_on=False)
+    for a, b in pairwise(path):
+        if np.hypot(*(b - a)) * page.scale > 8000:
+            middle = (a + b) / 2
+            axes.annotate("", middle + 0.01 * (b - a), middle, arrowprops={**_ARROW, "color": SOFT, "lw": 0.8})
+    axes.plot(*points.T, "o", ms=4.5, color=ACCENT, clip_on=False)
+    _numbers(axes, points, [str(k + 1) for k in range(len(points))], low, size)
+    for place, name, dy in ((path[0], "begins", 7), (path[-1], "ends", -7)):
+        axes.plot(*place[:, None], "s", ms=5, mfc="white", mec=INK, clip_on=False)
+        _write(axes, place, name, (-7, dy), fontsize=7.5, ha="right")
+    pause = "-" if not np.isfinite(run.least_pause_s) else f"{1000 * run.least_pause_s:.0f} ms"
+    shots = sorted({f"{1000 * value:g}" for value in run.pulse_s})
+    ends = [f"{a:g} to {b:g} mm" for a, b in zip(path.min(axis=0) / 1000, path.max(axis=0) / 1000, strict=True)]
+    rows = [
+        ("shots", str(len(points))),
+        ("pulse", f"{', '.join(shots[:3])} ms"),
+        ("laser off", f"≥ {pause}"),
+        ("path", f"{run.length_um / 1000:.1f} mm"),
+        ("time", f"{run.time_s:.1f} s"),
+        ("x", ends[0]),
+        ("y", ends[1]),
+    ]
+    page.aside("Dry run", rows, ("time without acceleration",))
+    return page
+
+
+def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
+    """Draw field and holes to scale."""
+    _box(axes, pattern.field_low_um, pattern.field_um, fill=True, facecolor=GROUND, edgecolor=edge)
+    for place in pattern.points_um:
+        for radius, colour in ((pattern.burnt_um, BURNT), (0.5 * pattern.diameter_um, INK)):
+            axes.add_patch(Circle((place[0], place[1]), radius, facecolor=colour, edgecolor="none", clip_on=False))
+
+
+def _numbers(
+    axes: Axes, points: Floats, labels: Sequence[str], low: Sequence[float] | Floats, size: Sequence[float] | Floats
+) -> None:
+    """Write a number at each point, on the side of the middle of the rectangle."""
+    away = np.asarray(low) + np.asarray(size) / 2 - points
+    inwards = np.sign(away) * (np.abs(away) > 0.4 * np.asarray(size))
+    inwards[~inwards.any(axis=1)] = [0.7, 0.7]
+    for label, point, towards in zip(labels, points, 9 * inwards, strict=True):
+        _write(axes, point, label, towards, fontsize=6.5)
+
+
+def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
+    """Write the distance between neighbours on a line ``distance`` outside the frame."""
+    points, low, size = pattern.points_um, pattern.frame_low_um, pattern.frame_um
+    for axis, end in ((0, 0), (1, 1), (0, 1), (1, 0)):
+        level = low[1 - axis] + end * size[1 - axis]
+        positions = np.sort(points[np.abs(points[:, 1 - axis] - level) < 1e-3][:, axis])
+        place = level + (distance if end else -distance)
+        for a, b in pairwise(positions):
+            middle = ((a + b) / 2, place) if axis == 0 else (place, (a + b) / 2)
+            _write(axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis)
+
+
+def _write(
+    axes: Axes, place: Sequence[float] | Floats, text: str, away: Sequence[float] | Floats = (0, 0), **options: Any
+) -> None:
+    """Write beside a place, ``away`` in points of the paper."""
+    style: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
+    axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **style)
+
+
+def _box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
+    axes.add_patch(Rectangle((low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}))
+
+
+def _size(size_um: Sequence[float]) -> str:
+    return " × ".join(f"{side / 1000:g}" for side in size_um)
+
+
+def write_design(
+    pattern: Pattern,
+    rules: tuple[Rule, ...],
+    folder: str | Path,
+    *,
+    stage: StageParams | None = None,
+    imaging: ImagingParams | None = None,
+) -> tuple[tuple[str, ...], DryRun, Predicted]:
+    """Write a pattern into a folder that exists: JSON, two tables, DXF, stage program, drawings.
+
+    Parameters
+    ----------
+    pattern : Pattern
+    rules : tuple of Rule
+        As checked, for the drawing.
+    folder : str or Path
+    stage, imaging : optional
+        What the program asks of the stage and its range, and where the predicted error comes from.
+
+    Returns
+    -------
+    files : tuple of str
+        Names in the folder.
+    run : DryRun
+        Of the stage program, read back from its text.
+    predicted : Predicted
+
+    Raises
+    ------
+    MarkError
+        If the dry run refuses the program, such as one that leaves the stage's range.
+    OSError
+        If a file cannot be written.
+    """
+    stage, imaging = stage or StageParams(), imaging or ImagingParams()
+    program = stage_program(pattern, stage)
+    # The pulse that is asked for here is meant; a program from elsewhere is held to the usual length.
+    run, predicted = dry_run(program, stage, pulse_s=max(0.05, pattern.pulse_s)), predict(pattern, imaging)
+    files: dict[str, bytes] = {
+        "pattern.json": pattern.to_json().encode(),
+        "holes.csv": holes_csv(pattern).encode(),
+        "holes_as_imaged.csv": holes_csv(pattern, imaged=True).encode(),
+        "pattern.dxf": pattern_dxf(pattern).encode("ascii"),
+        "program.gcode": program.encode("ascii"),
+    }
+    with house_style():
+        pages = [drawing_page(pattern), error_page(pattern, predicted, imaging, rules), path_page(run)]
+        files["drawing.svg"] = encode(pages, "svg")
+        for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
+            files[f"{name}.png"] = encode([page], "png")
+        files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
+    for name, content in files.items():
+        (Path(folder) / name).write_bytes(content)
+    return tuple(files), run, predicted
+
+
+def path_picture(run: DryRun, kind: str, *, title: str = "Path of the stage") -> bytes:
+    """Draw the path of a dry run as ``png``, ``svg`` or ``pdf``."""
+    with house_style():
+        return encode([path_page(run, title=title)], kind, title)

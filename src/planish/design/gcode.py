@@ -1,0 +1,382 @@
+"""The pattern for machines: a stage program, on a short path, and a drawing for CAD.
+
+The stage program is a small dialect of G-code that most controllers of stages and lasers read.
+
+::
+
+    ; text      a comment to the end of the line
+    G21 G90     millimetres, absolute positions: required before the first move
+    Fnumber     speed along the path in mm/min
+    G0 Xn Yn    move there, laser off (G1 is read too)
+    M3 [Sn]     laser on; with --pulse-code m64: M64 P0, a digital output at once
+    G4 Pn       wait n seconds
+    M5          laser off; with --pulse-code m64: M65 P0
+    M2          end (M30 is read too)
+
+The drawing for CAD: DXF of AutoCAD Release 12, plain text, in millimetres.
+
+Every value is two lines, a group code and the value: 0 the kind of an entity, 8 its layer, 10, 20 and 30 a point, 40 a
+radius or the height of text, 1 text, 2 a name, 6 a line type, 62 a colour, 70 flags, 9 a variable of the header.
+Release 12 has no unit of its own; a comment (999) and the drawing's extents say what is meant.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from planish.core.errors import MarkError
+from planish.core.typing import Floats, Ints, Pair
+from planish.design.params import StageParams
+from planish.design.pattern import Pattern
+
+Groups = list[tuple[int, Any]]
+
+# Name, colour number: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
+_LAYERS = (("HOLES", 1), ("BURNT", 8), ("FIELD", 3), ("VIEW", 8), ("NUMBERS", 7), ("ORIGIN", 5))
+
+
+def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
+    """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
+    stage = stage or StageParams()
+    is_m3 = stage.pulse_code == "m3"
+    on, off, words = ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
+    if stage.power is not None:
+        on = f"M3 S{_plain(stage.power, 3)}"
+    points, origin = pattern.points_um, pattern.origin_um
+    used, field = (" x ".join(f"{side / 1000:g}" for side in size) for size in (pattern.view_um, pattern.field_um))
+    home = _move(*origin)
+    lines = [
+        f"; planish stage program, {ascii_only(pattern.name)}",
+        f"; {len(points)} holes, layout {pattern.layout}, seed {pattern.seed}",
+        "; positions in mm, absolute, x to the right and y up as the laser sees the sheet",
+        f"; origin {home.removeprefix('G0 ')}, lower left corner of what is used: {used} mm",
+        f"; field {field} mm, without holes",
+        f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause {pattern.pause_s:g} s; "
+        "G4 P is in seconds",
+        f"; speed {stage.speed_mm_min:g} mm/min; laser: {words}",
+        "; try it with the laser off first: a controller that takes P as milliseconds fires too short",
+        "G21",
+        "G90",
+        f"F{_plain(stage.speed_mm_min, 3)}",
+        off,
+        home,
+    ]
+    pause = [f"G4 P{_plain(pattern.pause_s, 6)}"] if pattern.pause_s > 0 else []
+    for k in short_route(points, origin):
+        pulse = [on, f"G4 P{_plain(pattern.pulse_s, 6)}", off]
+        lines += [f"; hole {pattern.labels[k]}", _move(*points[k]), *pulse, *pause]
+    return "\n".join([*lines, "; back to the origin", home, "M2"]) + "\n"
+
+
+def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
+    """Sort the points (n, 2) into a short path that begins and ends at ``start_um``.
+
+    The path is built to the nearest open point each time, then stretches of it are turned round as long as that
+    shortens it (2-opt). Same points, same order.
+    """
+    places = np.vstack([start_um, np.asarray(points_um, dtype=np.float64).reshape(-1, 2)])
+    distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
+    open_distances = distances.copy()
+    open_distances[:, 0] = np.inf
+    tour = np.zeros(len(places), dtype=np.intp)
+    for k in range(1, len(places)):
+        tour[k] = np.argmin(open_distances[tour[k - 1]])
+        open_distances[:, tour[k]] = np.inf
+    n = len(tour)
+    is_shorter = n > 3
+    while is_shorter:
+        is_shorter = False
+        for i in range(n - 1):
+            # Turn round what lies between i + 1 and j: two stretches are replaced.
+            j = np.arange(i + 1, n)
+            ends = tour[(j + 1) % n]
+            gain = distances[tour[i], tour[i + 1]] + distances[tour[j], ends]
+            gain = gain - distances[tour[i], tour[j]] - distances[tour[i + 1], ends]
+            best = int(np.argmax(gain))
+            if gain[best] > 1e-6:
+                tour[i + 1 : i + 2 + best] = tour[i + 1 : i + 2 + best][::-1]
+                is_shorter = True
+    return tour[1:] - 1
+
+
+def ascii_only(text: str) -> str:
+    """Return the text with a question mark for what programs and DXF cannot show."""
+    return "".join(c if c.isascii() and c.isprintable() else "?" for c in text)
+
+
+def _move(x_um: float, y_um: float) -> str:
+    """Write a position in millimetres with three to six decimals: exact to 0.0005 um."""
+    return f"G0 X{_mm(x_um, 3)} Y{_mm(y_um, 3)}"
+
+
+def _plain(value: float, decimals: int) -> str:
+    """Write a number without an exponent."""
+    text = f"{value:.{decimals}f}".rstrip("0").rstrip(".")
+    return "0" if text in ("", "-0") else text
+
+
+def pattern_dxf(pattern: Pattern) -> str:
+    """Write the holes, their burnt rims and numbers, the field, the view and the stage's origin."""
+    (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
+    groups: Groups = [
+        (999, f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser sees the sheet"),
+        (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (9, "$EXTMIN"), *_point(10, x0, y0),
+        (9, "$EXTMAX"), *_point(10, x0 + width, y0 + height), (0, "ENDSEC"),
+        (0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LTYPE"), (70, 1), (0, "LTYPE"), (2, "CONTINUOUS"), (70, 64),
+        (3, "Solid line"), (72, 65), (73, 0), (40, "0.0"), (0, "ENDTAB"),
+        (0, "TABLE"), (2, "LAYER"), (70, len(_LAYERS)),
+    ]  # fmt: skip
+    for name, colour in _LAYERS:
+        groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
+    groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
+    for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
+        for layer, radius in (("HOLES", 0.5 * diameter), ("BURNT", pattern.burnt_um)):
+            groups += [(0, "CIRCLE"), (8, layer), *_point(10, x, y), (40, _mm(radius))]
+        groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
+    for layer, (x, y), (w, h) in (
+        ("FIELD", pattern.field_low_um, pattern.field_um),
+        ("VIEW", pattern.origin_um, pattern.view_um),
+    ):
+        groups += _polyline(layer, (x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))
+    arm = 3 * diameter
+    groups += _polyline("ORIGIN", (x0, y0), (x0 + arm, y0)) + _polyline("ORIGIN", (x0, y0), (x0, y0 + arm))
+    groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")
+    groups += [(0, "ENDSEC"), (0, "EOF")]
+    return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
+
+
+def _polyline(layer: str, *corners: Pair) -> Groups:
+    groups: Groups = []
+    for start, end in pairwise(corners):
+        groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
+    return groups
+
+
+def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> Groups:
+    return [(0, "TEXT"), (8, layer), *_point(10, x_um, y_um), (40, _mm(height_um)), (1, ascii_only(text))]
+
+
+def _point(code: int, x_um: float, y_um: float) -> Groups:
+    return [(code, _mm(x_um)), (code + 10, _mm(y_um)), (code + 20, "0.0")]
+
+
+def _mm(value_um: float, least: int = 1) -> str:
+    """Write millimetres with so many to six decimals."""
+    whole, _, part = _plain(value_um / 1000, 6).partition(".")
+    return f"{whole}.{part.ljust(least, '0')}"
+
+
+_WORD = re.compile(r"\s*([A-Z])\s*([+-]?(?:\d+\.?\d*|\.\d+))\s*")
+# Commands, and the words that may stand beside them.
+_COMMANDS = {
+    "G0": "XYF", "G1": "XYF", "G4": "P", "G21": "", "G90": "",
+    "M2": "", "M3": "S", "M5": "", "M30": "", "M64": "P", "M65": "P",
+}  # fmt: skip
+_KNOWN = f"{', '.join(_COMMANDS)} with X, Y, F, P, S"
+_OFF = {"M3": "M5", "M64": "M65"}
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DryRun:
+    """Shots, path and times of a program.
+
+    Attributes
+    ----------
+    fired_um : (n, 2)
+        Positions of the shots in the order in which they are fired.
+    pulse_s : (n,)
+        How long the laser is on at each.
+    path_um : (m, 2)
+        Corners of the path, from the first position the program names.
+    least_pause_s : float
+        Shortest time that the laser is off between two shots; NaN for a single shot.
+    time_s : float
+        Moves at the speed of the program and all waits; the stage's acceleration adds to it.
+    """
+
+    fired_um: Floats
+    pulse_s: Floats
+    path_um: Floats
+    least_pause_s: float
+    time_s: float
+
+    @property
+    def length_um(self) -> float:
+        """Length of the path."""
+        return float(np.sum(np.hypot(*np.diff(self.path_um, axis=0).T)))
+
+    def sentence(self) -> str:
+        """Write the dry run in a line."""
+        pulses = f"{1000 * self.pulse_s.min():g}"
+        if np.ptp(self.pulse_s) > 1e-9:
+            pulses += f" to {1000 * self.pulse_s.max():g}"
+        return (
+            f"{len(self.fired_um)} shots of {pulses} ms, path {self.length_um / 1000:.1f} mm, {self.time_s:.1f} s "
+            "without the stage's acceleration"
+        )
+
+
+def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 0.05) -> DryRun:
+    """Run a stage program without a stage.
+
+    Parameters
+    ----------
+    program : str
+        The text of the program, in the dialect of :mod:`planish.design.gcode`.
+    stage : StageParams, optional
+        Its range counts.
+    pulse_s : float
+        Longest pulse: what would be a fire rather than a hole.
+
+    Raises
+    ------
+    MarkError
+        If a word is not known, a move leaves the stage's range or is made with the laser on, the laser stays on at the
+        end, a pulse is too long or has no length, or the program does not end; the message names the line.
+    """
+    machine = _Machine((stage or StageParams()).range_um, pulse_s)
+    for number, line in enumerate(program.splitlines(), 1):
+        text = re.sub(r"\([^()]*\)", " ", line.partition(";")[0]).strip().upper()
+        if not text or text == "%":
+            continue
+        try:
+            machine.run_line(text)
+        except MarkError as error:
+            raise MarkError(
+                f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error.text}."
+            ) from error
+    return machine.dry_run()
+
+
+@dataclass
+class _Machine:
+    range_um: tuple[float, float, float, float]
+    longest_s: float
+    place: dict[str, float] = field(default_factory=dict[str, float])
+    speed: float | None = None
+    done: set[str] = field(default_factory=set[str])  # commands so far
+    moves: bool = False  # whether a position without a command is a move
+    on: str = ""  # the command that switched the laser on
+    clock_s: float = 0.0
+    started_s: float = 0.0  # when the laser was switched on, and how long it has been on
+    lit_s: float = 0.0
+    path: list[Pair] = field(default_factory=list[Pair])
+    fired: list[Pair] = field(default_factory=list[Pair])
+    switched_s: list[Pair] = field(default_factory=list[Pair])
+    pulses: list[float] = field(default_factory=list[float])
+
+    def run_line(self, text: str) -> None:
+        """Carry out one line."""
+        if self.done & {"M2", "M30"}:
+            raise MarkError("the program goes on after its end; remove what follows M2")
+        if foreign := _WORD.sub("", text):
+            raise MarkError(f"{foreign[:20]!r} is not in the dialect ({_KNOWN})")
+        words = [(letter, float(value)) for letter, value in _WORD.findall(text) if letter != "N"]  # number of a line
+        commands = [f"{letter}{value:g}" for letter, value in words if letter in "GM"]
+        numbers = {letter: value for letter, value in words if letter not in "GM"}
+        if unknown := [command for command in commands if command not in _COMMANDS]:
+            raise MarkError(f"{unknown[0]} is not known; the dialect has {_KNOWN}")
+        if len(numbers) + len(commands) != len(words):
+            raise MarkError("a letter is given twice")
+        if sum(command not in ("G21", "G90") for command in commands) > 1:
+            raise MarkError("two commands stand in one line; give each a line of its own")
+        allowed = "".join(_COMMANDS[command] for command in commands)
+        if not commands:
+            allowed = "XYF" if self.moves else "F"
+        if meaningless := [letter for letter in numbers if letter not in allowed]:
+            raise MarkError(f"{meaningless[0]} has no meaning here")
+        if "F" in numbers:
+            if numbers["F"] <= 0:
+                raise MarkError("the speed F is not positive")
+            self.speed = numbers["F"]
+        self.done |= set(commands)
+        for command in commands or [""]:
+            self._command(command, numbers)
+
+    def _command(self, command: str, numbers: dict[str, float]) -> None:
+        if command in ("", "G0", "G1"):
+            self.moves |= bool(command)
+            if numbers.keys() & {"X", "Y"}:
+                self._move(numbers)
+            elif command and "F" not in numbers:
+                raise MarkError("a move without a position")
+        elif command == "G4":
+            seconds = numbers.get("P", -1.0)
+            if seconds < 0:
+                raise MarkError("G4 needs a time P in seconds")
+            self.clock_s += seconds
+            self.lit_s += seconds if self.on else 0.0
+            if self.on and self.lit_s > self.longest_s + 1e-12:
+                raise MarkError(
+                    f"a pulse of {self.lit_s:g} s is longer than {self.longest_s:g} s and would burn the sheet; P is "
+                    "in seconds"
+                )
+        elif command in ("M64", "M65") and "P" not in numbers:
+            raise MarkError(f"{command} needs the number P of the output")
+        elif command in _OFF:
+            if not self.path:
+                raise MarkError("the laser fires before both X and Y are known")
+            if self.on:
+                raise MarkError("the laser is on already")
+            x, y = self.path[-1]
+            # Two shots so close together go through one hole.
+            if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.fired):
+                raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
+            self.on, self.lit_s, self.started_s = command, 0.0, self.clock_s
+            self.fired.append((x, y))
+        elif command in _OFF.values() and self.on:  # a program may make sure that the laser is off
+            if _OFF[self.on] != command:
+                raise MarkError(f"{command} does not switch off what {self.on} switched on")
+            if self.lit_s <= 0:
+                raise MarkError("a pulse without a length; put G4 P between on and off")
+            self.on = ""
+            self.switched_s.append((self.started_s, self.clock_s))
+            self.pulses.append(self.lit_s)
+        elif command in ("M2", "M30") and self.on:
+            raise MarkError("the program ends with the laser on; switch it off before")
+
+    def _move(self, numbers: dict[str, float]) -> None:
+        if not {"G21", "G90"} <= self.done:
+            raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
+        if self.on:
+            raise MarkError("a move with the laser on; it would cut the sheet")
+        self.place |= {letter: 1000 * numbers[letter] for letter in "XY" if letter in numbers}
+        for k, letter in enumerate("XY"):
+            value, low, high = self.place.get(letter, math.nan), self.range_um[k], self.range_um[k + 2]
+            if value < low - 1e-3 or value > high + 1e-3:
+                raise MarkError(
+                    f"{letter} {value / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "
+                    "move the origin or give the stage's own range"
+                )
+        if len(self.place) < 2:
+            return
+        target = self.place["X"], self.place["Y"]
+        if self.path:
+            if self.speed is None:
+                raise MarkError("a move before a speed F")
+            self.clock_s += 60 * math.dist(target, self.path[-1]) / 1000 / self.speed
+        self.path.append(target)
+
+    def dry_run(self) -> DryRun:
+        """Give the dry run, if the program is whole."""
+        if self.on:
+            raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
+        if not self.done & {"M2", "M30"}:
+            raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
+        if not self.fired:
+            raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
+        pauses = [on - off for (_, off), (on, _) in pairwise(self.switched_s)]
+        return DryRun(
+            fired_um=np.array(self.fired),
+            pulse_s=np.array(self.pulses),
+            path_um=np.array(self.path),
+            least_pause_s=min(pauses, default=math.nan),
+            time_s=self.clock_s,
+        )

@@ -1,0 +1,327 @@
+"""A pattern of laser holes: where they are meant to be, how each is burnt, what lies around them, and its files.
+
+Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the outside inwards::
+
+    view    what has to be imaged: the frame and a border around it; its lower left corner is the stage's origin
+    frame   the rectangle on which the holes lie
+    field   the region whose maps are compared: no hole reaches into it
+
+The error of a registration by the marks is predicted before a hole is burnt. The centre of a hole is found from its
+outline. A rim whose radius varies by ``s`` over a length ``l`` has ``n = pi d / l`` independent arcs; a circle through
+them is off by ``2 s / sqrt(n)`` (rms, in the plane). The pixels add 0.1 pixel along each axis. Both count once for each
+of the two maps, since the two instruments do not see the same rim: what they have in common makes the truth better.
+
+The error of the map at a distance r from the centroid of N holes with the rms radius f follows from that for a
+similarity: ``TRE**2 = FLE**2 / N * (1 + r**2 / f**2)`` (J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE Transactions
+on Medical Imaging 17 (1998) 694-702, https://doi.org/10.1109/42.736021; with a free scale the second term of two
+dimensions doubles).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+import numpy as np
+from numpy.typing import ArrayLike
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, ValidationError
+
+from planish.core.errors import MarkError
+from planish.core.tables import model_faults, parse_table, raise_faults, read_text, table_text
+from planish.core.typing import Floats, Pair
+from planish.design.params import DesignParams, ImagingParams
+
+FORMAT, VERSION = "planish hole pattern", 1
+SIDES = ("bottom", "right", "top", "left")
+BORDER_DIAMETERS = 1.5  # from the middle of a hole to the end of the view
+BURN = ("diameter_um", "rim_um", "pulse_s", "pause_s")
+_COLUMNS = ("label", "x_um", "y_um", "diameter_um")
+
+
+class PatternHole(BaseModel):
+    """Number and centre of a hole, and its line: bottom, right, top or left; ``own`` where a table gave the holes."""
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    label: str
+    x_um: float
+    y_um: float
+    line: str
+
+
+class Pattern(BaseModel):
+    """Holes in the order in which they lie around the field, counter-clockwise from the empty corner.
+
+    Attributes
+    ----------
+    field_um : (width, height)
+        Region whose maps are compared.
+    margin_um : (x, y)
+        From the field's edge to the centres of the holes.
+    border_um : float
+        From the centres to the end of the view.
+    origin_um : (x, y)
+        The view's lower left corner in stage coordinates; the stage program ends there.
+    spacing_um : float
+        Least distance of two holes that was asked for.
+    diameter_um, rim_um : float
+        Nominal diameter of a hole, and width of the burnt rim around it.
+    pulse_s, pause_s : float
+        Length of the laser's pulse, and the rest after it.
+    holes : tuple of PatternHole
+        Centres in stage coordinates.
+    """
+
+    model_config = ConfigDict(frozen=True, allow_inf_nan=False)
+
+    format: Literal["planish hole pattern"] = FORMAT
+    version: Literal[1] = VERSION
+    name: str
+    layout: Literal["coded", "line", "own"]
+    axes: str = "stage, as the laser sees the sheet: x to the right, y up"
+    field_um: tuple[PositiveFloat, PositiveFloat]
+    margin_um: Pair
+    border_um: float
+    origin_um: Pair
+    spacing_um: float
+    diameter_um: PositiveFloat
+    rim_um: NonNegativeFloat
+    pulse_s: PositiveFloat
+    pause_s: NonNegativeFloat
+    seed: int
+    holes: Annotated[tuple[PatternHole, ...], Field(min_length=3)] = ()
+
+    def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Pattern:
+        """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
+        places = enumerate(zip(points_um.tolist(), lines, strict=True), 1)
+        holes = [PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, ((x, y), line) in places]
+        return self.model_copy(update={"holes": tuple(holes)})
+
+    @property
+    def points_um(self) -> Floats:
+        """Centres as an array (n, 2), stage coordinates."""
+        return np.array([(hole.x_um, hole.y_um) for hole in self.holes], dtype=np.float64).reshape(-1, 2)
+
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Number of each hole, from 1."""
+        return tuple(hole.label for hole in self.holes)
+
+    @property
+    def burnt_um(self) -> float:
+        """Radius of a hole with its burnt rim."""
+        return 0.5 * self.diameter_um + self.rim_um
+
+    @property
+    def frame_um(self) -> Pair:
+        """Width and height of the rectangle on which the holes lie."""
+        return self.field_um[0] + 2 * self.margin_um[0], self.field_um[1] + 2 * self.margin_um[1]
+
+    @property
+    def frame_low_um(self) -> Pair:
+        """Lower left corner of that rectangle, stage coordinates."""
+        return self.origin_um[0] + self.border_um, self.origin_um[1] + self.border_um
+
+    @property
+    def field_low_um(self) -> Pair:
+        """Lower left corner of the field, stage coordinates."""
+        low = self.frame_low_um
+        return low[0] + self.margin_um[0], low[1] + self.margin_um[1]
+
+    @property
+    def view_um(self) -> Pair:
+        """Width and height of what has to be imaged."""
+        return self.frame_um[0] + 2 * self.border_um, self.frame_um[1] + 2 * self.border_um
+
+    @property
+    def imaged_um(self) -> Floats:
+        """Centres (n, 2) as an image of the laser's side shows them: from its upper left corner, y down."""
+        points = self.points_um - self.origin_um
+        return np.stack([points[:, 0], self.view_um[1] - points[:, 1]], axis=1)
+
+    def to_json(self) -> str:
+        """Write the pattern as JSON; lengths in um, times in s."""
+        return json.dumps(self.model_dump(), indent=2, allow_nan=False) + "\n"
+
+    @classmethod
+    def from_json(cls, text: str) -> Pattern:
+        """Read what :meth:`to_json` wrote; further keys are passed over."""
+        advice = "Give the pattern.json of 'planish marks design'."
+        try:
+            content: Any = json.loads(text)
+        except ValueError as error:
+            raise MarkError(f"This is no JSON: {error}. {advice}") from error
+        if not isinstance(content, dict) or content.get("format") != FORMAT:
+            raise MarkError(f"This JSON holds no '{FORMAT}'. {advice}")
+        if content.get("version") != VERSION:
+            raise MarkError(
+                f"The pattern has version {content.get('version')!r}; this planish reads version {VERSION}. Design it "
+                "again, or use the planish that wrote it."
+            )
+        try:
+            return cls.model_validate({"holes": []} | content)
+        except ValidationError as error:
+            raise_faults("The pattern", model_faults(error), "Design it again.", error=MarkError)
+            raise
+
+
+def own_pattern(
+    points_um: ArrayLike, *, name: str = "own", field_um: Pair | None = None, diameter_um: float | None = None
+) -> Pattern:
+    """Make a pattern of holes that somebody else has placed, so that the same rules can be applied.
+
+    Parameters
+    ----------
+    points_um : (n, 2)
+        Centres, in the order given.
+    field_um : (width, height), optional
+        Region whose maps are to be compared, in the middle of the holes; where it is not given, all that lies within
+        the holes.
+    diameter_um : float, optional
+        That of a design where not given.
+
+    Raises
+    ------
+    MarkError
+        If there are fewer than three holes, or they lie on one line along an axis.
+    """
+    burn = {key: DesignParams.model_fields[key].default for key in BURN}
+    diameter = burn["diameter_um"] = diameter_um or burn["diameter_um"]
+    points = np.asarray(points_um, dtype=np.float64).reshape(-1, 2)
+    if len(points) < 3:
+        raise MarkError(f"{len(points)} holes are no pattern. Give 12 or more, around the field.")
+    low, size = points.min(axis=0).tolist(), np.ptp(points, axis=0).tolist()
+    if min(size) <= 0:
+        raise MarkError("All holes have the same x or the same y; such a line encloses no field. Place them around it.")
+    inwards = 0.5 * diameter + burn["rim_um"]
+    field = field_um or (max(size[0] - 2 * inwards, 1.0), max(size[1] - 2 * inwards, 1.0))
+    border = BORDER_DIAMETERS * diameter
+    blank = Pattern(
+        name=name, layout="own", field_um=field, margin_um=((size[0] - field[0]) / 2, (size[1] - field[1]) / 2),
+        border_um=border, origin_um=(low[0] - border, low[1] - border), spacing_um=3 * diameter, seed=0, **burn,
+    )  # fmt: skip
+    return blank.with_holes(points, ("own",) * len(points))
+
+
+def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
+    """Write ``label,x_um,y_um,diameter_um``, a hole a row.
+
+    Parameters
+    ----------
+    imaged : bool
+        Positions as an image of the laser's side shows them, from its upper left corner with y down, instead of
+        those of the stage.
+    """
+    rows = [
+        [label, *(f"{value:.6f}".rstrip("0").rstrip(".") for value in (x, y, pattern.diameter_um))]
+        for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True)
+    ]
+    return table_text(_COLUMNS, rows)
+
+
+def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um: float | None = None) -> Pattern:
+    """Read a pattern: the JSON of a design, or a CSV table of anybody's holes.
+
+    Parameters
+    ----------
+    path : str or Path
+        A table has the columns ``x_um, y_um`` and may have ``diameter_um``, whose median counts; others are passed
+        over.
+    field_um : (width, height), optional
+        Of a table only: the region in the middle of the holes whose maps are to be compared.
+    diameter_um : float, optional
+        Of a table only; goes before the column.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read.
+    MarkError
+        If it is no pattern, or a number is missing or malformed.
+    """
+    place = Path(path)
+    text = read_text(place, what="pattern")
+    if text.lstrip().startswith("{"):
+        if field_um is not None or diameter_um is not None:
+            raise MarkError(
+                f"{place.name} states its field and diameter itself; they can be given for a CSV table only."
+            )
+        return Pattern.from_json(text)
+    table = parse_table(text, place.name, needed=_COLUMNS[1:3], error=MarkError)
+    points = table.numbers(_COLUMNS[1:3])
+    diameters = table.numbers(_COLUMNS[3:]) if _COLUMNS[3] in table.header else np.empty(0)
+    table.check()
+    if diameter_um is None and diameters.size:
+        diameter_um = float(np.median(diameters))
+    if diameter_um is not None and not 10 <= diameter_um <= 2000:
+        raise MarkError(f"{place.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
+    return own_pattern(points, name=place.stem, field_um=field_um, diameter_um=diameter_um)
+
+
+# Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
+P95 = float(np.sqrt(-np.log(0.05)))
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Predicted:
+    """Error that a pattern allows.
+
+    Attributes
+    ----------
+    fle_um : float
+        Error of one hole's position in one map against the other, rms in the plane.
+    holes_um, field_um : ndarray, (n, 2) and (5, 2)
+        Holes, and the middle and corners of the field, stage coordinates.
+    """
+
+    fle_um: float
+    holes_um: Floats
+    field_um: Floats
+
+    @property
+    def radius_um(self) -> float:
+        """Rms distance of the holes from their centroid."""
+        return float(np.sqrt(np.mean(np.sum((self.holes_um - self.holes_um.mean(axis=0)) ** 2, axis=1))))
+
+    @property
+    def centre_um(self) -> float:
+        """Error of the map, rms, in the middle of the field."""
+        return float(self.at(self.field_um[0]))
+
+    @property
+    def corner_um(self) -> float:
+        """Error of the map, rms, in the field's worst corner."""
+        return float(self.at(self.field_um[1:]).max())
+
+    def at(self, points_um: ArrayLike) -> Floats:
+        """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
+        away = np.sum((np.asarray(points_um, dtype=np.float64) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
+        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + away / self.radius_um**2))
+
+    def sentence(self) -> str:
+        """Write the error in a line."""
+        return (
+            f"predicted error: {self.centre_um:.2f} um rms in the middle of the field, {self.corner_um:.2f} um in its "
+            f"worst corner (95 % below {P95 * self.corner_um:.2f} um), from {self.fle_um:.2f} um for a hole"
+        )
+
+
+def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> float:
+    """Predict the error of one hole's position in one map against the other, rms in the plane, in um."""
+    imaging = imaging or ImagingParams()
+    arcs = max(np.pi * diameter_um / imaging.rim_length_um, 3.0)  # fewer fix no circle
+    rim = 4 * imaging.roughness_um**2 / arcs
+    return float(np.sqrt(sum(rim + 2 * (0.1 * pixel) ** 2 for pixel in imaging.pixel_um)))
+
+
+def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
+    """Predict the error of a registration by a similarity over the pattern's field."""
+    shares = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]])
+    return Predicted(
+        fle_um=hole_error_um(pattern.diameter_um, imaging),
+        holes_um=pattern.points_um,
+        field_um=np.array(pattern.field_low_um) + np.array(pattern.field_um) * shares,
+    )

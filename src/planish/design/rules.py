@@ -1,0 +1,338 @@
+"""The rules that a pattern has to keep, each with what was measured, its limit, and what helps.
+
+Wrong ways to lay a pattern on itself are found as a matcher finds them: every pair of holes is laid on every other pair
+of like length, and the holes that then meet a hole are counted.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from planish.core.errors import MarkError
+from planish.core.typing import Bools, Floats, Ints
+from planish.design.pattern import Pattern
+
+TOLERANCE_UM = 25.0  # within which two marks are taken for one
+SCALE = 0.03  # how far a map's scale may be off its calibration
+CODE = 4  # consecutive holes that have to identify their place
+_TURN_DEG = 10.0  # what still counts as a half or a quarter turn
+
+
+@dataclass(frozen=True, slots=True)
+class Motions:
+    """Wrong arrangements of a pattern on itself.
+
+    ``hit`` (motions, n) says which holes meet a hole; where the motion is nearly no rotation, one that meets itself
+    does not count. ``kind`` (motions,) is ``half turn``, ``quarter turn``, ``mirror``, or ``shift`` for all else.
+    """
+
+    hit: Bools
+    kind: NDArray[np.str_]
+
+    def best_count(self, kind: str) -> int:
+        """Count the holes that the best motion of a kind explains."""
+        return int(np.sum(self.hit[self.kind == kind], axis=1).max(initial=0))
+
+
+def self_motions(points_um: Floats) -> Motions:
+    """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
+    z = points_um[:, 0] + 1j * points_um[:, 1]
+    n = len(z)
+    start, end = np.triu_indices(n, 1)
+    base = np.stack([start, end], axis=1)
+    length = np.abs(z[end] - z[start])
+    order = np.argsort(length, kind="stable")
+    targets, target_length = base[order], length[order]
+    first = np.searchsorted(target_length, (1 - SCALE) * length, side="left")
+    last = np.searchsorted(target_length, (1 + SCALE) * length, side="right")
+    # Each target is taken in both directions and in both hands; beyond so many motions pairs are thinned out evenly.
+    step = max(1.0, 4.0 * float(np.sum(last - first)) / 60_000)
+    bases = np.unique(np.arange(0, len(base), step).astype(np.intp))
+    counts = (last - first)[bases]
+    which = np.repeat(bases, counts)
+    offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
+    goal = targets[first[which] + offset]
+    goal, which = np.concatenate([goal, goal[:, ::-1]]), np.concatenate([which, which])
+    index = _HoleIndex(points_um)
+    parts = [_motion_hits(z, base[which], goal, index, mirrored) for mirrored in (False, True)]
+    return Motions(np.concatenate([hit for hit, _ in parts]), np.concatenate([kind for _, kind in parts]))
+
+
+class _HoleIndex:
+    """The hole within the tolerance of a point: a table of cells, or a tree where the table would be large."""
+
+    def __init__(self, points_um: Floats) -> None:
+        # Two holes fix the motion, and each may be off.
+        self.n, self.reach = len(points_um), 1.5 * TOLERANCE_UM
+        self.z = np.append(points_um[:, 0] + 1j * points_um[:, 1], np.inf)
+        self.tree = cKDTree(points_um)
+        nearest = float(np.min(np.asarray(self.tree.query(points_um, k=2)[0])[:, 1]))
+        # Cells so small that none belongs to two holes, and no smaller than needed.
+        self.cell = min(2 * self.reach, 0.69 * (nearest / 2 - self.reach))
+        self.table = None
+        if self.cell < self.reach / 4:
+            return
+        self.low = points_um.min(axis=0) - self.reach - 2 * self.cell
+        shape = np.ceil((points_um.max(axis=0) + self.reach - self.low) / self.cell).astype(np.intp) + 2
+        if int(shape.prod()) > 4_000_000:
+            return
+        self.table = np.full((int(shape[0]), int(shape[1])), self.n, dtype=np.int16)
+        for k, point in enumerate(points_um):
+            first, last = (((point + d - self.low) / self.cell).astype(np.intp) for d in (-self.reach, self.reach))
+            self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
+
+    def holes_at(self, landed: NDArray[np.complex128]) -> Ints:
+        """Return the number of the hole at each point, or n where there is none."""
+        if self.table is None:
+            flat = np.stack([landed.real.ravel(), landed.imag.ravel()], axis=1)
+            nearest = self.tree.query(flat, distance_upper_bound=self.reach)[1]
+            return np.asarray(nearest, dtype=np.intp).reshape(landed.shape)
+        last_x, last_y = self.table.shape[0] - 1, self.table.shape[1] - 1
+        # Far outside is cut off to the table's border, which is empty.
+        x = np.clip((landed.real - self.low[0]) / self.cell, 0, last_x).astype(np.intp)
+        y = np.clip((landed.imag - self.low[1]) / self.cell, 0, last_y).astype(np.intp)
+        holes = self.table[x, y].astype(np.intp).ravel()
+        near = np.flatnonzero(holes < self.n)
+        holes[near[np.abs(landed.ravel()[near] - self.z[holes[near]]) > self.reach]] = self.n
+        return holes.reshape(landed.shape)
+
+
+def _motion_hits(
+    z: NDArray[np.complex128], base: Ints, goal: Ints, index: _HoleIndex, mirrored: bool
+) -> tuple[Bools, NDArray[np.str_]]:
+    """Return which holes meet one under each motion, and the kind of each."""
+    if not mirrored:
+        moved = np.any(base != goal, axis=1)
+        base, goal = base[moved], goal[moved]
+    source = np.conj(z) if mirrored else z
+    span = source[base[:, 1]] - source[base[:, 0]]
+    is_distinct = np.abs(span) > 0
+    base, goal, span = base[is_distinct], goal[is_distinct], span[is_distinct]
+    alpha = (z[goal[:, 1]] - z[goal[:, 0]]) / span
+    landed = alpha[:, None] * source + (z[goal[:, 0]] - alpha * source[base[:, 0]])[:, None]
+    holes = index.holes_at(landed)
+    hit = holes < len(z)
+    if mirrored:
+        return hit, np.full(len(hit), "mirror")
+    turn = np.abs(np.degrees(np.angle(alpha)))
+    hit &= ~((turn < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
+    half, quarter = turn >= 180 - _TURN_DEG, np.abs(turn - 90) <= _TURN_DEG
+    return hit, np.select([half, quarter], ["half turn", "quarter turn"], "shift")
+
+
+def perimeter_order(points_um: Floats) -> Ints:
+    """Sort the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
+    low, size = points_um.min(axis=0), np.ptp(points_um, axis=0)
+    x, y = (points_um - low).T
+    width, height = size
+    distance = np.stack([y, width - x, height - y, x])
+    along = np.stack([x, width + y, 2 * width + height - x, 2 * (width + height) - y])
+    side = np.argmin(distance, axis=0)
+    return np.argsort(along[side, np.arange(len(x))], kind="stable")
+
+
+def code_misfit_um(points_um: Floats) -> float:
+    """Return the smallest misfit (um) of any four consecutive holes with any other four, or themselves in reverse.
+
+    The holes (n, 2) are taken in their order around the field, the last followed by the first; a turn, a shift and a
+    scale within 3 % are free, and the misfit is the largest distance left.
+    """
+    points = points_um[perimeter_order(points_um)]
+    z = points[:, 0] + 1j * points[:, 1]
+    n = len(z)
+    if n <= CODE:
+        return 0.0
+    windows = z[(np.arange(n)[:, None] + np.arange(CODE)) % n]
+    windows = windows - windows.mean(axis=1, keepdims=True)
+    smallest = np.inf
+    for reverse in (False, True):
+        goal = windows[:, ::-1] if reverse else windows
+        product = np.conj(windows) @ goal.T
+        power = np.sum(np.abs(windows) ** 2, axis=1)[:, None]
+        scale = np.clip(np.abs(product) / power, 1 - SCALE, 1 + SCALE)
+        alpha = scale * np.exp(1j * np.angle(product))
+        misfit = np.abs(alpha[:, :, None] * windows[:, None, :] - goal[None, :, :]).max(axis=2)
+        if not reverse:
+            np.fill_diagonal(misfit, np.inf)
+        smallest = min(smallest, float(misfit.min()))
+    return smallest
+
+
+Sense = Literal["at least", "at most"]
+
+LEAST_HOLES, MOST_HOLES = 12, 120
+RADIUS_SHARE = 0.4
+SPACING_DIAMETERS = 3.0
+AREA_SHARE = 0.03
+CROP = 0.3
+SURVIVORS = 4
+RIVAL_SHARE = 0.5
+MARKER_DIAMETERS = 6.0
+_REMEDY = "use unequal pitches, or another seed"
+_FEWER = "take fewer or smaller holes, or a larger field"
+_LARGER = "take fewer or smaller holes, a larger field, or a larger margin"
+_MEET = "share of the holes that meet holes when the pattern is"
+# Sense, unit, what is measured, and what to change where the rule is broken.
+_RULES: dict[str, tuple[Sense, str, str, str]] = {
+    "count": ("at least", "holes", "holes of the pattern", "burn more holes"),
+    "around": (
+        "at most", "holes", "holes whose burnt rim reaches into the field",
+        "move them outwards, or give a smaller field or a larger margin",
+    ),
+    "radius": (
+        "at least", "", "rms distance from the holes' centroid, as a share of the field's diagonal",
+        "put more holes near the corners, widen the margin, or take another number of holes",
+    ),
+    "spacing": ("at least", "um", "least distance of two holes; burnt zones must not touch", _FEWER),
+    "area": ("at most", "%", "area of holes and rims, as a share of the view's", _LARGER),
+    "marker": (
+        "at least", "um", "how much farther one corner of the frame is from its nearest hole than the others",
+        "put holes into three corners of the frame and end the last line short of the fourth",
+    ),
+    "crop": (
+        "at least", "holes", "whole holes left when 30 % of width and height are cut off at up to three sides",
+        "take more holes, 20 or more, and spread them along all four sides",
+    ),
+    "code": ("at least", "um", "misfit of any 4 consecutive holes with any other 4", _REMEDY),
+    "half turn": ("at most", "", f"{_MEET} turned by about 180 degrees", _REMEDY),
+    "quarter turn": ("at most", "", f"{_MEET} turned by about 90 degrees", _REMEDY),
+    "mirror": ("at most", "", f"{_MEET} turned over, about any axis", _REMEDY),
+    "shift": ("at most", "", f"{_MEET} shifted, scaled by 3 % or turned by another angle", _REMEDY),
+    "crop told apart": (
+        "at most", "", "share of the holes left by the worst crop that meet holes elsewhere", _REMEDY
+    ),
+}  # fmt: skip
+
+
+@dataclass(frozen=True, slots=True)
+class Rule:
+    """One rule, applied to one pattern.
+
+    Attributes
+    ----------
+    name : str
+    value, limit : float
+        Measured, and allowed.
+    sense : {"at least", "at most"}
+        What the value has to be against the limit.
+    unit : str
+        Of value and limit.
+    meaning, remedy : str
+        What is measured, and what to change where the rule is broken.
+    """
+
+    name: str
+    value: float
+    limit: float
+    sense: Sense
+    unit: str
+    meaning: str
+    remedy: str
+
+    @property
+    def passed(self) -> bool:
+        """Return whether the rule is kept."""
+        if not np.isfinite(self.value):
+            return self.sense == "at least" and self.value > 0
+        slack = 1e-9 * max(abs(self.limit), 1.0)
+        return self.value >= self.limit - slack if self.sense == "at least" else self.value <= self.limit + slack
+
+    def sentence(self) -> str:
+        """Write what was measured and what is needed."""
+        unit = f" {self.unit}" if self.unit else ""
+        return f"rule '{self.name}' ({self.meaning}): {self.value:.3g}{unit}, {self.sense} {self.limit:.3g}{unit}"
+
+
+def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply every rule to a pattern.
+
+    Raises
+    ------
+    MarkError
+        If there are more holes than can be checked.
+    """
+    if len(pattern.holes) > MOST_HOLES:
+        raise MarkError(
+            f"{len(pattern.holes)} holes are more than the {MOST_HOLES} that are checked; 20 to 40 are enough."
+        )
+    return (*simple_rules(pattern), *code_rules(pattern), *matching_rules(pattern))
+
+
+def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
+    points, diameter = pattern.points_um, pattern.diameter_um
+    n, field = len(points), np.array(pattern.field_um)
+    away = np.maximum(np.abs(points - np.array(pattern.field_low_um) - field / 2) - field / 2, 0.0)
+    inside = int(np.sum(np.hypot(*away.T) < pattern.burnt_um - 1e-6))
+    radius = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) + np.diag(np.full(n, np.inf))
+    least = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
+    # How much farther the emptiest corner of the frame is from its nearest hole than the next one.
+    corners = pattern.frame_low_um + np.array(pattern.frame_um) * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    nearest = np.sort(np.hypot(*(corners[:, None] - points[None]).transpose(2, 0, 1)).min(axis=1))
+    return (
+        _rule("count", n, LEAST_HOLES),
+        _rule("around", inside, 0),
+        _rule("radius", radius / float(np.hypot(*field)), RADIUS_SHARE),
+        _rule("spacing", float(gaps.min()), least),
+        area_rule(pattern, n),
+        _rule("marker", float(nearest[3] - nearest[2]), MARKER_DIAMETERS * diameter),
+        _rule("crop", int(crops(pattern).sum(axis=1).min()), SURVIVORS),
+    )
+
+
+def area_rule(pattern: Pattern, count: int) -> Rule:
+    """Apply the rule on the area that is burnt, for so many holes; the field itself loses none of it."""
+    burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
+    return _rule("area", 100 * burnt / (pattern.view_um[0] * pattern.view_um[1]), 100 * AREA_SHARE)
+
+
+def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply the rule that any 4 consecutive holes identify their place."""
+    return (_rule("code", code_misfit_um(pattern.points_um), TOLERANCE_UM),)
+
+
+def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
+    """Apply the rules against taking the pattern for itself in another position."""
+    points, masks = pattern.points_um, crops(pattern)
+    motions = self_motions(points)
+    kinds = ("half turn", "quarter turn", "mirror", "shift")
+    # Of each crop, the holes that the best motion without a mirror explains.
+    hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
+    counts = np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
+    # Of so few survivors, three may meet by chance; four are needed to believe an arrangement.
+    worst = float(np.max(counts / np.maximum(masks.sum(axis=1), 6)))
+    rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
+    return (*rivals, _rule("crop told apart", worst, RIVAL_SHARE))
+
+
+def crops(pattern: Pattern) -> Bools:
+    """Return which holes survive each crop, (crops, n).
+
+    A crop is a window of 70 % of the view's width and 70 % of its height that keeps at least one side of the view: it
+    cuts off 30 % at one side or shares them between two opposite sides, and that in both directions. A window that
+    cuts all four sides loses whatever lies around the field, so no pattern could keep it. A hole survives whole.
+    """
+    points = pattern.points_um - np.array(pattern.origin_um)
+    view = np.array(pattern.view_um)
+    radius = 0.5 * pattern.diameter_um
+    survivors: list[Bools] = []
+    for across in (0, 1):  # the direction across the side that the crop keeps
+        along = 1 - across
+        length, depth = (1 - CROP) * view[along], (1 - CROP) * view[across]
+        low, high = points[:, along] - radius, points[:, along] + radius
+        steps = np.concatenate([low + 1e-3, high - length - 1e-3, [0.0, CROP * view[along]]])
+        steps = np.unique(np.clip(steps, 0.0, CROP * view[along]))
+        inside = (low >= steps[:, None]) & (high <= steps[:, None] + length)
+        survivors.append(inside & (points[:, across] + radius <= depth))
+        survivors.append(inside & (points[:, across] - radius >= view[across] - depth))
+    return np.unique(np.concatenate(survivors), axis=0)
+
+
+def _rule(name: str, value: float, limit: float) -> Rule:
+    return Rule(name, value, limit, *_RULES[name])

@@ -1,0 +1,97 @@
+"""BigWarp (Fiji): a CSV without header, or the landmarks in its JSON.
+
+A row is the name, whether the point is active, the moving position and the target position, each x, y or x, y, z in the
+physical unit of the images. A position that is not set is ``Infinity``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError
+from planish.core.tables import finite, table_text
+from planish.core.typing import Floats
+from planish.marks.exchange.lists import Content, PointList, refuse
+from planish.marks.exchange.model import labels_of, used_of
+
+_NEEDED = "name, active, moving x, y, target x, y (6 columns), or with z (8 columns)"
+_AGAIN = "Save the landmarks in BigWarp again."
+
+
+def looks_like(content: Content) -> bool:
+    """Return whether the second cell says true or false, or the JSON holds landmarks."""
+    if content.json is not None:
+        return "movingPoints" in content.json or "landmarks" in content.json
+    return len(content.header) > 2 and content.header[1].lower() in ("true", "false")
+
+
+def read(content: Content) -> list[PointList]:
+    """Read the moving and target points."""
+    name = content.name
+    rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
+    if content.json is not None:  # alone or in a project
+        inner: object = content.json.get("landmarks", content.json)
+        marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
+        axes, columns = marks.get("numDimensions"), list[list[Any]]()
+        for key in ("movingPoints", "fixedPoints", "names", "active"):
+            column: Any = marks.get(key)
+            columns.append(column if isinstance(column, list) else [])
+            is_valid = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
+            if key.endswith("Points") and not (is_valid and axes in (2, 3)):
+                raise MarkError(
+                    f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are "
+                    f"needed. {_AGAIN}"
+                )
+        counts = [len(column) for column in columns]
+        if len(set(counts)) > 1 or not counts[0]:
+            raise MarkError(
+                f"{name} holds {counts[0]} moving points, {counts[1]} fixed points, {counts[2]} names and {counts[3]} "
+                f"of active; as many of each are needed. {_AGAIN}"
+            )
+        listed = enumerate(zip(*columns, strict=True), 1)
+        rows = [(k, [label, active, *moving, *fixed]) for k, (moving, fixed, label, active) in listed]
+    first, width = rows[0][0], len(rows[0][1])
+    if width not in (6, 8):
+        raise MarkError(f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}")
+    labels: list[str] = []
+    used: list[bool] = []
+    points: list[list[float]] = []
+    faults = list(content.rows.faults)
+    for number, row in rows:
+        if len(row) != width:
+            faults.append(f"row {number} has {len(row)} columns, the first {width}")
+            continue
+        active = str(row[1]).lower()
+        if active not in ("true", "false"):
+            faults.append(f"row {number}: active is {row[1]!r}, not true or false")
+        numbers = [np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v) for v in row[2:]]
+        if None in numbers:
+            faults.append(f"row {number}: {row[2 + numbers.index(None)]!r} is no number")
+        labels.append(str(row[0]) or f"row {number}")
+        used.append(active == "true")
+        points.append([np.nan if value is None else value for value in numbers])
+    refuse(name, faults, f"BigWarp writes {_NEEDED}.")
+    # One coordinate that is not set leaves the point without a position.
+    sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
+    sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)
+    return [
+        PointList(title=title, labels=labels, points=sides[:, k], used=used, unit="um", stated=False)
+        for k, title in enumerate(("moving", "target"))
+    ]
+
+
+def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
+    """Write a CSV file. A point without one of its positions is not active, as BigWarp has it."""
+    axes = max(side.shape[1] for side in points.values())
+    sides = [np.pad(side, ((0, 0), (0, axes - side.shape[1]))) for side in points.values()]
+    used = used_of(marks)
+    rows: list[list[str]] = []
+    for k, label in enumerate(labels_of(marks)):
+        is_set = [bool(np.isfinite(side[k]).all()) for side in sides]
+        cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, is_set, strict=True) for v in side[k]]
+        rows.append([label, "true" if used[k] and all(is_set) else "false", *cells])
+    return {"": table_text([], rows, quote_all=True).encode()}

@@ -1,0 +1,248 @@
+"""Files of marks -> marks, and back: in any format, recognised by its content and not by its name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import FileError, MarkError, SizeError
+from planish.core.files import write_whole
+from planish.core.typing import Floats
+from planish.marks.exchange import model
+from planish.marks.exchange.formats import FORMATS, MarkFormat, Unit, known_formats, module_of, target_of
+from planish.marks.exchange.lists import Content, LayerPixels, PointList, join_lists, read_content
+from planish.marks.exchange.model import about_layer, check_marks, check_plausible, layer_names
+
+_NOTHING = LayerPixels()
+
+
+def read_any(
+    path: str | Path,
+    second: str | Path | None = None,
+    *,
+    moving: LayerPixels = _NOTHING,
+    fixed: LayerPixels = _NOTHING,
+    unit: Unit | None = None,
+    swap: bool = False,
+) -> xr.Dataset:
+    """Read marks in any of the formats of ``docs/marks-files.md``.
+
+    Parameters
+    ----------
+    path : str or Path
+        A file with both layers, or with one.
+    second : str or Path, optional
+        The fixed layer, where ``path`` holds the moving one only. Marks belong together in their order.
+    moving, fixed : LayerPixels
+        What is known of the layers: pixel size (needed where the file counts in pixels), place of the first pixel, from
+        which other programs count, and size. Where both sizes are known, marks that cannot lie in a layer are refused.
+    unit : {"um", "mm", "pixel"}, optional
+        Unit of a file that does not state its own; um for BigWarp and ImageJ, mm for elastix where not given.
+    swap : bool
+        Whether the moving layer of the file is the fixed one here: the image was moved onto the map or the volume.
+
+    Returns
+    -------
+    Dataset, dims (mark)
+        As :func:`planish.marks.exchange.make_marks` makes it, lengths in um, x to the right and y down.
+        ``attrs["read_from"]`` says the format, the unit, and whether the file stated the unit.
+
+    Raises
+    ------
+    FileError
+        If a file cannot be read, has more than 10 MB, or is in no known format.
+    MarkError
+        If marks are missing, malformed, repeated, or cannot lie in their layer.
+    SizeError
+        If a pixel size is needed and not given, or units contradict each other.
+    """
+    places = [Path(path)] if second is None else [Path(path), Path(second)]
+    name = " and ".join(place.name for place in places)
+    contents = [_read(place) for place in places]
+    first = contents[0][1]
+    if second is None and isinstance(first, xr.Dataset):
+        if unit not in (None, "um"):
+            raise SizeError(
+                f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct the file."
+            )
+        if swap:
+            raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
+        # What is known of the layers beside what the file states.
+        layers = {layer: dict(about) for layer, about in first.attrs["layers"].items()}
+        for side, facts in (("moving", moving), ("volume", moving), ("fixed", fixed)):
+            if side in layers:
+                layers[side] |= facts.about()
+        if list(layers) == ["marks"]:
+            layers["marks"] |= moving.about() | fixed.about()
+        marks, stated = first.assign_attrs(layers=layers), ("um", True)
+    else:
+        lists: list[PointList] = []
+        for place, (_, content) in zip(places, contents, strict=True):
+            new = [_single_list(content, place.name)] if isinstance(content, xr.Dataset) else content
+            if second is not None and len(new) != 1:
+                raise MarkError(
+                    f"{place.name} holds {len(new)} lists of points already. Give it alone, or two files with one each."
+                )
+            lists += new
+        marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
+        stated = unit or lists[0].unit, all(point_list.stated for point_list in lists)
+    marks.attrs["read_from"] = {"format": contents[0][0], "unit": stated[0], "stated": stated[1]}
+    check_marks(marks, name)
+    if unit != "um":
+        check_plausible(marks, name)
+    return marks
+
+
+def format_of(path: str | Path) -> str:
+    """Return which of `FORMATS` a file has.
+
+    Raises
+    ------
+    FileError
+        If it cannot be read or is in no known format.
+    """
+    return _recognised(read_content(path))
+
+
+def write_any(
+    marks: xr.Dataset,
+    path: str | Path,
+    *,
+    to: str | None = None,
+    moving: LayerPixels = _NOTHING,
+    fixed: LayerPixels = _NOTHING,
+    unit: Unit | None = None,
+    swap: bool = False,
+) -> list[Path]:
+    """Write marks for planish or for another program.
+
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+        As `read_any` gives them; holes go through `marks_of_holes`.
+    path : str or Path
+        File to make; nothing is overwritten. For elastix, which takes one side from each file, ``-moving`` and
+        ``-fixed`` are put before the suffix.
+    to : str, optional
+        One of `FORMATS` but ImageJ; as the name asks where not given.
+    moving, fixed : LayerPixels
+        Pixel sizes, in place of those that the marks hold.
+    unit : {"um", "mm", "pixel"}, optional
+        Unit of a BigWarp or elastix file: that of the images as the other program opens them. um for BigWarp and mm for
+        elastix where not given.
+    swap : bool
+        Whether the fixed layer is to be the moving one of the other program.
+
+    Returns
+    -------
+    list of Path
+        The files that were made.
+
+    Raises
+    ------
+    FileError
+        If a file is there already or cannot be written.
+    MarkError
+        If the marks lack what the format needs.
+    SizeError
+        If a pixel size is needed and not known.
+
+    Notes
+    -----
+    Other programs count from the centre of the first pixel, so the origin of a layer is taken off. ``json`` keeps all;
+    ``bigwarp`` and ``slicer`` keep labels, marks that are not used and marks of one layer only; ``csv``, ``elastix``
+    and ``matlab`` hold the pairs in use.
+    """
+    place, name = Path(path), to or target_of(path)
+    form = FORMATS[name]
+    check_marks(marks, "The marks")
+    if unit is not None and not form.free_unit:
+        free = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
+        raise SizeError(f"A file for {form.title} has its own unit; only those for {free} are written in --out-unit.")
+    points: dict[str, Floats] = {}
+    if form.unit is not None:
+        marks, points = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
+    parts: dict[str, bytes] = module_of(name).write(marks, points)
+    files = {place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: parts[end] for end in parts}
+    for file in files:
+        if file.exists():
+            raise FileError(f"{file} is already there; nothing is overwritten. Choose another name.")
+    for file, content in files.items():
+        write_whole(file, content)
+    return list(files)
+
+
+def marks_text(marks: xr.Dataset) -> str:
+    """Write marks as planish's own JSON, as :func:`write_any` does; MarkError where they cannot be read back."""
+    check_marks(marks, "The marks")
+    return module_of("json").write(marks, {})[""].decode()
+
+
+def _read(place: Path) -> tuple[str, xr.Dataset | list[PointList]]:
+    content = read_content(place)
+    name = _recognised(content)
+    return name, module_of(name).read(content)
+
+
+def _recognised(content: Content) -> str:
+    for name in FORMATS:
+        if module_of(name).looks_like(content):
+            return name
+    if content.text.startswith("# Markups fiducial file"):
+        raise FileError(
+            f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer as .mrk.json."
+        )
+    if content.json is not None:
+        keys = ", ".join(map(str, list(content.json)[:6])) or "nothing"
+        raise FileError(
+            f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read: {known_formats()}."
+        )
+    first = ",".join(content.header)[:60]
+    raise FileError(
+        f"{content.name} begins with {first!r} and is in no known format of marks. These are read: {known_formats()}."
+    )
+
+
+def _single_list(marks: xr.Dataset, name: str) -> PointList:
+    """Give the marks of one layer as a list, to be joined with another."""
+    names = layer_names(marks)
+    if len(names) != 1:
+        raise MarkError(
+            f"{name} already holds the layers {', '.join(names)}. Give it alone, or two files with one each."
+        )
+    places = model.places_of(marks, names[0])
+    return PointList(
+        title=name, labels=model.labels_of(marks), points=places.um, used=model.used_of(marks).tolist(), unit="um",
+        stated=True, placed=True, extras=places.extras, source=places.source, about=about_layer(marks, names[0]),
+    )  # fmt: skip
+
+
+def _outgoing(
+    marks: xr.Dataset, form: MarkFormat, facts: Sequence[LayerPixels], unit: Unit, swap: bool
+) -> tuple[xr.Dataset, dict[str, Floats]]:
+    """Give marks as another program expects them, and positions by role or by the name of the only layer."""
+    names = layer_names(marks)
+    single = len(names) == 1 and form.single
+    sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
+    if form.pairs_only:
+        keep = model.used_of(marks)
+        for side in sides:
+            keep &= np.isfinite(model.points_of(marks, side)).all(axis=1)
+        if not keep.any():
+            raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
+        marks = marks.isel(mark=np.flatnonzero(keep))
+    if single:
+        facts = [facts[0] if facts[0].pixel_um else facts[1]]
+    outgoing: list[Floats] = []
+    for layer, override, role in zip(sides, facts, ("moving", "fixed"), strict=False):
+        about, points = about_layer(marks, layer), model.points_of(marks, layer)
+        pixel, first = about.get("pixel_um"), about.get("origin_um", {})
+        pixels = LayerPixels(
+            override.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
+        )
+        origin, factor = pixels.frame(unit, points.shape[1], f"The file for {form.title}", role)
+        outgoing.append((points - origin) / factor)
+    return marks, dict(zip(names if single else ("moving", "fixed"), outgoing[::-1] if swap else outgoing, strict=True))

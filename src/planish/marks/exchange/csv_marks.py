@@ -1,0 +1,131 @@
+"""planish's own tables, lengths in um: pairs of marks, and holes of one layer.
+
+The first side of a pair is given in one of two frames, which the header names: ``moving_x_um, moving_y_um`` on the
+flattened map, or ``volume_x_um, volume_y_um, volume_z_um`` in the volume. The second side, ``fixed_x_um, fixed_y_um``,
+is the image. Rows whose ``used`` is 0 or false are left out.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError
+from planish.core.files import write_whole
+from planish.core.tables import CsvTable, parse_table, table_text
+from planish.core.typing import Floats
+from planish.marks.exchange.lists import Content, PointList
+from planish.marks.exchange.model import Places, holes_of, labels_of, layer_names, make_marks, used_pairs
+
+_SIDES = {
+    "moving": ("moving_x_um", "moving_y_um"),
+    "volume": ("volume_x_um", "volume_y_um", "volume_z_um"),
+    "fixed": ("fixed_x_um", "fixed_y_um"),
+}
+_HOLE_COLUMNS = ("x_um", "y_um")
+_RESULTS = ("residual_um", "leave_one_out_um", "weight", "used")
+
+
+def looks_like(content: Content) -> bool:
+    """Return whether the header names a column of pairs or of holes."""
+    return any(name.lower() in names for name in content.header for names in (*_SIDES.values(), _HOLE_COLUMNS))
+
+
+def read(content: Content) -> xr.Dataset | list[PointList]:
+    """Read pairs as marks, or the holes of one layer."""
+    names = [name.lower() for name in content.header]
+    sides = [side for side, columns in _SIDES.items() if any(column in names for column in columns)]
+    if not sides:
+        return [read_points(content, _HOLE_COLUMNS, stated=True, source="imported")]
+    first = "volume" if "volume" in sides and "moving" not in sides else "moving"
+    *choices, fixed = (", ".join(columns) for columns in _SIDES.values())
+    advice = f"Needed: label, then {' or '.join(choices)}, then {fixed}, all in um."
+    needed = (*_SIDES[first], *_SIDES["fixed"])
+    table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
+    if {"moving", "volume"} <= set(sides):
+        table.faults.append("both moving and volume columns are there; keep one kind")
+    table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
+    places = {side: Places(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
+    table.check()
+    if not table.rows:
+        raise MarkError(f"{content.name} has a header and no pair of marks. At least 3 rows are needed.")
+    return make_marks(_labels(table), places)
+
+
+def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
+    """Write pairs in use, or the holes of the only layer."""
+    names = layer_names(marks)
+    if len(names) != 1:
+        return {"": pairs_text(used_pairs(marks, least=1, name="This set of marks")).encode()}
+    holes = holes_of(marks, names[0])
+    return {"": holes_text(holes, labels_of(holes)).encode()}
+
+
+def holes_text(holes: xr.Dataset, labels: Sequence[str]) -> str:
+    """Write the table of holes."""
+    columns = [name for name in ("x", "y", "diameter") if name in holes]
+    rows = zip(labels, *(holes[name].values for name in columns), strict=True)
+    return table_text(["label", *(f"{name}_um" for name in columns)], list(rows))
+
+
+def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
+    """Write pairs of marks as a CSV file that `read_any` reads back to the same numbers.
+
+    Parameters
+    ----------
+    dataset : Dataset, dims (mark), in um
+        ``moving_x, moving_y`` (or ``volume_x, volume_y, volume_z``), ``fixed_x, fixed_y``; optionally ``label``,
+        ``residual``, ``leave_one_out``, ``weight`` and ``used``, under these names or with ``_um`` at the end.
+    path : str or Path
+
+    Raises
+    ------
+    FileError
+        If the file is there already or cannot be written.
+    MarkError
+        If a variable is missing.
+    """
+    write_whole(Path(path), pairs_text(dataset).encode())
+
+
+def pairs_text(dataset: xr.Dataset) -> str:
+    """Write the table of pairs; see :func:`write_marks`."""
+    variables = {str(name).removesuffix("_um"): variable for name, variable in dataset.variables.items()}
+    sides = [side for side, names in _SIDES.items() if all(name.removesuffix("_um") in variables for name in names)]
+    if len(sides) < 2 or sides[-1] != "fixed":
+        raise MarkError(
+            f"The marks hold {', '.join(sorted(variables)) or 'nothing'}; fixed_x, fixed_y and either moving_x, "
+            "moving_y or volume_x, volume_y, volume_z are needed."
+        )
+    results = [name for name in _RESULTS if name.removesuffix("_um") in variables]
+    names = ["label", *_SIDES[sides[0]], *_SIDES["fixed"], *results]
+    types = {"label": str, "used": int}
+    numbers = range(1, dataset.sizes.get("mark", 0) + 1)
+    keys = [name.removesuffix("_um") for name in names]
+    columns = (variables[key].values if key in variables else numbers for key in keys)
+    rows = zip(*(map(types.get(key, float), column) for key, column in zip(keys, columns, strict=True)), strict=True)
+    return table_text(names, list(rows))
+
+
+def read_points(content: Content, columns: tuple[str, str], *, stated: bool, source: str) -> PointList:
+    """Read the points of a table with a header; lengths in um where it states so."""
+    advice = f"Give a table with the columns {' and '.join(columns)} and one row for each mark."
+    table = parse_table(content.text, content.name, needed=columns, error=MarkError, advice=advice)
+    points = table.numbers(columns)
+    diameters = [table.text(row, "diameter_um") and table.number(row, "diameter_um") for row in table.rows]
+    table.check()
+    if not len(points):
+        raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
+    return PointList(
+        title=content.name, points=points, unit="um", stated=stated, placed=stated, source=source,
+        labels=_labels(table) if stated else (),
+        extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
+    )  # fmt: skip
+
+
+def _labels(table: CsvTable) -> list[str]:
+    """Return the labels of the rows; their numbers where they have none."""
+    return [table.text(row, "label", str(k)) for k, row in enumerate(table.rows, 1)]

@@ -1,0 +1,73 @@
+"""elastix and transformix: the word ``point`` or ``index``, the number of points, one point a line.
+
+``point`` means coordinates in the space of the image, in ITK usually mm; ``index`` (or no word at all) means pixels
+from 0. One file holds one side: ``-fp`` the fixed, ``-mp`` the moving points. elastix rounds an index to whole pixels,
+so that points are always written as ``point``.
+"""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError
+from planish.core.tables import finite
+from planish.core.typing import Floats
+from planish.marks.exchange.lists import Content, PointList, refuse
+
+_HEAD = re.compile(r"\s*(?:(point|index)(?:\s+|$))?(\S*)\s*?(?:\n|$)")
+_NEEDED = "'point' or 'index', the number of points, and one point a line, two or three numbers with spaces between"
+
+
+def looks_like(content: Content) -> bool:
+    """Return whether it begins with ``point`` or ``index``, or with a whole number alone in its line."""
+    first = content.text.split(maxsplit=1)[:1]
+    line = content.text.lstrip().splitlines()[:1]
+    return content.json is None and (first in (["point"], ["index"]) or bool(line and _is_count(line[0].strip())))
+
+
+def read(content: Content) -> list[PointList]:
+    """Read the points of one file, as one list."""
+    name, text = content.name, content.text
+    # Word and count may stand in one line or in two.
+    head = _HEAD.match(text)
+    word, count = (head[1], head[2]) if head else ("", "")
+    if head is None or not _is_count(count):
+        raise MarkError(f"{name} states no number of points (found {count!r}). elastix reads {_NEEDED}.")
+    lines = [line.split() for line in text[head.end() :].splitlines() if line.strip()]
+    if len(lines) != int(count):
+        raise MarkError(
+            f"{name} states {int(count)} points and holds {len(lines)} lines of coordinates. Correct the number in its "
+            "second line, or add the points that are missing."
+        )
+    if not lines:
+        raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
+    axes = len(lines[0])
+    faults: list[str] = []
+    points: list[list[float]] = []
+    for k, cells in enumerate(lines, 1):
+        numbers = [finite(cell) for cell in cells]
+        if axes not in (2, 3) or len(cells) != axes:
+            faults.append(f"point {k} has {len(cells)} numbers")
+        elif None in numbers:
+            faults.append(f"point {k}: {cells[numbers.index(None)]!r} is no finite number")
+        points.append([v for v in numbers if v is not None])
+    refuse(name, faults, f"elastix reads {_NEEDED}.")
+    unit, stated = ("mm", False) if word == "point" else ("pixel", True)
+    return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]
+
+
+def write(_marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
+    """Write one file for each layer."""
+    files: dict[str, bytes] = {}
+    for role, places in points.items():
+        lines = [" ".join(map(repr, row)) for row in places.tolist()]
+        text = "\n".join(["point", str(len(lines)), *lines]) + "\n"
+        files["" if len(points) == 1 else f"-{role}"] = text.encode()
+    return files
+
+
+def _is_count(text: str) -> bool:
+    return text.isascii() and text.isdigit() and len(text) < 10

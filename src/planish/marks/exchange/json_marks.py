@@ -1,0 +1,206 @@
+"""The marks' own JSON: everything that is known of them, one mark a line, with a version.
+
+``docs/marks-files.md`` describes it. A file of a newer version is refused, not guessed at; a key that is not known is
+an error, because a misspelt one would be lost in silence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Annotated, Any, Literal
+
+import numpy as np
+import xarray as xr
+from pydantic import Field, PositiveFloat, ValidationError
+
+from planish.core.errors import MarkError
+from planish.core.tables import MOST_FAULTS, model_faults
+from planish.core.typing import Floats
+from planish.marks.exchange import model
+from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_text, refuse
+from planish.marks.exchange.model import RESIDUAL, RESULTS, Places, check_marks
+
+FORMAT = "planish-marks"
+VERSION = 1
+_PAGE = "docs/marks-files.md describes the format."
+_POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
+
+Source = Literal["detected", "clicked", "predicted", "imported"]
+LayerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+
+
+class _Sizes(Part):
+    x: PositiveFloat
+    y: PositiveFloat
+
+
+class _Point(Part):
+    x: float
+    y: float
+
+
+class _Count(Part):
+    x: Annotated[int, Field(gt=0, le=10**9)]
+    y: Annotated[int, Field(gt=0, le=10**9)]
+
+
+class _Axes(Part):
+    x: Literal["right"] = "right"
+    y: Literal["down"] = "down"
+
+
+class _Layer(Part):
+    name: LayerName
+    title: Annotated[str, Field(max_length=200)] | None = None
+    pixel_um: _Sizes | None = None
+    origin_um: _Point | None = None
+    size_px: _Count | None = None
+    side: Literal["top", "bottom"] | None = None
+    machine_direction_deg: float | None = None
+
+
+class _Place(Part):
+    x: float
+    y: float
+    z: float | None = None
+    covariance_um2: list[list[float]] | None = None
+    diameter_um: PositiveFloat | None = None
+    axis_ratio: Annotated[float, Field(ge=1)] | None = None
+    arc_coverage: Annotated[float, Field(ge=0, le=1)] | None = None
+    source: Source
+
+
+class _Mark(Part):
+    label: Annotated[str, Field(min_length=1, max_length=200)]
+    used: bool = True
+    at: dict[str, _Place]
+    residual_um: Annotated[float, Field(ge=0)] | None = None
+    leave_one_out_um: Annotated[float, Field(ge=0)] | None = None
+
+
+class _File(Part):
+    format: Literal["planish-marks"]
+    version: Literal[1]
+    units: Literal["um"]
+    axes: _Axes
+    layers: Annotated[list[_Layer], Field(min_length=1, max_length=16)]
+    registration: dict[str, Any] | None = None
+    marks: Annotated[list[_Mark], Field(max_length=MOST_MARKS)]
+
+
+def looks_like(content: Content) -> bool:
+    """Return whether its ``format`` says so."""
+    return content.json is not None and content.json.get("format") == FORMAT
+
+
+def read(content: Content) -> xr.Dataset:
+    """Read the marks of a JSON file, as `make_marks` makes them."""
+    name, entries = content.name, content.json or {}
+    version = entries.get("version")
+    if type(version) is int and version > VERSION:
+        raise MarkError(
+            f"{name} has version {version} of the format; this planish reads up to version {VERSION}. Update planish, "
+            "or write the marks again with the older one."
+        )
+    listed: object = entries.get("marks")
+    check_count(name, len(listed) if isinstance(listed, list) else 0)
+    try:
+        file = _File.model_validate(dict(entries))
+    except ValidationError as error:
+        refuse(name, model_faults(error), _PAGE)
+        raise
+    names = [layer.name for layer in file.layers]
+    refuse(name, _cross_field_faults(file, names), _PAGE)
+    results = {key: _column(file.marks, f"{key}_um") for key in RESULTS}
+    marks = model.make_marks(
+        [mark.label for mark in file.marks],
+        {layer: _places([mark.at.get(layer) for mark in file.marks]) for layer in names},
+        used=[mark.used for mark in file.marks],
+        about={layer.name: layer.model_dump(exclude_none=True, exclude={"name"}) for layer in file.layers},
+        results={key: values for key, values in results.items() if np.isfinite(values).any()},
+    )
+    check_marks(marks, name)
+    return marks if file.registration is None else marks.assign_attrs(registration=file.registration)
+
+
+def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
+    """Write a JSON file, from which `read` gives the same numbers back."""
+    layers = model.layer_names(marks)
+    places = {layer: model.places_of(marks, layer) for layer in layers}
+    rows: list[dict[str, Any]] = []
+    for k, (label, used) in enumerate(zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)):
+        positions = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
+        stated = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
+        results = {f"{key}_um": float(marks[key].values[k]) for key in stated}
+        rows.append({"label": label, "used": used, "at": positions} | results)
+    head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
+    # What is known of a layer in the same order whatever it came from.
+    head["layers"] = [
+        {key: about[key] for key in dict.fromkeys([*_Layer.model_fields, *about]) if key in about}
+        for about in ({"name": layer, **model.about_layer(marks, layer)} for layer in layers)
+    ]
+    if "registration" in marks.attrs:
+        head["registration"] = marks.attrs["registration"]
+    try:
+        _File.model_validate(head | {"marks": rows})
+    except ValidationError as error:
+        faults = "; ".join(model_faults(error)[:MOST_FAULTS])
+        raise MarkError(f"The marks cannot be written: {faults}.") from error
+    top = "".join(f' "{key}": {json_text(value)},\n' for key, value in head.items())
+    text = f'{{\n{top} "marks": [\n' + ",\n".join(f"  {json_text(row)}" for row in rows) + "\n ]\n}\n"
+    return {"": text.encode()}
+
+
+def _column(parts: Sequence[Part | None], key: str) -> Floats:
+    """Give the numbers of one field; NaN where it is not there."""
+    numbers = [getattr(part, key, None) for part in parts]
+    return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64)
+
+
+def _places(parts: Sequence[_Place | None]) -> Places:
+    um = np.stack([_column(parts, axis) for axis in "xyz"], axis=1)
+    unknown = [[np.nan, np.nan], [np.nan, np.nan]]
+    spread = np.array([(place and place.covariance_um2) or unknown for place in parts]).reshape(-1, 2, 2)
+    return Places(
+        um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
+        source=["imported" if place is None else place.source for place in parts],
+        extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
+        | {name: _column(parts, key) for name, key in _POSITION.items()},
+    )
+
+
+def _place(places: Places, k: int) -> dict[str, Any]:
+    row: dict[str, Any] = {axis: float(v) for axis, v in zip("xyz", places.um[k], strict=False)}
+    extras = {name: float(values[k]) for name, values in places.extras.items() if np.isfinite(values[k])}
+    if {"cov_xx", "cov_xy", "cov_yy"} <= set(extras):
+        xy = extras["cov_xy"]
+        row["covariance_um2"] = [[extras["cov_xx"], xy], [xy, extras["cov_yy"]]]
+    row |= {key: extras[name] for name, key in _POSITION.items() if name in extras}
+    row["source"] = places.source if isinstance(places.source, str) else str(places.source[k])
+    return row
+
+
+def _cross_field_faults(file: _File, names: list[str]) -> list[str]:
+    """List the faults that the fields alone do not show."""
+    faults = [f"the layer {n} is there {names.count(n)} times" for n in sorted(set(names)) if names.count(n) > 1]
+    faults += [f"{n} cannot be the name of a layer" for n in names if n == RESIDUAL]
+    has_z: dict[str, set[bool]] = {}
+    for k, mark in enumerate(file.marks):
+        for layer, place in mark.at.items():
+            where = f"marks[{k}] ({mark.label}) at {layer}"
+            if layer not in names:
+                faults.append(f"{where}: there is no such layer")
+            has_z.setdefault(layer, set()).add(place.z is not None)
+            cov = place.covariance_um2
+            if cov is not None and not _is_covariance(cov):
+                faults.append(f"{where}: the covariance is not [[xx, xy], [xy, yy]] of a spread")
+    faults += [f"some positions in {n} have z and some have none" for n, kinds in has_z.items() if len(kinds) > 1]
+    return faults
+
+
+def _is_covariance(cov: list[list[float]]) -> bool:
+    if len(cov) != 2 or any(len(row) != 2 for row in cov):
+        return False
+    (xx, xy), (yx, yy) = cov
+    # Rounding may leave a determinant of a little less than zero.
+    return xx >= 0 and yy >= 0 and xy == yx and xy * xy <= xx * yy * (1 + 1e-9)

@@ -1,0 +1,268 @@
+"""Lists of points as other programs write them -> marks in um: units, origins, which list is which."""
+
+from __future__ import annotations
+
+import json
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+import xarray as xr
+from pydantic import BaseModel, ConfigDict
+
+from planish.core.errors import FileError, MarkError, SizeError
+from planish.core.tables import Rows, decode_text, raise_faults, read_bytes, split_rows
+from planish.core.typing import Floats
+from planish.marks.exchange.formats import Unit, known_formats
+from planish.marks.exchange.model import EXTRAS, Places, make_marks
+
+MOST_MARKS = 100_000
+_BINARY = (b"MATLAB", b"\x89HDF\r\n\x1a\n")
+_NO_ROWS = Rows([], [], ",", [])
+
+
+class Part(BaseModel):
+    """A part of a JSON file of marks or holes: types are not converted, and unknown keys are faults."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True, strict=True, allow_inf_nan=False)
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Content:
+    """A file of marks: its name, for messages, and what it holds; no text in one of MATLAB, no rows in JSON."""
+
+    name: str
+    data: bytes
+    text: str = ""
+    rows: Rows = _NO_ROWS
+    json: Mapping[str, Any] | None = None
+
+    @property
+    def header(self) -> list[str]:
+        """Cells of the first row."""
+        return self.rows.rows[0].cells if self.rows.rows else []
+
+
+def read_content(path: str | Path) -> Content:
+    """Read a file, whatever its format."""
+    place = Path(path)
+    name, data = place.name, read_bytes(place, what="file of marks")
+    # Version 4 of MATLAB has no heading that says what it is.
+    if data.startswith(_BINARY) or place.suffix.lower() == ".mat":
+        return Content(name=name, data=data)
+    text = decode_text(data, name, what="file of marks")
+    if not text.strip():
+        raise FileError(f"{name} is empty. Give a file of marks: {known_formats()}.")
+    if text.lstrip()[:1] in "{[":
+        return Content(name=name, data=data, text=text, json=read_object(text, name))
+    rows = split_rows(text)
+    check_count(name, len(rows.rows) - 1)
+    return Content(name=name, data=data, text=text, rows=rows)
+
+
+def check_count(name: str, count: int) -> None:
+    """Refuse more marks than a sheet can have."""
+    if count > MOST_MARKS:
+        raise MarkError(f"{name} holds {count} marks; {MOST_MARKS} are the most. Give a file with marks only.")
+
+
+def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
+    """Raise all faults of a file as one message; nothing where there is none."""
+    raise_faults(name, faults, remedy, error=MarkError)
+
+
+def json_text(value: object) -> str:
+    """Write JSON in one line."""
+    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+
+
+def read_object(text: str, name: str) -> Mapping[str, Any]:
+    """Read the object of a JSON file of marks or holes."""
+    try:
+        content: object = json.loads(text, object_pairs_hook=_unique_keys)
+    except RecursionError as error:
+        raise FileError(f"{name} is nested too deeply for a file of marks. Give {known_formats()}.") from error
+    except ValueError as error:
+        raise FileError(f"{name} is damaged JSON: {error}. Save the marks again.") from error
+    if not isinstance(content, dict):
+        raise FileError(f"{name} is JSON, but no file of marks: it holds a list. These are read: {known_formats()}.")
+    return cast("dict[str, Any]", content)
+
+
+def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(pairs)
+    if len(entries) < len(pairs):
+        key, count = Counter(key for key, _ in pairs).most_common(1)[0]
+        raise ValueError(f"the key {key[:40]!r} stands {count} times in one object")
+    return entries
+
+
+UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
+_FIRST_NAMES = ("moving", "from", "source", "volume")
+_SECOND_NAMES = ("fixed", "to", "target", "image")
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class PointList:
+    """Points of one layer in the numbers of a file.
+
+    ``points`` (n, 2) or (n, 3) are in ``unit``, which the file states (``stated``) or which is usual for it; pixels
+    count from 0, and NaN is a point that is not set. No labels: they have numbers only; no ``used``: all are used.
+    ``placed`` positions are those of the layer already; others count from the centre of its first pixel. ``extras``
+    and ``source`` are those of `Places`, ``about`` is that of `make_marks`.
+    """
+
+    title: str
+    points: Floats
+    unit: Unit
+    stated: bool
+    labels: Sequence[str] = ()
+    used: Sequence[bool] = ()
+    placed: bool = False
+    extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
+    source: str | Sequence[str] = "imported"
+    about: Mapping[str, Any] = field(default_factory=dict[str, Any])
+
+    @property
+    def names(self) -> list[str]:
+        """Labels, or numbers from 1."""
+        return list(self.labels) or [str(k + 1) for k in range(len(self.points))]
+
+
+@dataclass(frozen=True, slots=True)
+class LayerPixels:
+    """Pixels of one layer, as far as they are known.
+
+    Attributes
+    ----------
+    pixel_um : float or sequence of float, in um, optional
+        One size, ``(y, x)``, or ``(z, y, x)`` for a volume; kept as a tuple.
+    origin_um : (float, float), in um, optional
+        ``(x, y)`` of the centre of the first pixel, from which other programs count.
+    shape : (int, int), optional
+        Rows and columns.
+
+    Raises
+    ------
+    SizeError
+        If a size is no positive number, or an origin no finite one.
+    """
+
+    pixel_um: Any = None
+    origin_um: Sequence[float] | None = None
+    shape: Sequence[int] | None = None
+
+    def __post_init__(self) -> None:
+        """Check sizes and origin."""
+        if self.pixel_um is not None:
+            sizes = tuple(float(v) for v in np.atleast_1d(np.asarray(self.pixel_um, dtype=np.float64)))
+            if not (1 <= len(sizes) <= 3 and all(np.isfinite(v) and v > 0 for v in sizes)):
+                raise SizeError(
+                    f"The pixel size of a layer is {self.pixel_um!r} um; one positive number, two (y, x), or three for "
+                    "a volume (z, y, x) are needed in --moving-pixel-um and --fixed-pixel-um."
+                )
+            object.__setattr__(self, "pixel_um", sizes)
+        if self.origin_um is not None and not (len(self.origin_um) == 2 and np.isfinite(self.origin_um).all()):
+            raise SizeError(f"The origin of a layer is {self.origin_um!r} um; two numbers (x, y) are needed.")
+
+    def about(self) -> dict[str, Any]:
+        """Give the facts as they are kept with the marks."""
+        out: dict[str, Any] = {}
+        if self.pixel_um is not None:
+            out["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
+        if self.origin_um is not None:
+            out["origin_um"] = {"x": float(self.origin_um[0]), "y": float(self.origin_um[1])}
+        if self.shape is not None:
+            out["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
+        return out
+
+    def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
+        """Give the place of the first pixel, and length of one unit, along x, y (and z) in um."""
+        origin = np.zeros(axes)
+        origin[:2] = self.origin_um or (0.0, 0.0)
+        if unit != "pixel":
+            return origin, np.full(axes, UNITS[unit])
+        option = side if side in ("moving", "fixed") else "moving"
+        if self.pixel_um is None:
+            raise SizeError(
+                f"{name} gives positions in pixels, and the pixel size of the {side} layer is not known. Give it in um "
+                f"to planish marks convert with --{option}-pixel-um."
+            )
+        if axes == 3 and len(self.pixel_um) == 2:
+            raise SizeError(
+                f"{name} holds points of a volume in voxels; the sizes z, y, x (or one for all) are needed in "
+                f"--{option}-pixel-um."
+            )
+        return origin, np.array(self.pixel_um[::-1] if len(self.pixel_um) > 1 else self.pixel_um * 3)[:axes]
+
+
+def join_lists(
+    lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
+) -> xr.Dataset:
+    """Join marks in um from one list, or from two whose points belong together in their order.
+
+    Two are moving and fixed, exchanged where they are named in the other order or ``swap`` says so; ``unit`` takes the
+    place of one that the files do not state. The layers are ``moving`` (``volume`` where its z varies) and ``fixed``,
+    or ``marks`` where there is one list only.
+    """
+    for point_list in lists:
+        check_count(name, len(point_list.points))
+        if unit is not None and point_list.stated and unit != point_list.unit:
+            raise SizeError(
+                f"{name} states its unit, {point_list.unit}, and --unit says {unit}. Leave --unit out, or correct the "
+                "file."
+            )
+    if len(lists) > 2:
+        titles = ", ".join(f"{point_list.title} ({len(point_list.points)})" for point_list in lists[:8])
+        raise MarkError(f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two alone.")
+    first, last = lists[0], lists[-1]
+    layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
+    if len(lists) == 2:
+        titles = [point_list.title.strip().lower() for point_list in lists]
+        if swap != (titles[0] in _SECOND_NAMES and titles[1] in _FIRST_NAMES):
+            first, last = last, first
+        a, b = first.names, last.names
+        if len(a) != len(b):
+            raise MarkError(
+                f"{name}: {len(a)} moving points ({first.title}) and {len(b)} fixed points ({last.title}). Points "
+                "belong together in their order, so both need the same number: add or remove points."
+            )
+        if a != b and sorted(a) == sorted(b):
+            k = next(k for k in range(len(a)) if a[k] != b[k])
+            raise MarkError(
+                f"{name}: both lists have the same labels in another order: {a[k]} and {b[k]} are both number {k + 1}. "
+                "Points belong together in their order: sort one list, or rename its points."
+            )
+        layers = {"moving": (first, moving), "fixed": (last, fixed)}
+    places = {layer: _places(point_list, layer, facts, unit, name) for layer, (point_list, facts) in layers.items()}
+    about = {layer: dict(point_list.about) | facts.about() for layer, (point_list, facts) in layers.items()}
+    if "fixed" in places and places["fixed"].um.shape[1] == 3:
+        raise MarkError(
+            f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat "
+            "image; where the volume was the fixed or target one, give --swap."
+        )
+    if "moving" in places and places["moving"].um.shape[1] == 3:
+        places = {"volume": places["moving"], "fixed": places["fixed"]}
+        about = {"volume": about["moving"], "fixed": about["fixed"]}
+    every = np.ones(len(first.points), bool)
+    used = (np.asarray(point_list.used, bool) if point_list.used else every for point_list in (first, last))
+    return make_marks(first.names, places, used=np.logical_and(*used).tolist(), about=about)
+
+
+def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> Places:
+    """Convert points to um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
+    coordinates = np.asarray(point_list.points, dtype=np.float64)
+    if coordinates.shape[1] == 3:
+        z = coordinates[:, 2][np.isfinite(coordinates[:, 2])]
+        # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a picture.
+        if not z.any() or (side == "fixed" and np.ptp(z) == 0):
+            coordinates = coordinates[:, :2]
+    origin, factor = facts.frame(unit or point_list.unit, coordinates.shape[1], name, side)
+    powers = {"um": 1, "um2": 2}
+    extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in point_list.extras.items()}
+    with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
+        um = (0.0 if point_list.placed else origin) + coordinates * factor
+        return Places(um=um, source=point_list.source, extras=extras)

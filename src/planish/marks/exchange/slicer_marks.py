@@ -1,0 +1,110 @@
+"""3D Slicer: point lists in ``.mrk.json``, in mm.
+
+In ``LPS``, x runs to the patient's left and y to the back, which for a picture that is read without a direction of its
+own is right and down, as here. In ``RAS`` both signs are opposite. Two lists belong together in the order of
+their points; a point that is not selected takes no part in Slicer's own fits.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.core.errors import MarkError
+from planish.core.tables import finite
+from planish.core.typing import Floats
+from planish.marks.exchange.lists import Content, PointList, refuse
+from planish.marks.exchange.model import labels_of, used_of
+
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
+    "markups-schema-v1.0.3.json#"
+)
+SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
+
+
+def looks_like(content: Content) -> bool:
+    """Return whether it is JSON with markups."""
+    return content.json is not None and "markups" in content.json
+
+
+def read(content: Content) -> list[PointList]:
+    """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
+    name = content.name
+    markups: Any = (content.json or {}).get("markups")
+    entries: list[Any] = [m for m in (markups if isinstance(markups, list) else []) if isinstance(m, Mapping)]
+    points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
+    if len(points) > 16:
+        raise MarkError(f"{name} holds {len(points)} lists of points; two are needed. Save those two alone.")
+    if not points:
+        kinds = ", ".join(sorted({str(m.get("type")) for m in entries})) or "nothing"
+        raise MarkError(f"{name} holds no list of points, but {kinds}. Save a point list in Slicer as .mrk.json.")
+    return [_point_list(markup, k, name) for k, markup in enumerate(points)]
+
+
+def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
+    """Write one list for each layer, in mm."""
+    labels, used = labels_of(marks), used_of(marks).tolist()
+    markups: list[dict[str, Any]] = []
+    for role, places in points.items():
+        controls: list[dict[str, Any]] = []
+        for k, label in enumerate(labels):
+            is_set = bool(np.isfinite(places[k]).all())
+            position = [*places[k].tolist(), 0.0][:3] if is_set else [0.0, 0.0, 0.0]
+            controls.append(
+                {
+                    "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "",
+                    "position": position, "selected": used[k], "locked": False, "visibility": True,
+                    "positionStatus": "defined" if is_set else "undefined",
+                }
+            )  # fmt: skip
+        markups.append(
+            {
+                "type": "Fiducial", "name": role, "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": False,
+                "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(labels),
+                "controlPoints": controls,
+            }
+        )  # fmt: skip
+    content = {"@schema": SCHEMA, "markups": markups}
+    return {"": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()}
+
+
+def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
+    title = str(markup.get("name") or f"list {k + 1}")
+    system: object = markup.get("coordinateSystem", "LPS")
+    if not isinstance(system, str) or system not in SIGNS:
+        raise MarkError(f"{name}: {title} is in {system!r}; LPS or RAS is needed. Save it so in Slicer.")
+    code: Any = markup.get("coordinateUnits", "mm")
+    unit = code[0] if isinstance(code, list) and code else code
+    if unit not in ("mm", "um"):
+        raise MarkError(f"{name}: {title} is in {unit!r}; mm or um is needed. Save it so in Slicer.")
+    listed: Any = markup["controlPoints"]
+    faults: list[str] = []
+    labels: list[str] = []
+    used: list[bool] = []
+    points: list[list[float]] = []
+    controls: list[Any] = listed if isinstance(listed, list) else [None]
+    for number, control in enumerate(controls, 1):
+        if not isinstance(control, Mapping):
+            faults.append(f"point {number} of {title} is malformed")
+            continue
+        state: Any = control.get("positionStatus", "defined")
+        position: Any = control.get("position")
+        is_valid = isinstance(position, list) and len(position) == 3
+        numbers = [None if isinstance(v, str) else finite(v) for v in position] if is_valid else [None]
+        if state not in ("defined", "undefined", "preview"):
+            faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
+        if state == "defined" and None in numbers:
+            faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
+        point = [v for v in numbers if v is not None] if state == "defined" and None not in numbers else [np.nan] * 3
+        labels.append(str(control.get("label") or f"{title} {number}"))
+        used.append(control.get("selected", True) is not False)
+        points.append([sign * v for sign, v in zip(SIGNS[system], point, strict=True)])
+    refuse(name, faults, "Save the list in Slicer again.")
+    return PointList(
+        title=title, labels=labels, points=np.array(points, dtype=np.float64), used=used, unit=unit, stated=True
+    )

@@ -1,0 +1,116 @@
+"""Layers that are arrays in memory: written beside the run, so that it can be repeated from its ``run.toml``."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Generator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import tifffile
+import xarray as xr
+
+from planish.core.arrays import check_image, check_volume
+from planish.core.errors import FileError
+from planish.core.files import writing
+from planish.core.frame import Frame
+from planish.io.run_folder import refuse_existing, remove
+from planish.io.store import write_store
+from planish.run.compute import Compute
+from planish.run.run import Run
+
+LayerInput = str | Path | Run | xr.DataArray
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class ArrayLayer:
+    """A layer in memory, its size, and where its file will stand."""
+
+    array: xr.DataArray
+    kind: Literal["volume", "image"]
+    size_um: tuple[float, ...]
+    path: Path
+
+    def options(self) -> dict[str, Any]:
+        """What it says of itself: its size, and how the sheet lies or which side is shown."""
+        if self.kind == "image":
+            return {"pixel_um": self.size_um, "side": self.array.attrs.get("side")}
+        frame = Frame.of(self.array)
+        return {"voxel_um": self.size_um, "through": frame.through, "top": frame.top}
+
+    def write(self, compute: Compute) -> None:
+        """Write it as a working store, or as TIFF in the type that it was made from."""
+        if self.kind == "volume":
+            volume = self.array.assign_attrs(voxel_um=list(self.size_um))
+            write_store(volume, self.path, memory_bytes=compute.block_bytes, threads=compute.threads)
+            return
+        values, stored = self.array.values, np.dtype(self.array.attrs.get("stored_dtype", "f4"))
+        if stored.kind == "u" and np.array_equal(values, np.rint(values)):  # not of a luminance
+            values = values.astype(stored)
+        with writing(self.path, needed=values.nbytes):
+            tifffile.imwrite(self.path, values, photometric="minisblack", metadata=None)
+
+
+@contextmanager
+def layer_sources(
+    layers: Sequence[LayerInput], out: str | Path | None, call: str
+) -> Generator[list[str | Path | ArrayLayer]]:
+    """Give each layer its path; arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
+
+    Raises
+    ------
+    InputError
+        If a layer is neither a path, a run with a folder, a volume nor an image.
+    FileError
+        If ``OUT`` or ``OUT-inputs`` exists.
+    """
+    parts = [_part(layer, call) for layer in layers]
+    kinds = [part[0] for part in parts if isinstance(part, tuple)]
+    if not kinds:
+        yield [part for part in parts if not isinstance(part, tuple)]
+        return
+    if out is None:
+        folder = Path(tempfile.mkdtemp(prefix="planish-"))
+    else:
+        refuse_existing(Path(out))
+        folder = Path(out).with_name(f"{Path(out).name}-inputs")
+        refuse_existing(folder)
+    try:
+        with writing(folder):
+            folder.mkdir(parents=True, exist_ok=True)
+        sources: list[str | Path | ArrayLayer] = []
+        for number, part in enumerate(parts, 1):
+            if not isinstance(part, tuple):
+                sources.append(part)
+                continue
+            kind, array, size = part
+            stem = ("sheet" if kind == "volume" else "image") if kinds.count(kind) == 1 else f"{kind}{number}"
+            path = folder / f"{stem}{'.zarr' if kind == 'volume' else '.tif'}"
+            sources.append(ArrayLayer(array=array, kind=kind, size_um=size, path=path))
+        yield sources
+    except BaseException:
+        # The maps of a link that was refused at the marks are kept, and setting them by hand needs the files.
+        if out is not None and not any(folder.parent.glob(f"{Path(out).name}-*/run.toml")):
+            remove(folder)
+        raise
+    finally:
+        if out is None:
+            remove(folder)
+
+
+def _part(
+    layer: LayerInput, call: str
+) -> str | Path | tuple[Literal["volume", "image"], xr.DataArray, tuple[float, ...]]:
+    """The path of a layer; of an array its kind and size."""
+    if isinstance(layer, Run):
+        if layer.folder is None:
+            raise FileError("The run stands in no folder. Give out= to the call that made it, and link it then.")
+        return layer.folder
+    if isinstance(layer, str | Path):
+        return layer
+    if len(getattr(layer, "shape", ())) == 2:
+        return "image", layer, check_image(layer, call)
+    return "volume", layer, check_volume(layer, call)

@@ -1,0 +1,301 @@
+"""From paths and options to a study: what ``planish link`` and :func:`planish.link` share."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import xarray as xr
+from pydantic import ValidationError
+
+from planish.core.errors import StudyError
+from planish.core.mistakes import Key, mistakes, models_in
+from planish.core.options import Params, options_of, params_of
+from planish.io import find_place
+from planish.io.info import is_image
+from planish.io.sections import is_section_folder
+from planish.run.array_layers import ArrayLayer, LayerInput, layer_sources
+from planish.run.compute import Compute, Progress, silent
+from planish.run.run import Run, is_run
+from planish.run.save import run_study
+from planish.run.study import SECTIONS, Kind, Study
+
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
+_OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
+_OF_A_VOLUME = ("surface", "properties", "flatten")
+_OF_THE_LINK = ("holes", "registration", "correlate")
+_ALIKE = 0.7  # of difflib
+_ARGUMENTS = ("out", "progress", "chain")
+_ALL = {**SECTIONS, "compute": Compute}
+
+
+def map_sheet(
+    layer: str | Path | xr.DataArray, /, *, out: str | Path | None = None, compute: Compute | None = None,
+    progress: Progress = silent, **options: Any,
+) -> Run:  # fmt: skip
+    """Map the sheet in a volume: flattened maps of all properties.
+
+    Parameters
+    ----------
+    layer : path or DataArray
+        File, folder of slices or sections, or store; or a volume of :func:`planish.volume`, which is then written into
+        ``OUT-inputs``.
+    out : path, optional
+        Run folder to make.
+    compute : Compute, optional
+        Memory, threads, cluster; or as options, ``memory="4GB"``.
+    progress : callable, optional
+        Called with the name of a stage and a few words.
+    **options
+        Words of ``planish map``, ``through="y"`` for ``--through y``; or sections as in the study file: ``volume``
+        (sizes, ``through``, ``top`` ...), ``surface``, ``properties``, ``flatten``; each a dict or the parameter model.
+
+    Returns
+    -------
+    Run
+
+    Raises
+    ------
+    PlanishError
+        Any of the tree in :mod:`planish.core.errors`.
+
+    Examples
+    --------
+    ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
+    """
+    return _make([layer], out, options, ("volume", *_OF_A_VOLUME), compute, progress, "pl.map_sheet")
+
+
+def link(
+    *layers: str | Path | Run | xr.DataArray, out: str | Path | None = None, chain: bool = False,
+    compute: Compute | None = None, progress: Progress = silent, **options: Any,
+) -> Run:  # fmt: skip
+    """Link layers of one specimen to the last of them, the reference.
+
+    Parameters
+    ----------
+    *layers : path, Run or DataArray
+        Volumes, run folders and images; ``"NAME=PATH"`` gives one a name. Volumes of :func:`planish.volume` and images
+        of :func:`planish.image` are written into ``OUT-inputs`` first; without ``out`` into a folder that is removed.
+    out : path, optional
+        Run folder to make.
+    chain : bool
+        Register each layer to the next one instead of the reference.
+    compute, progress
+        As for :func:`planish.map_sheet`.
+    **options
+        Words of ``planish link``, ``image_side="bottom"`` for ``--image-side bottom``; or sections as in the study
+        file: ``volume``, ``image``, ``surface``, ``properties``, ``flatten``, ``holes``, ``registration``,
+        ``correlate``; each a dict or the parameter model. They hold for all layers, and go before what an array says.
+
+    Returns
+    -------
+    Run
+        ``run.linked`` holds all maps on the pixels of the image, where one sheet is linked to one image.
+
+    Raises
+    ------
+    PlanishError
+        Any of the tree in :mod:`planish.core.errors`.
+
+    Examples
+    --------
+    ``run = pl.link("volume.tif", "image.tif", out="run", image_side="bottom", memory="4GB")``
+    """
+    if len(layers) < 2:
+        raise StudyError("Something to link it to is missing: give two layers or more, the reference last.")
+    return _make(layers, out, options, tuple(SECTIONS), compute, progress, "pl.link", chain=chain)
+
+
+def _make(
+    layers: Sequence[LayerInput], out: str | Path | None, options: Mapping[str, Any], sections: Sequence[str],
+    compute: Compute | None, progress: Progress, call: str, *, chain: bool = False,
+) -> Run:  # fmt: skip
+    """Make a run of paths and arrays."""
+    chosen, compute = sections_of(options, sections, compute, call=call)
+    with layer_sources(layers, out, f"{call}({{}}{', ...' if len(layers) > 1 else ''})") as sources:
+        study = study_of(sources, chosen, chain=chain)
+        for source in sources:
+            if isinstance(source, ArrayLayer):
+                progress("write", source.path.name)
+                source.write(compute or Compute())
+        return run_study(study, out, compute=compute, progress=progress)
+
+
+def study_of(
+    layers: Sequence[str | Path | ArrayLayer], sections: Mapping[str, Mapping[str, Any]], *, chain: bool = False
+) -> Study:
+    """Put a study together of paths, or arrays that will have one, and options.
+
+    Raises
+    ------
+    StudyError
+        If an option is unknown, out of range, or means nothing for these layers; all faults are named.
+    """
+    options = {name: dict(values) for name, values in sections.items()}
+    if unknown := sorted(set(options) - set(SECTIONS)):
+        raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(SECTIONS)}.")
+    sources = [_source(layer, is_link=len(layers) > 1) for layer in layers]
+    # What is given and means nothing without a volume.
+    unused = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
+    unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
+    if unused and all(source.kind != "volume" for source in sources):
+        flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+        raise StudyError(
+            f"{flags}: for volumes only, and {', '.join(source.path.name for source in sources)} is none. A run keeps "
+            "the options that it was made with; map the volume again to change them."
+        )
+    if len(sources) > 2 and options.get("registration", {}).get("marks"):
+        raise StudyError(
+            "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
+        )
+    tables = [_table(name, source, options) for name, source in zip(_all_names(sources), sources, strict=True)]
+    of_link = {k: options[k] for k in _OF_THE_LINK if k in options}
+    try:
+        return Study.model_validate({"layers": tables, "chain": chain, **of_link})
+    except ValidationError as error:
+        faults = dict.fromkeys(mistakes(error, Study, lambda loc: (flag_of(loc), None)))
+        raise StudyError("; ".join(faults)) from error
+
+
+class _Source(NamedTuple):
+    """What a layer is made of: its name, if it was given, and what an array says of itself."""
+
+    name: str | None
+    path: Path
+    kind: Kind
+    options: dict[str, Any]
+
+
+def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> _Source:
+    """Tell a run, an image and a volume; its own reader names its faults. A text may be ``NAME=PATH``."""
+    if isinstance(layer, ArrayLayer):
+        return _Source(None, layer.path, layer.kind, layer.options())
+    name, path = None, Path(layer)
+    prefix, sign, rest = str(layer).partition("=")
+    if sign and rest and not find_place(str(layer)).path.exists():
+        if _NAME.fullmatch(prefix):
+            name, path = prefix, Path(rest)
+        elif find_place(rest).path.exists():
+            raise StudyError(
+                f"{prefix!r} is no name of a layer: letters from A to Z, digits, - and _ are possible, at most 40."
+            )
+    kind: Kind = "volume"
+    if is_link and is_run(path):
+        kind = "run"
+    elif is_link and not is_section_folder((place := find_place(path)).path) and is_image(place):
+        kind = "image"
+    return _Source(name, path, kind, {})
+
+
+def _table(name: str, source: _Source, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+    """The table of a layer in a study."""
+    place, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
+    if source.kind == "run":
+        return {"name": name, "run": place["path"], "md_deg": volume.get("md_deg")}
+    if source.kind == "image":
+        shared = {name: volume[name] for name in _OF_BOTH if name in volume}
+        return {"name": name, "image": shared | source.options | options.get("image", {}) | place}
+    of_volume = {k: options[k] for k in _OF_A_VOLUME if k in options}
+    return {"name": name, "volume": source.options | volume | place, **of_volume}
+
+
+def _all_names(sources: Sequence[_Source]) -> list[str]:
+    """Names of all layers: as given; sheet and image where there is one of each; else those of the files.
+
+    Files of the same name are told apart by their folders.
+    """
+
+    def as_name(text: str) -> str:
+        return re.sub(r"[^A-Za-z0-9_-]+", "-", text).strip("-_")[:40] or "layer"
+
+    usual = ["image" if source.kind == "image" else "sheet" for source in sources]
+    if len(set(usual)) == len(usual):
+        return [source.name or word for source, word in zip(sources, usual, strict=True)]
+    places = [find_place(source.path.absolute()) for source in sources]
+    stems = [source.name or as_name(place.stem) for source, place in zip(sources, places, strict=True)]
+    return [
+        source.name or (f"{as_name(place.path.parent.name)}-{stem}"[:40] if stems.count(stem) > 1 else stem)
+        for source, place, stem in zip(sources, places, stems, strict=True)
+    ]
+
+
+# --- options in the words of the command line: through="y" for --through y, beside whole sections ---------------------
+
+
+def sections_of(
+    options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
+) -> tuple[dict[str, dict[str, Any]], Compute | None]:
+    """Sort what a call was given into sections of a study, and what may be used.
+
+    Raises
+    ------
+    InputError
+        If a word is unknown, or given twice; all faults are named.
+    """
+    places = words_of([*sections, "compute"])
+    tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
+    faults: list[str] = []
+    for section, value in options.items():
+        if section in sections and isinstance(value, Params):
+            tables[section] = value.model_dump(exclude_unset=True)
+        elif section in sections and isinstance(value, Mapping):
+            tables[section] = deepcopy(dict[str, Any](value))
+        elif section in sections:
+            faults.append(f"{section}={value!r}: needed is a dict of options, or one of them by itself.")
+    for word, value in options.items():
+        if word in sections or value is None:
+            continue
+        if word not in places:
+            faults.append(_unknown(word, [*sections, *places, *_ARGUMENTS]))
+            continue
+        *outer, name = places[word]
+        table = tables
+        for part in outer:
+            table = table.setdefault(part, {})
+        if value is True and any(place[:-1] == places[word] for place in places.values()):
+            table.setdefault(name, {})  # options of their own, which this word switches on
+        elif table.get(name) is not None:
+            faults.append(f"{word}= is given twice, by itself and in {outer[0]}=. Leave one out.")
+        else:
+            table[name] = value
+    if faults:
+        raise StudyError(f"{call}: {' '.join(faults)}")
+    limits = tables.pop("compute", None)
+    return tables, None if limits is None else params_of(Compute, limits, call)
+
+
+def flag_of(loc: Key) -> Key:
+    """The option of the command line for a place in a study, as a message names it; the place where there is none."""
+    names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
+    flags = {place: f"--{word.replace('_', '-')}" for word, place in words_of(SECTIONS).items()}
+    # A message about a whole section is one of options that do not fit together, which it names.
+    if len(names) == 1 and names[0] in SECTIONS:
+        return ()
+    return (flags[names],) if names in flags else names
+
+
+def words_of(sections: Iterable[str]) -> dict[str, tuple[str, ...]]:
+    """Words of some sections, and where each stands in a study; of the same word in two the first one."""
+    places = [pair for section in sections for pair in _words(_ALL[section], section)]
+    return dict(reversed(places))
+
+
+def _words(model: type[Params], *outer: str) -> Iterator[tuple[str, tuple[str, ...]]]:
+    for name, field, shown in options_of(model):
+        yield from ((flag[2:].replace("-", "_"), (*outer, name)) for flag in shown.flags if flag.startswith("--"))
+        for inner in models_in(field.annotation):
+            if issubclass(inner, Params):
+                yield from _words(inner, *outer, name)
+
+
+def _unknown(word: str, possible: list[str]) -> str:
+    if likely := difflib.get_close_matches(word.casefold(), possible, 1, _ALIKE):
+        return f"{word}= is unknown; did you mean {likely[0]}=?"
+    if word in SECTIONS or word in words_of(SECTIONS):
+        return f"{word}= is for pl.link, which has an image and marks. Leave it out."
+    return f"{word}= is unknown. The words are those of the command line: planish link --help."

@@ -1,0 +1,130 @@
+"""Maps that outlive a refused link: a run beside its place, taken up again where the same is asked for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from planish.core.errors import CannotRegister, MarkError, PlanishError
+from planish.core.text import quoted
+from planish.run.compute import Compute, run_key
+from planish.run.layers import Layer, MappedSheets
+from planish.run.run import is_run, open_results, open_sheet
+from planish.run.sheet import asked_corrections, made_corrections
+from planish.run.study import LayerParams, Study, changed, read_study, to_dict
+
+_REQUEST = ".request"  # file of such a run: what was asked for, as a hash, and the study of the link
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CachedMaps:
+    """Where the maps of a layer stand, or will: ``OUT-map``, or ``OUT-map-2`` where that is another's."""
+
+    path: Path
+    key: str
+
+    @classmethod
+    def of(cls, layer: LayerParams, sha256: str, out: Path, compute: Compute) -> CachedMaps:
+        """Find the folder with the maps of a volume as a link to ``out`` asks for them, or a name that is free."""
+        bare = changed(layer, marks=None, surface=changed(layer.surface, corrections=None))
+        # The memory decides how wide the columns are.
+        inputs = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
+        key = run_key(to_dict(Study(layers=(bare,))), inputs)
+        path, k = out.with_name(f"{out.name}-map"), 1
+        while path.exists() and _request(path)[:1] != [key]:
+            k += 1
+            path = out.with_name(f"{out.name}-map-{k}")
+        return cls(path=path, key=key)
+
+    @classmethod
+    def of_link(cls, study: Study, hashes: Sequence[str], out: Path, compute: Compute) -> dict[str, CachedMaps]:
+        """Those of all volumes of a link, by layer: ``OUT-NAME-map`` where there are several."""
+        if len(study.layers) == 1:
+            return {}
+        volumes = [(m, sha256) for m, sha256 in zip(study.layers, hashes, strict=True) if m.kind == "volume"]
+        return {
+            layer.name: cls.of(
+                layer, sha256, out if len(volumes) == 1 else out.with_name(f"{out.name}-{layer.name}"), compute
+            )
+            for layer, sha256 in volumes
+        }
+
+    def read(self) -> Layer | None:
+        """The sheet, where it was mapped before and is whole."""
+        try:
+            return open_sheet(self.path) if is_run(self.path) else None
+        except PlanishError:
+            return None
+
+    def note(self, folder: Path, study: Study) -> None:
+        """Mark the folder that will stand there with what was asked for, and the link that was refused."""
+        (folder / _REQUEST).write_text(f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n")
+
+
+def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> MappedSheets:
+    """Sheets of a run that a study asks for, of the same files and by this code of planish.
+
+    Those whose parameters are the same are ready; similar are those of the same surface with other properties,
+    flattening, or corrections.
+    """
+    ready, similar = dict[str, Layer](), dict[str, Layer]()
+    try:
+        results, asked = open_results(old), {layer.name: layer for layer in read_study(old / "run.toml").layers}
+    except PlanishError:
+        return MappedSheets()
+    sources = {layer.name: layer.source.sha256 for layer in results.layers}
+    whole = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
+    for layer, sha256 in zip(study.layers, hashes, strict=True):
+        before = asked.get(layer.name)
+        if layer.kind != "volume" or before is None or not results.is_of_this_code:
+            continue
+        place = old if whole else old / "layers" / layer.name
+        is_similar = before.volume == layer.volume and changed(before.surface, corrections=None) == changed(
+            layer.surface, corrections=None
+        )
+        if not (is_similar and sources.get(layer.name) == sha256 and is_run(place)):
+            continue
+        is_same = changed(before, marks=layer.marks, surface=layer.surface) == layer
+        with suppress(PlanishError):  # damaged: it is mapped again
+            sheet = open_sheet(place)
+            is_same &= made_corrections(sheet.groups["surfaces"]) == asked_corrections(layer)
+            (ready if is_same else similar)[layer.name] = sheet
+    return MappedSheets(ready=ready, similar=similar)
+
+
+def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Study) -> str:
+    """Say where maps are kept of a link that was refused; where none are, how to get them without the image."""
+
+    def view(maps: str) -> str:
+        return f"planish view {quoted(maps)} {quoted(study.layers[-1].path)}"
+
+    places = [str(cache.path) for cache in caches.values() if cache.path.exists()]
+    if places:
+        text = f"The maps of the volume are kept in {' and '.join(places)}; the same command goes on from there."
+        by_hand = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
+        return f"{text} To set the marks by hand: {view(places[0])}" if by_hand else text
+    volume = next((layer for layer in study.layers if layer.kind == "volume"), None)
+    if volume is None or not isinstance(error, CannotRegister):
+        return ""
+    place = str(caches[volume.name].path)
+    command = f"planish map {quoted(volume.path)} --out {quoted(place)}"
+    text = f"To map the volume without it, with the same options: {command}"
+    return f"{text}; then, to set the marks by hand: {view(place)}" if study.is_sheet_on_image else text
+
+
+def noted_study(path: Path) -> Study | None:
+    """The link that was refused after it had made these maps; None where they are of no such link."""
+    try:
+        return Study.model_validate_json(_request(path)[1])
+    except (IndexError, ValueError):
+        return None
+
+
+def _request(path: Path) -> list[str]:
+    """Lines of the file that says what maps were asked for; none where there is no such file."""
+    try:
+        return (path / _REQUEST).read_text(encoding="utf-8").splitlines() if is_run(path) else []
+    except (OSError, UnicodeDecodeError):
+        return []

@@ -1,0 +1,56 @@
+"""The image of linked maps against every property, without the regions that are declared artefacts."""
+
+from __future__ import annotations
+
+import numpy as np
+import xarray as xr
+
+from planish.analyze import CorrelateParams
+from planish.analyze.compare import CorrelationRow, correlate_layers
+from planish.core.arrays import check_dataset
+from planish.core.bands import band_of, bands
+from planish.core.errors import InputError
+from planish.core.grid import Grid
+from planish.core.options import params_of
+from planish.run.regions import regions_on
+
+
+def correlate_maps(
+    linked: xr.Dataset, *, params: CorrelateParams | None = None, names: tuple[str, str] = ("sheet", "image")
+) -> tuple[CorrelationRow, ...]:  # fmt: skip
+    """Correlate every property with the image, per pixel and over larger points.
+
+    Parameters
+    ----------
+    linked : Dataset (y, x)
+        Linked maps of :func:`planish.resample_maps`.
+    params : CorrelateParams, optional
+    names : (str, str)
+        What the rows call the two layers.
+
+    Returns
+    -------
+    tuple of CorrelationRow
+        As ``results.correlations`` of a run.
+
+    Raises
+    ------
+    FileError, InputError
+        If ``params.regions`` are of no use, or come after a screen was taken off the image.
+    """
+    check_dataset(
+        linked, "image", "valid", what="linked maps", call="pl.correlate_maps({})",
+        maker="pl.resample_maps(measured, flat, onto=image, registration=registration)",
+    )  # fmt: skip
+    params = params_of(CorrelateParams, params, "pl.correlate_maps")
+    regions = regions_on(params.regions, grid := Grid.of(linked))
+    if regions is not None:
+        if "reach_um" in linked["image"].attrs:
+            raise InputError(
+                "A screen was taken off the image before the regions were known, and what they hold has reached their "
+                "neighbours. Give --regions to 'planish link' instead."
+            )
+        parts = [band_of(linked["valid"], at) & ~regions.inside(grid.part(at)) for at in bands(grid.shape[0])]
+        linked = linked.assign(valid=(("y", "x"), np.concatenate(parts)))
+    layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
+    return tuple(correlate_layers(*names, layers, params.point_um))

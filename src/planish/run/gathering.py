@@ -1,0 +1,245 @@
+"""Numbers, checks and groups of a run put together: of one mapped sheet, or of layers on the pixels of a reference."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish import __version__
+from planish.analyze.compare import comparison_rows, correlate_layers
+from planish.analyze.diagnostics import EvidenceFacts, correlation_diagnostics
+from planish.analyze.mottle import mottle_of
+from planish.analyze.refinement import refine_link
+from planish.analyze.sides import TextureFound, texture_of
+from planish.analyze.split_half import Columns
+from planish.checks import (
+    DetectedHoles,
+    HolesOnSheet,
+    RegisteredLayer,
+    RegisteredSheet,
+    SheetImage,
+    TextureChecks,
+    apply_checks,
+    for_layers,
+    run_checks,
+)
+from planish.core.bands import thinned
+from planish.core.checks import Check
+from planish.core.facts import Side
+from planish.core.sources import hash_sources
+from planish.core.transform import Similarity
+from planish.io.map_store import HeldMaps, map_tiles
+from planish.resample import SheetOnto
+from planish.results import LayerFacts, Results
+from planish.run.layers import Layer, LayerHoles
+from planish.run.overlay import ValidMask
+from planish.run.regions import region_facts
+from planish.run.registration import Link
+from planish.run.run import Run
+from planish.run.study import Study, changed
+from planish.run.summaries import layer_facts, linked_area, parameters, versions
+
+LINKED = "linked"
+"""Name of the group that holds a sheet and an image on the image's pixels."""
+
+Textures = dict[tuple[str, str], TextureFound]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+class LinkedLayers:
+    """Layers registered to the last one, the reference, with their maps on its pixels."""
+
+    study: Study
+    layers: list[Layer]
+    links: dict[str, Link]
+    holes: LayerHoles
+    maps: dict[str, xr.Dataset]
+    mask: ValidMask
+    sink: HeldMaps
+
+    @property
+    def reference(self) -> Layer:
+        """The layer that all others were brought to."""
+        return self.layers[-1]
+
+
+def gather_sheet(sheet: Layer, study: Study) -> Run:
+    """The run of one mapped sheet."""
+    assert sheet.facts is not None
+    study = changed(study, layers=(sheet.params,), correlate=changed(study.correlate, regions=None))
+    # The coating of the top stands for it, or the thickness where there is none.
+    headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
+    facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
+    results = Results(
+        planish=__version__, code=hash_sources(), versions=versions(), layers=(facts,),
+        checks=tuple(for_layers(sheet.checks, sheet.name)), parameters=parameters(study),
+    )  # fmt: skip
+    return Run(study=study, results=apply_checks(results), groups=sheet.groups, unchanged=sheet.unchanged)
+
+
+def gather_link(linked: LinkedLayers) -> Run:
+    """Correlate linked layers in pairs, and put the numbers, checks and groups of their run together."""
+    study, layers, maps, wanted = linked.study, linked.layers, linked.maps, linked.study.correlate
+    pairs = [*combinations(layers, 2)]
+    numbers: dict[str, Any] = {
+        "correlations": tuple(row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, wanted.point_um))
+    }
+    textures: Textures = {
+        (a.name, b.name): texture_of(
+            maps[a.name], maps[b.name], (a.name, b.name), side=_side_of(a, b),
+            is_given=all(layer.side_given is not None for layer in (a, b) if layer.kind == "image"),
+        ) for a, b in pairs if a.kind != b.kind or a.side == b.side
+    }  # fmt: skip
+    facts = tuple(_layer_facts(linked, layer, textures) for layer in layers)
+    checks = [*_checks(linked, facts, textures)]
+    numbers["evidence"] = tuple(_evidence(linked, facts))
+    if wanted.mottle:
+        numbers["mottle"] = tuple(
+            mottle_of(layer.name, maps[layer.name], quantity=layer.image.quantity)
+            for layer in facts
+            if layer.image is not None
+        )
+    is_one_sheet = study.is_sheet_on_image
+    groups = {f"layers/{name}": data for name, data in maps.items()}
+    if is_one_sheet:
+        more, groups = _sheet_on_image(linked, facts[0].headline)
+        numbers |= more
+        checks += run_checks(more["linked"], layers[0].name, layers[1].name)
+    regions = linked.mask.regions
+    if regions is not None:
+        numbers["regions"] = region_facts(regions, linked.reference.grid)
+    study = changed(study, layers=tuple(layer.params for layer in layers))
+    results = Results(
+        planish=__version__, code=hash_sources() if all(layer.by_this_code for layer in layers) else "",
+        versions=versions(), layers=facts, chain=study.chain, checks=tuple(checks), parameters=parameters(study),
+        **numbers,
+    )  # fmt: skip
+    return Run(
+        study=study, results=apply_checks(results), groups=groups | linked.sink.overviews(), regions=regions,
+        registrations={name: link.registration for name, link in linked.links.items()},
+        unchanged=layers[0].unchanged if is_one_sheet else {},
+        sheets={} if is_one_sheet else {layer.name: layer for layer in layers if layer.params.kind == "volume"},
+    )  # fmt: skip
+
+
+def _layer_facts(linked: LinkedLayers, layer: Layer, textures: Textures) -> LayerFacts:
+    texture = textures.get((layer.name, linked.reference.name))
+    return layer_facts(
+        layer, linked.maps[layer.name], linked.links.get(layer.name), _side_of(layer, linked.reference),
+        None if texture is None else texture.lag, linked.study.correlate.headline,
+    )  # fmt: skip
+
+
+def _side_of(a: Layer, b: Layer) -> Side:
+    """The side of the sheet that an image of two layers shows."""
+    return "bottom" if "bottom" in (a.side, b.side) else "top"
+
+
+def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[EvidenceFacts]:
+    """What stands beside the correlation of each layer with the reference; not where they share too little."""
+    wanted, reference = linked.study.correlate, linked.reference
+    columns = {
+        layer.name: Columns(
+            measured=layer.groups["surfaces"], flat=layer.groups["flat"],
+            similarity=linked.links[layer.name].chain.similarity if layer.name in linked.links else Similarity(),
+            interpolated="sections" in layer.groups and bool(layer.groups["sections"].attrs["missing"]),
+        ) for layer in linked.layers if layer.kind == "sheet"
+    }  # fmt: skip
+    # The machine direction on the reference: as it was given there, or as the marks carry it over.
+    directions = [reference.md_deg] + [
+        r.orientation.md_deg_fixed_from_moving
+        for layer in facts
+        if (r := layer.registration) and r.to == reference.name
+    ]
+    md_deg = next((angle for angle in directions if angle is not None), None)
+    for layer in facts[:-1]:
+        if layer.headline in linked.maps[layer.name]:
+            evidence = correlation_diagnostics(
+                linked.maps, (layer.name, layer.headline), (facts[-1].name, facts[-1].headline), params=wanted,
+                columns=columns, md_deg=md_deg,
+            )  # fmt: skip
+            if evidence is not None:
+                yield evidence
+
+
+def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any], dict[str, xr.Dataset]]:
+    """Numbers and groups of the usual case: the linked area, other registrations, the refinement by the maps."""
+    sheet, grid, sink, study = linked.layers[0], linked.reference.grid, linked.sink, linked.study
+    fit, maps = linked.links[sheet.name].registration.fit, sink.group(LINKED)
+    numbers: dict[str, Any] = {"linked": linked_area(maps, linked.mask)}
+    groups = sheet.groups | {LINKED: maps}
+    numbers["comparison"] = tuple(
+        comparison_rows(maps, sheet.groups, fit, name=headline, point_um=study.correlate.point_um, away=linked.mask)
+    )
+    if study.registration.refine is not None:
+        transform, numbers["refinement"] = refine_link(maps, headline, grid, fit, study.registration.refine)
+        # Beside the marks' own: nothing that the page correlates was fitted to what it is correlated with.
+        refined = SheetOnto(sheet.groups["surfaces"], sheet.groups["flat"], transform=transform)
+        for tile in map_tiles(grid.shape):
+            sink.add("refined", grid, tile, refined.on(grid.part(tile.rows, tile.cols)))
+        groups["refined"] = sink.group("refined")
+    return numbers, groups
+
+
+# --- checks ----------------------------------------------------------------------------------------------------------
+
+
+def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:
+    """Checks of all layers, their registrations, and what they share."""
+    layers, maps, reference = linked.layers, linked.maps, linked.reference
+    for layer, numbers in zip(layers, facts, strict=True):
+        yield from _layer_checks(linked, layer, numbers)
+    for name, link in linked.links.items():
+        moving, to = link.path[:2]
+        if moving.kind == "sheet" and to is reference and link.registration.source == "found":
+            holes = HolesOnSheet(sheet=maps[name], marks=link.registration.marks, layer=name, reference=reference.name)
+            yield from run_checks(holes, name, reference.name)
+    for layer in layers if any(layer.kind == "sheet" for layer in layers) else ():
+        if layer.kind == "image":  # whether its greys are cut off where all layers are valid
+            _, (grey, *valid) = thinned(maps[layer.name]["image"], *(data["valid"] for data in maps.values()))
+            yield from run_checks(SheetImage(grey[np.logical_and.reduce(valid)]), layer.name)
+    for (a, b), texture in textures.items():
+        # Where two layers lie is judged where one of them is the reference.
+        checks = texture.checks if b == reference.name else texture.checks[:1]
+        yield from run_checks(TextureChecks(*checks), a, b)
+
+
+def _layer_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:
+    """Checks of one layer, and of its registration."""
+    scaled = [*_scale_checks(linked, layer)]
+    names = {check.name for check in scaled}
+    yield from for_layers((check for check in layer.checks if check.name not in names), layer.name)
+    yield from scaled
+    if facts.registration is None:
+        return
+    (_, to, *_), registration, _ = linked.links[layer.name]
+    registered = RegisteredLayer(
+        layer=layer.name, facts=facts.registration, fit=registration.fit, agreement=registration.agreement(),
+        hole_um=sum(linked.study.holes.hole_um) / 2, pixel_um=max(*layer.grid.pixel_um, *to.grid.pixel_um),
+    )  # fmt: skip
+    yield from run_checks(registered, layer.name, to.name)
+    if registration.source == "found":
+        for searched in (layer, to):
+            for holes in linked.holes.searched(searched):
+                yield from run_checks(DetectedHoles(searched.name, holes), layer.name, to.name)
+    yield from run_checks(facts, layer.name, facts.registration.path[-1])
+
+
+def _scale_checks(linked: LinkedLayers, layer: Layer) -> Iterator[Check]:
+    """The scale through a sheet by its own registration, or by the first one to it."""
+    if layer.kind != "sheet":
+        return
+    for name, link in linked.links.items():
+        moving, to = link.path[:2]
+        if layer.name == name or (layer.name == to.name and layer.name not in linked.links):
+            sheet = RegisteredSheet(
+                measured=layer.groups["surfaces"], flat=layer.groups["flat"], fit=link.registration.fit,
+                is_fixed=layer.name == to.name, either=moving.kind == to.kind == "sheet",
+            )  # fmt: skip
+            yield from run_checks(sheet, moving.name, to.name)
+            return

@@ -1,0 +1,224 @@
+"""Sheets and images on the pixels of a reference, each brought there in one step; what is near a hole is masked."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import xarray as xr
+
+from planish.core.arrays import check_dataset, check_image
+from planish.core.errors import CannotRegister, InputError, MarkError
+from planish.core.grid import Grid, check_same_grid
+from planish.core.tiles import Tile
+from planish.core.typing import Bools, Floats
+from planish.io.map_store import HeldMaps, map_tiles
+from planish.marks import cut_holes, hole_mask
+from planish.marks.exchange import about_layer, holes_of
+from planish.marks.regions import Regions
+from planish.register import Chain
+from planish.resample import SheetOnto, image_attrs, resample_image
+from planish.resample import resample_maps as flat_maps
+from planish.run.layers import Shown
+from planish.run.position_error import PositionErrors
+from planish.run.registration import Registration
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ValidMask:
+    """Which pixels of a reference are away from holes and their burnt rims, and outside of declared regions.
+
+    ``circles`` (n, 3: x, y, radius in um) are the holes with their rims, ``regions`` in um as well.
+    """
+
+    circles: Floats
+    regions: Regions | None = None
+
+    @classmethod
+    def of(cls, circles: Iterable[Floats], regions: Regions | None = None) -> ValidMask:
+        """From the circles of all layers."""
+        return cls(np.concatenate([np.empty((0, 3)), *circles]), regions)
+
+    def __call__(self, part: Grid) -> Bools:
+        """Say it of some pixels."""
+        allowed = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
+        return allowed if self.regions is None else allowed & ~self.regions.inside(part)
+
+    @property
+    def sentence(self) -> str:
+        """What a valid pixel is."""
+        return f"Measured, and away from holes and their rims{', outside of declared regions' if self.regions else ''}"
+
+
+class _MovingLayer:
+    """A layer that is brought onto the pixels of a reference, tile by tile; the reference itself without a chain."""
+
+    def __init__(self, name: str, shown: Shown, chain: Chain | None, grid: Grid) -> None:
+        self.name, self.is_met, self._errors = name, chain is None, None
+        self._on: Callable[[Tile, Grid], xr.Dataset]
+        if chain is None:
+            maps = _reference_maps(shown)
+            self._on = lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
+            return
+        if isinstance(shown, xr.DataArray):
+            self._on = lambda _, part: resample_image(shown, part, chain, must_meet=False)
+            self._errors = PositionErrors(None, chain, grid)
+        else:
+            sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
+            self._on = lambda _, part: sheet.on(part)
+            self._errors = PositionErrors(shown, chain, grid)
+
+    def on(self, tile: Tile, part: Grid) -> xr.Dataset:
+        """Its maps on a tile of the reference, ``expected_error`` and its shares where it was moved."""
+        maps = self._on(tile, part)
+        if self._errors is None:
+            return maps
+        present = maps["image" if "image" in maps else "u"].values
+        self.is_met |= bool(np.isfinite(present).any())
+        return maps.assign(self._errors.on(part, present))
+
+
+def _reference_maps(shown: Shown) -> xr.Dataset:
+    """The maps of the reference on its own pixels."""
+    if isinstance(shown, xr.DataArray):
+        return xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
+    maps = shown["maps"].rename({"v": "y", "u": "x"})
+    return maps.drop_vars([n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))])
+
+
+def resample_layers(
+    parts: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: HeldMaps, *,
+    together: str | None = None,
+) -> dict[str, xr.Dataset]:  # fmt: skip
+    """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
+
+    Put into ``sink`` are all maps of each sheet, or ``image``, with ``valid``, and ``expected_error`` of what was moved
+    with its shares: as ``layers/NAME``, or a sheet and an image as one group ``together``. Returned are the maps of
+    each layer.
+    """
+    layers = [_MovingLayer(name, *part, grid) for name, part in parts.items()]
+    meaning = {"long_name": mask.sentence}
+    for tile in map_tiles(grid.shape):
+        part = grid.part(tile.rows, tile.cols)
+        allowed, maps = mask(part), dict[str, xr.Dataset]()
+        for layer in layers:
+            data = layer.on(tile, part)
+            is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
+            maps[layer.name] = data.assign(valid=(("y", "x"), is_measured & allowed, meaning))
+        groups = {f"layers/{name}": data for name, data in maps.items()}
+        for group, data in groups.items() if together is None else [(together, merged(*maps.values()))]:
+            sink.add(group, grid, tile, data)
+    if absent := next((layer.name for layer in layers if not layer.is_met), None):
+        raise CannotRegister(
+            f"The layer {absent} does not meet the reference: by its marks it lies beside it. Check the marks."
+        )
+    if together is None:
+        return {name: sink.group(f"layers/{name}") for name in parts}
+    linked = sink.group(together)
+    return dict(zip(parts, (linked.drop_vars("image"), linked[["image", "valid"]]), strict=True))
+
+
+def hole_circles(
+    marks: xr.Dataset, side: str, rim_um: float, *, chain: Chain | None = None, image: xr.DataArray | None = None
+) -> Floats:
+    """Circles (n, 3: x, y, radius in um) around all holes of one layer, on the reference.
+
+    ``chain`` leads from the layer to the reference where it is another one; of the layer's own ``image``, the holes
+    that its border cuts are included.
+    """
+    holes = holes_of(marks, side)
+    every = [holes] if image is None else [holes, cut_holes(image, holes)]
+    circles = np.concatenate(
+        [np.stack([h["x"].values, h["y"].values, 0.5 * h["diameter"].values], axis=1) for h in every]
+    )
+    if chain is not None:
+        circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
+        circles = circles[np.isfinite(circles).all(axis=1)]
+    return circles + np.array([0.0, 0.0, rim_um])
+
+
+def merged(sheet: xr.Dataset, image: xr.Dataset) -> xr.Dataset:
+    """The maps of a sheet and an image on the image's pixels as one dataset, ``linked``."""
+    return sheet.assign(image=image["image"], valid=sheet["valid"] & image["valid"]).assign_attrs()
+
+
+def resample_maps(
+    measured: xr.Dataset, flat: xr.Dataset, *, onto: xr.DataArray | None = None,
+    registration: Registration | None = None, map_um: float | None = None,
+) -> xr.Dataset:  # fmt: skip
+    """Bring a sheet's properties onto a regular grid: of the flat sheet, or the pixels of an image.
+
+    Values are interpolated once, from the columns of the volume to the pixels of the result.
+
+    Parameters
+    ----------
+    measured : Dataset (y, x)
+        Of :func:`planish.measure_properties`.
+    flat : Dataset (y, x)
+        Flat coordinates, of :func:`planish.flatten_sheet`.
+    onto : DataArray (y, x), optional
+        An image of :func:`planish.read_image`; with ``registration``.
+    registration : Registration, optional
+        From the flat sheet to the image, of :func:`planish.register_marks`.
+    map_um : float, optional
+        Pixel of the flat maps; the pitch of the columns where not given.
+
+    Returns
+    -------
+    Dataset
+        Maps (v, u) of the flat sheet; or linked maps (y, x) on the image's pixels: all properties, where in the volume
+        each pixel lies, ``image``, ``expected_error`` in um, and ``valid``: measured, and away from holes and their
+        rims.
+
+    Raises
+    ------
+    SurfaceError
+        If the two datasets stand on different columns.
+    InputError
+        If only one of ``onto`` and ``registration`` is given.
+    MarkError
+        If the registration belongs to another image, or goes from the image to the sheet.
+    """
+    check_dataset(
+        measured, "centre", what="measured surfaces", maker="pl.measure_properties(surfaces, volume=volume)",
+        call="pl.resample_maps({}, flat)",
+    )  # fmt: skip
+    check_dataset(
+        flat, "u", "v", what="flat coordinates", maker="pl.flatten_sheet(surfaces).flat",
+        call="pl.resample_maps(measured, {})",
+    )  # fmt: skip
+    check_same_grid(measured, flat)
+    if onto is None and registration is None:
+        return flat_maps(measured, flat, map_um=map_um)
+    if onto is None or registration is None:
+        raise InputError("onto and registration belong together: give both, or neither for the flat maps.")
+    check_image(onto, "pl.resample_maps(measured, flat, onto={}, registration=registration)")
+    sides = [about_layer(registration.marks, side).get("title") for side in ("moving", "fixed")]
+    if sides == ["image", "sheet"]:
+        raise MarkError(
+            "The registration goes from the image to the sheet; needed is one from the sheet to the image. Write "
+            "pl.register_marks(pl.find_holes(maps), pl.find_holes(image))."
+        )
+    grid = Grid.of(onto)
+    # Marks beside the image show that the registration belongs to another one, or its pixels have another size.
+    fixed, pixel = registration.fit.fixed, max(grid.pixel_um)
+    least, most = np.array(grid.origin_um) - pixel, np.array([grid.x_um[-1], grid.y_um[-1]]) + pixel
+    outside = int(np.count_nonzero(((fixed < least) | (fixed > most)).any(axis=1)))
+    if outside:
+        raise MarkError(
+            f"{outside} of {len(fixed)} marks of the registration lie beside the image. It belongs to another image, "
+            "or the pixel size is another one: give the image that was registered."
+        )
+    chain = Chain(fits=(registration.fit,))
+    rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
+    circles = (
+        hole_circles(registration.marks, "moving", rim_um, chain=chain),
+        hole_circles(registration.marks, "fixed", rim_um, image=onto),
+    )
+    parts: dict[str, tuple[Shown, Chain | None]] = {
+        "sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None),
+    }  # fmt: skip
+    sink = HeldMaps()
+    resample_layers(parts, ValidMask.of(circles), grid, sink, together="linked")
+    return sink.group("linked")

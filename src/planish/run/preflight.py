@@ -1,0 +1,141 @@
+"""What can be refused before anything is read: names, numbers that an option needs, images beyond the memory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from planish.core.errors import InputError, ResourceError
+from planish.core.memory import enough_gb
+from planish.io.info import LINK_BYTES, PIXEL_BYTES
+from planish.io.picture import pixels_of
+from planish.marks.regions import read_regions
+from planish.measure import PROPERTIES, check_maps, possible_maps
+from planish.run.compute import Compute
+from planish.run.registration import read_design
+from planish.run.sheet import asked_corrections
+from planish.run.study import Study
+
+# Each map is the sum of the others, or their difference: given all but one, that one says nothing new.
+_SUMS = (
+    ("thickness", "coating_top", "coating_bottom", "base_thickness"),
+    ("coating_difference", "coating_top", "coating_bottom"),
+    ("topography_difference", "topography_top", "topography_bottom"),
+)
+
+# Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder to write
+# to, all linked maps are held.
+_REFINED_BYTES, _HELD_BYTES = 120, 130
+# Beside the image: its values as they are compared and, while a screen is taken off, two means and their weights.
+_COMPARED_BYTES = 24
+
+
+def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
+    """Raise what no volume can change; ``held``: the results stay in memory.
+
+    Raises
+    ------
+    CannotMeasure
+        If a further map is unknown or needs a number that is not given.
+    InputError
+        If further maps of labels are asked for, a map is to lead or to stand beside that there will not be, parts
+        are to stand beside their sum, what is asked of light or errors needs other layers or references, or the
+        pattern of the holes cannot be read.
+    FileError
+        If an image cannot be opened, or a file of regions or corrections is of no use.
+    ResourceError
+        If an image is too large for the memory.
+    """
+    for layer in study.layers:
+        if layer.kind != "volume":
+            continue
+        if layer.surface.labels is not None and layer.properties.maps:
+            raise InputError(
+                "Further maps are measured in grey values; a volume of labels has none. Leave --property out."
+            )
+        check_maps(layer.properties)
+        asked_corrections(layer)
+        headline = study.correlate.headline
+        names = sorted(PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties))
+        if headline is not None and headline not in names:
+            raise InputError(
+                f"--headline {headline}: there will be no such map. Give one of {', '.join(names)}, or ask for it with "
+                f"--property {headline} as well."
+            )
+        if absent := sorted({*study.correlate.beside} - {*names}):
+            raise InputError(
+                f"--beside {', '.join(absent)}: there will be no such map. Give some of {', '.join(names)}, or ask "
+                "for it with --property as well."
+            )
+    _check_beside(study)
+    _check_light(study)
+    read_design(study.registration)
+    if study.correlate.regions is not None:
+        read_regions(study.correlate.regions)
+    for layer in study.layers:
+        if layer.image is not None:
+            rows, cols = pixels_of(Path(layer.path))
+            each = PIXEL_BYTES if study.registration.refine is None else _REFINED_BYTES
+            each += _HELD_BYTES if held else 0
+            each += _COMPARED_BYTES if layer.image.dark_grey is not None or layer.image.screen_um is not None else 0
+            if (needed := each * rows * cols + LINK_BYTES) > compute.memory:
+                raise ResourceError(
+                    f"The {layer.name} of {rows * cols / 1e6:.0f} million pixels takes {needed / 1e9:.1f} GB of "
+                    f"memory, {compute.memory / 1e9:.1f} GB are allowed. Give more with --memory "
+                    f"{enough_gb(needed)}GB, or crop or bin it."
+                )
+
+
+def _check_beside(study: Study) -> None:
+    """Raise InputError where the maps to stand beside hold one twice, or parts together with their sum."""
+    names = study.correlate.beside
+    is_bottom = any(layer.image is not None and layer.image.side == "bottom" for layer in study.layers)
+    leads = study.correlate.headline or f"coating_{'bottom' if is_bottom else 'top'}"
+    if not names:
+        return
+    if twice := sorted({name for name in names if (leads, *names).count(name) > 1}):
+        raise InputError(
+            f"--beside {', '.join(twice)}: the map leads already, or stands there twice. Leave it out of --beside."
+        )
+    for whole, *parts in _SUMS:
+        if {whole, *parts} <= {leads, *names}:
+            raise InputError(
+                f"--beside {', '.join(names)}: {whole} follows from {', '.join(parts)}. With {leads}, which leads, "
+                "all of them are given, and nothing is left to correlate. Leave one of them out."
+            )
+
+
+def _check_light(study: Study) -> None:
+    """Raise InputError where an option needs an image, references or volumes that the study does not have."""
+    wanted, reference = study.correlate, study.layers[-1].image
+    sheets = [layer for layer in study.layers if layer.kind != "image"]
+    image = reference is not None and bool(sheets)
+    asked = [name for name, value in (
+        ("--kubelka-munk", wanted.kubelka_munk), ("--light-spread-um", wanted.light_spread_um)
+    ) if value is not None]  # fmt: skip
+    if asked and not image:
+        raise InputError(
+            f"{' and '.join(asked)}: no image stands last, to which the coating of a sheet is compared. Link a volume "
+            "or a run to an image, or leave it out."
+        )
+    if asked and wanted.headline is not None and not wanted.headline.startswith("coat"):
+        raise InputError(
+            f"{' and '.join(asked)}: {wanted.headline} leads, which is no coating. Leave --headline out, or name a "
+            "coating."
+        )
+    if wanted.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
+        raise InputError(
+            "--kubelka-munk needs reflectance, and the image is relative grey. Give --dark-grey and --white-grey, the "
+            "grey of a dark and of a white reference, or leave it out."
+        )
+    if study.registration.refine is not None and reference is not None and reference.screen_um is not None:
+        raise InputError(
+            "--refine aligns the fine texture of map and image, which --screen-um takes off the image. Leave one of "
+            "them out."
+        )
+    if wanted.mottle and not any(layer.kind == "image" for layer in study.layers):
+        raise InputError("--mottle: no layer is an image. Link one, or leave it out.")
+    if wanted.error_ratio is not None and (reference is not None or len(sheets) < 2):
+        raise InputError(
+            "--error-ratio is for two measurements of one quantity: the last layer and another one have to be volumes "
+            "or runs. Leave it out."
+        )

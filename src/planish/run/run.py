@@ -1,0 +1,217 @@
+"""A run: what it holds, how it shows itself, and how it comes back from its folder."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from pathlib import Path
+
+import xarray as xr
+
+from planish.core.arrays import check_path
+from planish.core.checks import Check
+from planish.core.errors import FileError
+from planish.core.facts import is_known
+from planish.io.run_folder import read_groups, read_tree
+from planish.marks.regions import Regions, read_regions
+from planish.results import Results
+from planish.run.layers import Layer
+from planish.run.regions import REGIONS
+from planish.run.registration import Registration
+from planish.run.study import RUN_TOML, Study, read_study
+
+MAPS = "maps.zarr"
+"""Name of the store with the groups of a run."""
+
+_MOST_LAYERS, _MOST_LETTERS = 5, 200  # of a run that is shown as text
+_OF_A_SHEET = ("surfaces", "flat", "strain", "maps", "slices")
+_SHEET_GROUPS = (*_OF_A_SHEET, "sections")  # of serial sections
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Run:
+    """All that a run gives.
+
+    Attributes
+    ----------
+    study : Study
+        The parameters, with the sizes and pitches that were used.
+    results : Results
+        Every number, as ``results.json`` has it.
+    groups : dict of Dataset
+        Of one sheet: ``surfaces`` and ``flat`` (y, x), ``strain`` (row, col), ``maps`` (v, u), ``slices``, and
+        ``sections`` of serial sections. Of a sheet linked to an image also ``linked`` (y, x of the image), and
+        ``refined``. Of other links ``layers/NAME`` on the pixels of the reference.
+    registrations : dict of Registration
+        By the name of the moving layer.
+    unchanged : dict of Path
+        Groups that stand in the store of another run with the same bytes, and that store.
+    sheets : dict of Layer
+        Sheets that were mapped on the way to a link of other layers than one sheet and one image.
+    regions : Regions or None
+        Declared artefacts, in um of the reference of a link.
+    folder : Path or None
+        Where it was read from.
+    """
+
+    study: Study
+    results: Results
+    groups: dict[str, xr.Dataset]
+    registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
+    sheets: dict[str, Layer] = field(default_factory=dict[str, Layer])
+    regions: Regions | None = None
+    unchanged: dict[str, Path] = field(default_factory=dict[str, Path])
+    folder: Path | None = None
+
+    @property
+    def maps(self) -> xr.Dataset:
+        """Flat maps (v, u) of the sheet."""
+        return self._group("maps")
+
+    @property
+    def linked(self) -> xr.Dataset:
+        """All maps of the sheet and the image, on the pixels of the image."""
+        return self._group("linked")
+
+    @cached_property
+    def layers(self) -> dict[str, xr.Dataset]:
+        """Layers of a link on the pixels of the reference, by name."""
+        inside = "layers/"
+        return {k.removeprefix(inside): v for k, v in self.groups.items() if k.startswith(inside)}
+
+    @property
+    def marks(self) -> xr.Dataset:
+        """All marks of the only registration, matched or not."""
+        if len(self.registrations) != 1:
+            names = ", ".join(self.registrations) or "none"
+            raise FileError(f"The run has {len(self.registrations)} registrations ({names}). Take one of them.")
+        return next(iter(self.registrations.values())).marks
+
+    @property
+    def checks(self) -> tuple[Check, ...]:
+        """Its checks, each with a state, a sentence, and what to do."""
+        return self.results.checks
+
+    @property
+    def passed(self) -> bool:
+        """Whether no check failed."""
+        return self.results.passed
+
+    def sheet(self) -> Layer:
+        """The sheet that was mapped; what it was linked to stays behind.
+
+        Raises
+        ------
+        FileError
+            If the run holds no sheet of its own.
+        """
+        facts = next((layer for layer in self.results.layers if layer.sheet is not None), None)
+        missing = [name for name in _OF_A_SHEET if name not in self.groups]
+        if facts is None or facts.sheet is None or missing:
+            raise FileError(
+                f"{self.folder or 'The run'} holds no map of one sheet. Give a run of one volume, from 'planish map' "
+                "or 'planish link VOLUME IMAGE'."
+            )
+        params = next(layer for layer in self.study.layers if layer.name == facts.name)
+        return Layer(
+            params=params, source=facts.source, md_deg=params.md_deg if params.volume is None else params.volume.md_deg,
+            groups={k: v for k, v in self.groups.items() if k in _SHEET_GROUPS}, facts=facts.sheet,
+            checks=tuple(check for check in self.checks if check.layers == (facts.name,)),
+        )  # fmt: skip
+
+    def __repr__(self) -> str:
+        """Return its folder, layers, checks, groups, and r where it is a link: ten lines at most."""
+        from planish.report.relation import largest
+        from planish.report.summary import lead_pair
+
+        states = Counter(check.state for check in self.checks)
+        checks = ", ".join(f"{count} {state}" for state, count in states.items()) or "none"
+        lines = ["Run" if self.folder is None else f"Run in {self.folder}"]
+        lines += [f"{layer.name}: {layer.source.name}" for layer in self.results.layers[:_MOST_LAYERS]]
+        if more := self.results.layers[_MOST_LAYERS:]:
+            lines.append(f"and {len(more)} more layers")
+        lines.append(f"checks: {checks}")
+        if pair := lead_pair(self.results):
+            row = largest(pair)
+            r = f"{row.r:.2f}" if is_known(row.r) else "withheld"
+            lines.append(f"r = {r}: {row.a_map} of {row.a}, {row.b_map} of {row.b}, points of {row.point_um:g} um")
+        groups = ", ".join(f"{name} {'x'.join(map(str, data.sizes.values()))}" for name, data in self.groups.items())
+        lines.append(f"groups: {groups if len(groups) < _MOST_LETTERS else f'{groups[:_MOST_LETTERS]} ...'}")
+        return "\n  ".join(lines)
+
+    def _repr_html_(self) -> str:
+        from planish.report import run_html
+
+        return run_html(self.results, self.groups)
+
+    def _group(self, name: str) -> xr.Dataset:
+        if name not in self.groups:
+            raise FileError(
+                f"The run has no {name}; it holds {', '.join(self.groups)}."
+                + (" Link it to an image first: planish link RUN IMAGE --out OTHER." if name == "linked" else "")
+            )
+        return self.groups[name]
+
+
+def is_run(path: Path) -> bool:
+    """Whether a folder holds a run."""
+    return (path / RUN_TOML).is_file() and (path / MAPS).is_dir()
+
+
+def open_run(path: str | Path) -> Run:
+    """Open a run folder.
+
+    Parameters
+    ----------
+    path : path
+        Folder that ``planish map``, ``link`` or ``demo`` made.
+
+    Returns
+    -------
+    Run
+        With all groups in memory.
+
+    Raises
+    ------
+    FileError
+        If it is no run, was made by planish 0.1.0, or a file of it is missing or damaged.
+    InputError
+        If its study has parameters that are not known.
+    """
+    folder = check_path(path, "the folder of a run", "pl.open_run", 'pl.open_run("run")')
+    results = open_results(folder)
+    registrations = {
+        layer.name: Registration.read(folder / marks_file(results, layer.name)) for layer in results.moving
+    }
+    return Run(
+        study=read_study(folder / RUN_TOML), results=results, groups=read_tree(folder / MAPS),
+        registrations=registrations, regions=read_regions(folder / REGIONS) if results.regions else None, folder=folder,
+    )  # fmt: skip
+
+
+def open_sheet(path: str | Path) -> Layer:
+    """The sheet that was mapped in a run folder; what it was linked to is not read.
+
+    Raises
+    ------
+    FileError
+        If it is no run, holds no sheet of its own, or a file of it is missing or damaged.
+    """
+    folder = Path(path)
+    results, study = open_results(folder), read_study(folder / RUN_TOML)
+    sheet = Run(study=study, results=results, groups=read_groups(folder / MAPS, _SHEET_GROUPS), folder=folder).sheet()
+    unchanged = dict.fromkeys(sheet.groups, folder / MAPS) if results.is_of_this_code else {}
+    return replace(sheet, by_this_code=results.is_of_this_code, unchanged=unchanged)
+
+
+def open_results(folder: Path) -> Results:
+    """The numbers of a run folder."""
+    if not is_run(folder):
+        raise FileError(f"{folder} is no run. Give the folder that 'planish map' or 'planish link' made.")
+    return Results.read(folder / "results.json")
+
+
+def marks_file(results: Results, layer: str) -> str:
+    """Name of the file with the marks of a layer's registration."""
+    return "marks.json" if len(results.moving) == 1 else f"marks-{layer}.json"

@@ -1,0 +1,217 @@
+"""From a study to a run folder, whole or not at all."""
+
+from __future__ import annotations
+
+import secrets
+from collections.abc import Mapping
+from contextlib import suppress
+from dataclasses import replace
+from pathlib import Path
+
+from planish import __version__
+from planish.core.area import overviews
+from planish.core.errors import PlanishError
+from planish.core.files import move
+from planish.core.threads import limit_threads
+from planish.io import fingerprint
+from planish.io.map_store import OVERVIEWS, HeldMaps, StoredMaps, stored_group
+from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
+from planish.marks import write_marks
+from planish.report import FIGURES, write_report
+from planish.run.cached_maps import CachedMaps, next_step, sheets_of
+from planish.run.compute import Compute, Progress, return_memory, run_key, silent
+from planish.run.gathering import LINKED, gather_sheet
+from planish.run.layers import MappedSheets
+from planish.run.linking import link_study
+from planish.run.preflight import check_request
+from planish.run.regions import REGIONS, write_regions
+from planish.run.run import MAPS, Run, is_run, marks_file
+from planish.run.sheet import CORRECTIONS, map_layer, write_corrections
+from planish.run.study import Study, changed, to_dict, write_study
+from planish.run.summaries import figures_text
+
+_DEEP = 3  # edits/NAME/FILE of a run
+_READ_BACK = 0.03  # of the memory, for maps that are read back
+_PAGES = 5_000_000  # bytes of report.html and the tables
+
+
+def run_study(
+    study: Study, out: str | Path | None = None, *, compute: Compute | None = None, progress: Progress = silent,
+    old: Path | None = None, figures: bool = False,
+) -> Run:  # fmt: skip
+    """Do what a study says, and write the run folder ``out`` where it is given.
+
+    A run that was killed goes on where it stood when it is started again.
+
+    Parameters
+    ----------
+    study : Study
+    out : Path, optional
+        Folder to make.
+    compute : Compute, optional
+        What the run may use.
+    progress : callable, optional
+        Called with the name of a stage and a few words.
+    old : Path, optional
+        A run of which stages are taken whose volume and parameters are the same.
+    figures : bool
+        Whether the run folder also holds the figures of the page as files, in ``figures``.
+
+    Raises
+    ------
+    PlanishError
+        Any of the tree in :mod:`planish.core.errors`; nothing is left at ``out`` then. What was mapped of a
+        link stays beside it, as ``OUT-map``.
+    """
+    compute = compute or Compute()
+    # What is free changes while a run works, and the width of its columns must not.
+    settled = changed(compute, memory_bytes=compute.memory)
+    return_memory(settled)
+    with limit_threads(compute.threads):
+        if out is None:
+            check_request(study, compute, held=True)
+            return replace(_make(study, MappedSheets(), compute=settled, progress=progress), unchanged={})
+        out = Path(out)
+        refuse_existing(out)
+        refuse_inside(out, [layer.path for layer in study.layers])
+        check_request(study, compute)
+        hashes = [_hash(layer.path) for layer in study.layers]
+        with work_folder(out, run_key(to_dict(study), hashes)) as work:
+            caches = CachedMaps.of_link(study, hashes, out, compute)
+            sheets = MappedSheets() if old is None else sheets_of(old, study, hashes)
+            if caches:
+                cached = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
+                sheets = replace(sheets, ready={**cached, **sheets.ready})
+                for name in sheets.ready:
+                    progress("read", f"{name}, mapped before")
+            store = StoredMaps(
+                work / f".{secrets.token_hex(4)}.partial", keep_bytes=int(settled.memory * _READ_BACK)
+            ) if len(study.layers) > 1 else None  # fmt: skip
+            try:
+                run = _make(study, sheets, compute=settled, progress=progress, tiles=work / "tiles", sink=store)
+            except PlanishError as error:
+                with suppress(PlanishError, OSError):  # a disk that is full now does not hide what was wrong before
+                    _keep_maps(sheets, caches, study, work)
+                if advice := next_step(error, caches, study):
+                    raise type(error)(f"{error.text} {advice}") from error
+                raise
+            progress("write", str(out))
+            with new_folder(out, inside=work, needed=_size(run)) as folder:
+                save_run(run, folder, home=out, store=store, figures=figures)
+            moved = {name: stored_group(out / MAPS, name) for name in store.stored} if store is not None else {}
+            return replace(run, groups=run.groups | moved, unchanged={})
+
+
+def _make(
+    study: Study, sheets: MappedSheets, *, compute: Compute, progress: Progress, tiles: Path | None = None,
+    sink: HeldMaps | None = None,
+) -> Run:  # fmt: skip
+    layer, more = study.layers[0], study.layers[1:]
+    if more:
+        return link_study(study, sheets, compute=compute, progress=progress, tiles=tiles, sink=sink)
+    similar = sheets.similar.get(layer.name)
+    return gather_sheet(map_layer(layer, compute=compute, progress=progress, tiles=tiles, before=similar), study)
+
+
+def _keep_maps(sheets: MappedSheets, caches: Mapping[str, CachedMaps], study: Study, work: Path) -> None:
+    """Keep the sheets of a link that was refused as runs beside its place."""
+    for name in sheets.ready.keys() & caches.keys():
+        if caches[name].path.exists():
+            caches[name].note(caches[name].path, study)
+    for name, sheet in sheets.mapped.items():
+        with new_folder(caches[name].path, inside=work) as folder:
+            save_run(gather_sheet(sheet, Study(layers=(sheet.params,))), folder, home=caches[name].path)
+            caches[name].note(folder, study)
+
+
+def _size(run: Run) -> int:
+    """About how many bytes its folder takes: those of its maps, which hold noise, of overviews, and of its pages."""
+    return _PAGES + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+
+
+def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = None, figures: bool = False) -> None:
+    """Write all files of a run into ``folder``, which will stand at ``home``, on request those of its figures, too.
+
+    The store ``store``, which holds some of its groups, becomes that of the run. A volume that was mapped on the way to
+    a link of several layers stands in ``layers/NAME`` as a run of its own. Maps get smaller copies beside them,
+    ``overviews/GROUP/1`` half as fine, ``/2`` half of that, and so on.
+    """
+    for name, sheet in run.sheets.items():
+        inner = folder / "layers" / name
+        inner.mkdir(parents=True)
+        save_run(gather_sheet(sheet, run.study), inner, home=home / "layers" / name)
+    pairs = {name: registration.pairs() for name, registration in run.registrations.items()}
+    for name, registration in run.registrations.items():
+        path = folder / marks_file(run.results, name)
+        registration.save(path)
+        write_marks(pairs[name], path.with_suffix(".csv"))
+    (folder / "results.json").write_text(run.results.to_json(), encoding="utf-8", newline="\n")
+    (folder / "figures.csv").write_text(figures_text(run.results), encoding="utf-8", newline="\n")
+    study = run.study
+    if run.regions is not None:
+        write_regions(run.regions, folder)
+        study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
+    study = _with_run_corrections(_with_run_marks(study, run, home), run, folder, home)
+    write_study(study, folder, home=home, version=__version__)
+    write_report(
+        folder / "report.html", results=run.results, groups=run.groups, marks=pairs,
+        figures=folder / FIGURES if figures else None,
+    )  # fmt: skip
+    stored = [] if store is None else store.stored
+    if store is not None and stored:
+        move(store.path, folder / MAPS)
+    for name, other_store in run.unchanged.items():
+        take_group(folder / MAPS, other_store, name)
+    groups = {name: data for name, data in run.groups.items() if name not in run.unchanged}
+    for name, data in [*groups.items()]:
+        has_overviews = name in ("maps", LINKED, "refined") or name.startswith("layers/")
+        if has_overviews and f"{OVERVIEWS}/{name}/1" not in groups:
+            groups |= {f"{OVERVIEWS}/{name}/{k}": smaller for k, smaller in enumerate(overviews(data), 1)}
+    write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
+
+
+def _with_run_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:
+    """Corrections of its own sheets are files of the run; those of ``run.sheets`` stand in their folders by now."""
+    files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
+    corrections: dict[str, str | None] = {
+        name: str(home / file) if (folder / file).is_file() else None for name, file in files.items()
+    }
+    if "surfaces" in run.groups:
+        file = write_corrections(run.groups["surfaces"], folder)
+        corrections[study.layers[0].name] = str(home / file) if file else None
+    layers = tuple(
+        changed(layer, surface=changed(layer.surface, corrections=corrections[layer.name]))
+        if layer.kind == "volume" and layer.name in corrections else layer
+        for layer in study.layers
+    )  # fmt: skip
+    return changed(study, layers=layers)
+
+
+def _with_run_marks(study: Study, run: Run, home: Path) -> Study:
+    """Marks of another run are in this one too, with all that is known of them: from now on they are its own."""
+
+    def is_of_a_run(path: str | None) -> bool:
+        return path is not None and any(is_run(folder) for folder in Path(path).parents[:_DEEP])
+
+    files = {
+        name: str(home / marks_file(run.results, name))
+        for name, registration in run.registrations.items()
+        if registration.source == "json"
+    }
+    layers = tuple(
+        changed(layer, marks=files[layer.name]) if layer.name in files and is_of_a_run(layer.marks) else layer
+        for layer in study.layers
+    )
+    registration = study.registration
+    if len(run.registrations) == 1 and files and is_of_a_run(registration.marks):
+        registration = changed(registration, marks=next(iter(files.values())))
+    return changed(study, layers=layers, registration=registration)
+
+
+def _hash(path: str) -> str:
+    """Hash of an input; whatever is wrong with it is said by its own reader."""
+    try:
+        place = Path(path)
+        return fingerprint(place / "results.json" if (place / "results.json").is_file() else place)
+    except PlanishError:
+        return ""

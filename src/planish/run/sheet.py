@@ -1,0 +1,204 @@
+"""From a volume to flattened maps of the properties of its sheet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import NamedTuple
+
+import numpy as np
+import xarray as xr
+
+from planish.checks import MeasuredSheet, check_scan, run_checks
+from planish.core.errors import CannotMeasure
+from planish.core.frame import Frame, other_axis
+from planish.core.grid import pitch
+from planish.core.tiles import Engine
+from planish.flatten import flatten_sheet
+from planish.io import find_place
+from planish.measure import measure_properties, sheet_numbers, surfaces_of
+from planish.resample import resample_maps
+from planish.results import SheetFacts
+from planish.run.compute import Compute, Progress, column_step, engine, silent
+from planish.run.layers import Layer
+from planish.run.study import LayerParams, changed
+from planish.run.summaries import input_file, property_facts, section_facts, surface_facts
+from planish.run.volume import read_sheet_volume, some_slices
+from planish.surface import (
+    Corrections,
+    correct_surfaces,
+    find_surfaces,
+    read_corrections,
+)
+
+CORRECTIONS = "edits/surface.json"
+"""Name of the file of a run that holds them."""
+
+
+class _Measured(NamedTuple):
+    """Surfaces and measured columns of a sheet; the volume is None where nothing had to be read from it."""
+
+    volume: xr.DataArray | None
+    sections: xr.Dataset | None
+    surfaces: xr.Dataset
+    columns: xr.Dataset
+
+
+def map_layer(
+    layer: LayerParams, *, compute: Compute, progress: Progress, tiles: Path | None = None, before: Layer | None = None
+) -> Layer:
+    """Go from a volume to flattened maps of its properties.
+
+    ``tiles`` is the folder for the results of single tiles, where a run that was killed finds them again. ``before`` is
+    a sheet of the same volume with the same surface but for corrections: only what other parameters change is done
+    anew, and only the tiles that a correction touches are searched again.
+    """
+    v = layer.volume
+    assert v is not None
+    local = Engine(threads=compute.threads, memory_bytes=compute.for_work // 2)
+    volume, sections, surfaces, columns = _measure(layer, before, local, tiles, compute, progress)
+    progress("flatten", "eight-spring mesh")
+    # Before the properties: a column whose normal meets no face still has its place in the sheet.
+    flattened = flatten_sheet(surfaces, params=layer.flatten)
+    column_um = float(np.sqrt(math.prod(pitch(surfaces))))
+    map_um = layer.flatten.map_um or column_um
+    progress("resample", f"{map_um:.3g} um pixels")
+    groups = {
+        "surfaces": columns, "flat": flattened.flat, "strain": flattened.strain,
+        "maps": resample_maps(columns, flattened.flat, map_um=map_um),
+    }  # fmt: skip
+    if sections is not None:
+        groups["sections"] = sections
+    params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um))
+    facts = SheetFacts(
+        surfaces=surface_facts(columns), properties=property_facts(columns), numbers=None, flatten=flattened.saved,
+        sections=None if sections is None else section_facts(sections),
+    )  # fmt: skip
+    md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
+    if volume is None:
+        assert before is not None
+        return _remapped(before, Layer(params=params, source=before.source, groups=groups, facts=facts, md_deg=md_deg))
+    frame = Frame(through=v.through, top=v.top)
+    step = column_step(volume, frame, v.column_um, compute)
+    groups["slices"] = some_slices(volume, frame, step)
+    # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
+    wider = {"column_um": column_um} if step > 1 and v.column_um is None else {}
+    sizes = changed(v, voxel_um=tuple(float(s) for s in volume.attrs["voxel_um"]), **wider)
+    progress("check", "slices, grey, layers")
+    scan = check_scan(
+        volume, columns, sections=sections is not None, labels=layer.surface.labels is not None, threads=compute.threads
+    )
+    numbers = sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
+    return Layer(
+        params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups,
+        facts=facts.model_copy(update={"numbers": numbers}), md_deg=md_deg,
+        checks=(*run_checks(MeasuredSheet(facts, columns)), *scan),
+    )  # fmt: skip
+
+
+def _measure(
+    layer: LayerParams, before: Layer | None, local: Engine, tiles: Path | None, compute: Compute, progress: Progress
+) -> _Measured:
+    """Find the surfaces of a sheet and measure its columns, as far as ``before`` does not have them."""
+    v = layer.volume
+    assert v is not None
+
+    def read() -> tuple[xr.DataArray, xr.Dataset | None]:
+        progress("read", find_place(v.path).path.name)
+        return read_sheet_volume(v, compute, progress)
+
+    corrections = asked_corrections(layer)
+    if before is None:
+        volume, sections = read()
+        surfaces = search_sheet(volume, layer, compute=compute, progress=progress, tiles=tiles)
+    else:
+        columns, sections = before.groups["surfaces"], before.groups.get("sections")
+        surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
+        if is_same_surface and before.params.properties == layer.properties:
+            return _Measured(None, sections, surfaces, columns)
+        volume, _ = read()
+        if not is_same_surface:
+            progress("surface", "corrections")
+            changes = Corrections.model_validate_json(corrections) if corrections else Corrections()
+            surfaces = correct_surfaces(surfaces, volume, changes, params=layer.surface, engine=local)
+    progress("measure", f"{surfaces.sizes['y'] * surfaces.sizes['x']} columns")
+    try:
+        columns = measure_properties(surfaces, volume=volume, params=layer.properties, engine=local)
+    except CannotMeasure as error:
+        if hint := other_axis(volume, v.through):
+            raise CannotMeasure(f"{error.text} {hint}") from error
+        raise
+    return _Measured(volume, sections, surfaces, columns)
+
+
+def _remapped(before: Layer, sheet: Layer) -> Layer:
+    """A sheet that was only flattened anew, with what ``before`` knows of its volume."""
+    assert before.facts is not None
+    assert sheet.facts is not None
+    # A store has no order.
+    properties = {name: sheet.facts.properties[name] for name in before.facts.properties}
+    facts = sheet.facts.model_copy(update={"properties": properties, "numbers": before.facts.numbers})
+    checks = run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))
+    names = {check.name for check in checks}
+    return replace(
+        sheet, facts=facts, groups=sheet.groups | {"slices": before.groups["slices"]},
+        unchanged={k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")},
+        checks=(*checks, *(check for check in before.checks if check.name not in names)),
+    )  # fmt: skip
+
+
+def search_sheet(
+    volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress = silent,
+    tiles: Path | None = None,
+) -> xr.Dataset:  # fmt: skip
+    """Find the surfaces of a sheet.
+
+    Raises
+    ------
+    VolumeError
+        As :func:`planish.find_surfaces`.
+    """
+    v = layer.volume
+    assert v is not None
+    frame = Frame(through=v.through, top=v.top)
+    step = column_step(volume, frame, v.column_um, compute)
+    wide = f", columns of {step} x {step}" if step > 1 else ""
+    progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
+    with engine(compute, tiles=tiles and tiles / str(step)) as worker:
+        return find_surfaces(
+            volume, frame=frame, params=layer.surface, step=step, engine=worker, unusual_size=v.unusual_size
+        )
+
+
+# --- corrections of the faces: as a study asks for them, as surfaces have them, as a run keeps them -------------------
+
+
+def asked_corrections(layer: LayerParams) -> str:
+    """Text of the corrections that a study asks for; empty where it asks for none.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, or holds something else.
+    """
+    if layer.surface.corrections is None:
+        return ""
+    corrections = read_corrections(layer.surface.corrections)
+    return corrections.to_json() if corrections.stretches else ""
+
+
+def made_corrections(surfaces: xr.Dataset) -> str:
+    """Text of the corrections that surfaces have; empty where they are as they were found."""
+    return str(surfaces.attrs.get("corrections", ""))
+
+
+def write_corrections(surfaces: xr.Dataset, folder: Path) -> str | None:
+    """Write the corrections of surfaces into a run folder; the name of the file, None where there are none."""
+    text = made_corrections(surfaces)
+    if not text:
+        return None
+    path = folder / CORRECTIONS
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(text, encoding="utf-8", newline="\n")
+    return CORRECTIONS

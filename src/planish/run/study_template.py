@@ -1,0 +1,225 @@
+"""A study to be filled in: what the files say, every option with its default, and what only the user knows."""
+
+from __future__ import annotations
+
+import textwrap
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin
+
+import tomli_w
+from pydantic.fields import FieldInfo
+
+from planish.core.errors import StudyError
+from planish.core.mistakes import models_in
+from planish.core.options import Params, Shown, kinds_of, options_of, unit_of
+from planish.io.info import describe
+from planish.run.run import is_run
+from planish.run.study import SECTIONS, in_study_words, relative_path
+
+_WRAPPER = textwrap.TextWrapper(
+    100, initial_indent="# ", subsequent_indent="# ", break_long_words=False, break_on_hyphens=False
+)
+_OF_A_SHEET = {
+    "surface": "How the faces of the sheet are found",
+    "properties": "What is measured",
+    "flatten": "How the sheet is flattened",
+}
+_OF_A_LINK = {
+    "holes": "The laser holes",
+    "registration": "How image and sheet are registered",
+    "correlate": "How image and maps are compared",
+}
+_NOT_IN_FILES = {
+    "volume": {"top": "which end of the axis is the top side", "md_deg": "the machine direction in the map"},
+    "image": {"side": "the side of the sheet that the image shows", "md_deg": "the machine direction in the image"},
+}
+"""Options that no file states, with what they are."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Missing:
+    """Something that has to be filled in before a study can be run, or that only the user knows."""
+
+    line: int
+    key: str  # with its table, as volume.voxel_um
+    why: str
+    needed: bool  # whether the study cannot be run without it
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class Draft:
+    """Text of a study, and what is missing in it."""
+
+    text: str
+    missing: tuple[Missing, ...]
+
+
+def draft_study(
+    volume: str | Path, image: str | Path | None = None, *, home: str | Path = ".", name: str = ""
+) -> Draft:
+    """Write a study of a volume, with or without an image: what was read from them, and all options as comments.
+
+    Parameters
+    ----------
+    volume, image : path
+        Files or folders; as :func:`planish.read_volume` and :func:`planish.read_image` take them.
+    home : path
+        Folder in which the study will stand: paths in it are relative to that.
+    name : str
+        Name of the file, for its first line.
+
+    Returns
+    -------
+    Draft
+        ``text`` is a study that :func:`planish.run.study.read_study` reads. Lines that begin with ``#`` and a key hold
+        defaults; where an option has none, what is needed stands in capitals.
+
+    Raises
+    ------
+    FileError, VolumeError, ResourceError
+        As the reading functions.
+    StudyError
+        If one of them is of another kind: a run, or an image in place of a volume.
+    """
+    lines: list[str] = []
+    missing: list[Missing] = []
+    _input(lines, missing, "volume", Path(volume), Path(home))
+    if image is not None:
+        _input(lines, missing, "image", Path(image), Path(home))
+    for section, title in (_OF_A_SHEET if image is None else _OF_A_SHEET | _OF_A_LINK).items():
+        lines += ["", "", f"# {title}", "", f"[{section}]"]
+        for key, field, shown in _options(SECTIONS[section]):
+            lines += _option(key, field, shown, section)
+    below = len(_head(name, missing))
+    missing = [replace(gap, line=gap.line + below) for gap in missing]
+    return Draft(text="\n".join([*_head(name, missing), *lines]) + "\n", missing=tuple(missing))
+
+
+def _options(model: type[Params]) -> list[tuple[str, FieldInfo, Shown]]:
+    """All options of a model, those last that are tables of their own: a key behind a table would belong to it."""
+    flags = {name: shown for name, _, shown in options_of(model)}
+    options = [(k, field, flags.get(k, Shown(flags=()))) for k, field in model.model_fields.items() if k != "path"]
+    return sorted(options, key=lambda option: bool(models_in(option[1].annotation)))
+
+
+def _head(name: str, missing: list[Missing]) -> list[str]:
+    """First lines: what the file is, and what is to be filled in."""
+    lines = [
+        f"# A study of planish. Fill it in, then: planish run {name or 'STUDY.toml'}",
+        "#",
+        "# A key behind a # is an option with its default: take the # away to change it. Where an option has no",
+        "# default, what is needed stands in capitals. Paths are relative to this file and stand in single quotes.",
+    ]
+    for needed, title in ((True, "To fill in:"), (False, "Stated in no file; is the default right?")):
+        listed = [m for m in missing if m.needed is needed]
+        if listed:
+            lines += ["#", f"# {title}"]
+            lines += [f"#   line {m.line}: {m.key}: {m.why}" for m in listed]
+    return lines
+
+
+def _input(
+    lines: list[str], missing: list[Missing], section: Literal["volume", "image"], path: Path, home: Path
+) -> None:
+    """Write the table of a file: what it says, and its options."""
+    if is_run(path):
+        raise StudyError(
+            f"{path} is a run, which was mapped already. Link it: planish link {path} IMAGE --out RUN. For a study "
+            "give the volume."
+        )
+    facts = describe(path)
+    if (facts["kind"] == "image") is not (section == "image"):
+        other = "an image" if facts["kind"] == "image" else "a volume"
+        raise StudyError(
+            f"{path} is {other}. Give the volume first, then the image: planish new STUDY.toml VOLUME IMAGE."
+        )
+    sentences, stated = _description(facts, section)
+    # A path stands in single quotes, which Windows' paths need; as any text where it holds one.
+    place = relative_path(path.absolute(), home.absolute())
+    place = f"'{place}'" if "'" not in place and place.isprintable() else _value(place)
+    lines += ["", "", *_comment(sentences), "", f"[{section}]", f"path = {place}"]
+    size_key = "voxel_um" if section == "volume" else "pixel_um"
+    for key, field, shown in _options(SECTIONS[section]):
+        *before, text = _option(key, field, shown, section)
+        why = _NOT_IN_FILES[section].get(key)
+        if key == size_key and stated is not None:
+            text = f"#{key} = {_value(stated)}  # um; as stated"
+        elif key == size_key:
+            why = in_study_words(str(facts["size_problem"])).partition(". ")[0]
+            text += "; fill in"
+        elif key == "through" and facts.get("through"):
+            text = f'through = "{facts["through"]}"  # along which the grey changes most'
+        elif key == "through":
+            why = "the axis through the sheet, which the grey does not tell"
+        lines += [*before, text]
+        if why is not None:
+            missing.append(Missing(line=len(lines), key=f"{section}.{key}", why=why, needed=key == size_key))
+
+
+def _description(facts: dict[str, Any], section: str) -> tuple[list[str], tuple[float, ...] | None]:
+    """Sentences about a file, and the size that it states."""
+    elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
+    kind, shape = facts.get("format") or facts["kind"], " x ".join(map(str, facts["shape"]))
+    text = f"{facts['file_name']}: {kind}, {shape} {elements} ({axes}), {facts['dtype']}"
+    sentences = [f"{text}, {facts['bytes'] / 1e6:.1f} MB."]
+    stated: tuple[float, ...] | None = None
+    if facts["size_um"]:
+        stated = tuple(float(f"{value:.9g}") for value in facts["size_um"])
+        size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
+        sentences.append(
+            f"{elements.capitalize()} of {size} um ({axes}), from {facts['size_source']}; extent {extent} um."
+        )
+    else:
+        sentences.append(f"No {elements[:-1]} size is stated in it.")
+    if facts["min"] is not None:
+        levels = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
+        sentences.append(f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {levels}.")
+    sentences += [f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]]
+    return sentences, stated
+
+
+def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]:
+    """Lines of one option: what it is, and its default behind a sign."""
+    inner = models_in(field.annotation)
+    lines = ["", *_comment([in_study_words(str(field.description))])]
+    if inner:
+        lines.append(f"#[{section}.{key}]")
+        for name, part, how in _options(inner[0]):  # pyright: ignore[reportArgumentType]
+            lines += _option(name, part, how, f"{section}.{key}")[1:]
+        return lines
+    kinds = kinds_of(field.annotation)
+    words = [str(word) for kind in kinds if get_origin(kind) is Literal for word in get_args(kind)]
+    default = field.get_default()
+    note = "names in quotes, with commas between them" if kinds == [tuple[str, ...]] else unit_of(key) or ""
+    if default is None and words and len(kinds) == 1:
+        value = _value(words[0])
+    else:
+        value = _placeholder(kinds, shown) if default is None else _value(default)
+    if alternatives := [word for word in words if word != str(words[0] if default is None else default)]:
+        choices = " or ".join(map(_value, alternatives)) + (" or a number" if float in kinds else "")
+        note = f"{note}; or {choices}" if note else f"or {choices}"
+    return [*lines, f"#{key} = {value}" + (f"  # {note}" if note else "")]
+
+
+def _placeholder(kinds: list[Any], shown: Shown) -> str:
+    """What is needed where an option has no default, in capitals: no value, so that it cannot be run by mistake."""
+    count = next((len(get_args(kind)) for kind in kinds if get_origin(kind) is tuple), 0)
+    if count:
+        words = (shown.metavar or "").rpartition("|")[2].split(",")
+        return f"[{', '.join(words if len(words) == count else ['NUMBER'] * count)}]"
+    if str in kinds:
+        return f"'{shown.metavar or 'TEXT'}'"
+    word = shown.metavar or ""
+    return word if word.isalpha() and word.isupper() else "NUMBER"
+
+
+def _comment(sentences: list[str]) -> list[str]:
+    return [line for sentence in sentences for line in _WRAPPER.wrap(sentence)]
+
+
+def _value(value: Any) -> str:
+    """A value as TOML."""
+    if isinstance(value, tuple):
+        return f"[{', '.join(map(_value, value))}]"  # pyright: ignore[reportUnknownVariableType]
+    return tomli_w.dumps({"k": value}).removeprefix("k = ").strip()

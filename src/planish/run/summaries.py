@@ -1,0 +1,250 @@
+"""Results of the stages, put into the models of ``results.json``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Sequence
+from importlib.metadata import version
+from typing import Any
+
+import numpy as np
+import xarray as xr
+
+from planish.analyze import LagNumbers
+from planish.analyze.compare import headline_of, is_property
+from planish.analyze.image_values import image_facts
+from planish.core.bands import band_of, bands, thinned
+from planish.core.checks import Check, concerned
+from planish.core.facts import InputFile, Side, is_known
+from planish.core.grid import Grid, pitch
+from planish.core.tables import table_text
+from planish.core.typing import Bools
+from planish.io import fingerprint
+from planish.register import FittedTransform
+from planish.results import (
+    ExpectedError,
+    LayerFacts,
+    LinkedArea,
+    OrientationFacts,
+    PropertyFacts,
+    RegistrationFacts,
+    Results,
+    SectionFacts,
+    SurfaceFacts,
+)
+from planish.run.layers import Layer
+from planish.run.position_error import error_shares
+from planish.run.registration import Link
+from planish.run.study import Study, to_dict, with_paths
+
+_HEADER = ("layers", "figure", "statistic", "value", "standard_error", "units", "n", "trust", "checks")
+Row = Sequence[Any]
+
+
+def versions() -> dict[str, str]:
+    """Versions of the libraries that numbers depend on."""
+    return {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")}
+
+
+def input_file(data: xr.DataArray, path: str) -> InputFile:
+    """What a file is, as its reader noted it."""
+    size = "voxel_um" if "voxel_um" in data.attrs else "pixel_um"
+    return InputFile(
+        name=str(data.attrs["file_name"]),
+        shape=tuple(int(n) for n in data.shape),
+        dtype=str(data.attrs.get("stored_dtype", data.dtype)),
+        bytes=int(data.attrs["file_bytes"]),
+        sha256=fingerprint(path),
+        size_um=tuple(float(v) for v in data.attrs[size]),
+        size_source=str(data.attrs[f"{size}_source"]),
+    )
+
+
+def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
+    """What the surface search learnt and how much of the sheet it measured."""
+    attrs, status = surfaces.attrs, surfaces["status"]
+    names = str(status.attrs["flag_meanings"]).split()
+    counts = {k: int(attrs.get(k, 0)) for k in ("particles_removed", "half_closed_holes")}
+    counts |= {"columns": int(status.size)}
+    shares = {name: float((status.values == k).mean()) for k, name in enumerate(names)}
+    search = {k: attrs.get(k) for k in SurfaceFacts.model_fields}
+    return SurfaceFacts.model_validate(search | counts | {"shares": shares})
+
+
+def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
+    """Distribution of each property over the columns; those that were measured nowhere are left out."""
+    facts: dict[str, PropertyFacts] = {}
+    for name, data in surfaces.data_vars.items():
+        if not is_property(data):
+            continue
+        values = data.values[np.isfinite(data.values)].astype(np.float64)
+        if not values.size:
+            continue
+        p5, p50, p95 = np.percentile(values, [5, 50, 95])
+        error = surfaces.get(f"{name}_se")
+        errors = np.empty(0) if error is None else error.values[np.isfinite(error.values)].astype(np.float64)
+        of_mean: dict[str, Any] = {}
+        if error is not None and errors.size and "patch_um2" in error.attrs:
+            count = max(1.0, errors.size * min(1.0, math.prod(pitch(surfaces)) / float(error.attrs["patch_um2"])))
+            common = float(error.attrs["common_um"])
+            single = float(np.mean(np.maximum(errors**2 - common**2, 0.0)))
+            of_mean = {"n_independent": int(count), "mean_standard_error": float(np.sqrt(single / count + common**2))}
+        facts[str(name)] = PropertyFacts(
+            units=str(data.attrs["units"]), n=int(values.size), mean=float(values.mean()), sd=float(values.std()),
+            p5=float(p5), median=float(p50), p95=float(p95), support_um=data.attrs.get("support_um"),
+            standard_error=float(np.median(errors)) if errors.size else None, **of_mean,
+        )  # fmt: skip
+    return facts
+
+
+def section_facts(sections: xr.Dataset) -> SectionFacts:
+    """How serial sections were joined."""
+    attrs, aligned = sections.attrs, sections["aligned"].values
+    rms = [float(np.sqrt(np.mean(sections[f"shift_{axis}"].values[aligned] ** 2))) for axis in ("row", "col")]
+    row, col = (float(v) for v in attrs["jitter_left_um"])
+    alignment = {k: v for k, v in attrs.items() if k in SectionFacts.model_fields}
+    return SectionFacts.model_validate(alignment | {
+        "count": int(aligned.size), "not_aligned": int(np.count_nonzero(~aligned)),
+        "gain_sd": float(np.std(sections["gain"].values[aligned])), "shift_row_rms_um": rms[0],
+        "shift_col_rms_um": rms[1], "jitter_left_row_um": row, "jitter_left_col_um": col,
+    })  # fmt: skip
+
+
+def layer_facts(
+    layer: Layer, maps: xr.Dataset, link: Link | None, side: Side, lag: LagNumbers | None, headline: str | None
+) -> LayerFacts:
+    """What a layer is, how much of the reference it covers, and how it was registered.
+
+    ``side`` is that which shows, ``headline`` the map of sheets that the study names.
+    """
+    shown = maps["volume_z" if layer.kind == "sheet" else "image"]
+    pixels = sum(int(np.count_nonzero(np.isfinite(band_of(shown, rows)))) for rows in bands(shown.shape[0]))
+    return LayerFacts(
+        name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side, headline),
+        share_of_reference=pixels / shown.size, sheet=layer.facts,
+        image=None if layer.params.image is None else image_facts(layer.params.image),
+        registration=None if link is None else _registration_facts(layer, link, maps, lag),
+    )  # fmt: skip
+
+
+def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumbers | None) -> RegistrationFacts:
+    registration, fit = link.registration, link.registration.fit
+    _, (error,) = thinned(maps["expected_error"])
+    error = error[np.isfinite(error)]
+    return RegistrationFacts(
+        to=link.path[1].name, path=tuple(layer.name for layer in link.path), source=registration.source,
+        found_moving=registration.count("moving"), found_fixed=registration.count("fixed"),
+        matched=int(np.count_nonzero(fit.robust_weights)), second_best=registration.second_best,
+        match_sentence=registration.sentence, design=registration.design, tilt=registration.tilt, model=fit.model,
+        model_sentence=fit.sentence, warnings=fit.warnings, rms_um=fit.rms_um,
+        leave_one_out_rms_um=fit.leave_one_out_rms_um, scale=fit.transform.scale, mirrored=fit.mirrored,
+        expected_error=ExpectedError(
+            median_um=np.median(error), largest_um=error.max(), shares=error_shares(maps)
+        ) if error.size else None,
+        rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=fit.transform.shift_um,
+        orientation=orientation_facts(layer, link.path[1], fit), lag=lag,
+    )  # fmt: skip
+
+
+def orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
+    """How two registered layers lie on each other: side, hand and machine direction, as given; nothing is guessed."""
+    numbered_back = fit.mirrored != (moving.side != fixed.side)
+    carried = None
+    if moving.md_deg is not None:  # an axis, deg clockwise on screen from x: 0 to 180
+        angle = np.deg2rad(moving.md_deg)
+        x, y = fit.transform.matrix() @ (np.cos(angle), np.sin(angle))
+        carried = float(np.rad2deg(np.arctan2(y, x)) % 180.0)
+    words = [
+        f"Side of the {layer.name} not given; top side assumed (--image-side)."
+        if layer.side_given is None
+        else f"The {layer.name} shows the {layer.side} side of the sheet, as given."
+        for layer in (moving, fixed)
+        if layer.kind == "image"
+    ]
+    if numbered_back:
+        words.append(f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense.")
+    if carried is not None:
+        stated = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
+        words.append(
+            f"The machine direction lies at {_angle(moving.md_deg)} in the {moving.name} and so at {_angle(carried)} "
+            f"in the {fixed.name}{stated}"
+        )
+    elif fixed.md_deg is not None:
+        words.append(
+            f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given; none was given for "
+            f"the {moving.name}."
+        )
+    else:
+        words.append("Machine direction not given (--md-deg, --image-md-deg).")
+    return OrientationFacts(
+        image_side=fixed.side, side_given=fixed.side_given is not None or fixed.kind == "sheet",
+        mirrored_volume=numbered_back, md_deg_moving=moving.md_deg, md_deg_fixed=fixed.md_deg,
+        md_deg_fixed_from_moving=carried, sentence=" ".join(words),
+    )  # fmt: skip
+
+
+def _angle(deg: float | None) -> str:
+    return f"{(deg or 0.0) % 180.0:.1f}".removesuffix(".0") + "°"
+
+
+def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea:
+    """How much of the reference shows the sheet, and how much of that is valid; ``mask`` is that of holes."""
+    grid, counts = Grid.of(linked), np.zeros(3, dtype=np.int64)
+    for rows in bands(grid.shape[0]):
+        is_sheet = np.isfinite(band_of(linked["u"], rows))
+        parts = is_sheet, is_sheet & mask(grid.part(rows)), band_of(linked["valid"], rows)
+        counts += [np.count_nonzero(part) for part in parts]
+    (on_sheet, off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
+    return LinkedArea(
+        pixels=pixels, share_on_sheet=on_sheet / pixels, share_valid=valid / pixels,
+        share_valid_of_sheet=valid / max(on_sheet, 1), share_valid_away_from_holes=valid / max(off_holes, 1),
+    )  # fmt: skip
+
+
+def parameters(study: Study) -> dict[str, Any]:
+    """All parameters but the paths of inputs, which say where files lie and not what was done."""
+    return to_dict(with_paths(study, lambda _: None))
+
+
+# --- the figures of a run as one table -------------------------------------------------------------------------------
+
+
+def figures_text(results: Results) -> str:
+    """Text of ``figures.csv``: a row for every figure that the page leads with.
+
+    ``trust`` is ``ok``, ``doubtful`` or ``withheld`` (then there is no value), ``checks`` names the checks that say so.
+    """
+    rows = [row for layer in results.layers for row in _of_layer(layer, results.checks)]
+    return table_text(_HEADER, [*rows, *_correlations(results)])
+
+
+def _of_layer(layer: LayerFacts, checks: Sequence[Check]) -> Iterator[Row]:
+    for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
+        end = p.units, p.n, p.trust, _names(checks, (layer.name,), (name,))
+        yield layer.name, name, "mean", _text(p.mean), _text(p.mean_standard_error), *end
+        yield layer.name, name, "sd", _text(p.sd), "", *end
+        if p.standard_error is not None:
+            yield layer.name, name, "standard error of a column", _text(p.standard_error), "", *end
+    r = layer.registration
+    if r is not None and (e := r.expected_error) is not None:
+        end = "um", r.matched, e.trust, _names(checks, (layer.name,), ("position",))
+        for statistic, value in (("median", e.median_um), ("largest", e.largest_um)):
+            yield layer.name, "expected error of the position", statistic, _text(value), "", *end
+
+
+def _correlations(results: Results) -> Iterator[Row]:
+    for row in results.correlations:
+        why = _names(results.checks, (row.a, row.b), (row.a_map, row.b_map, "position", "correlation"))
+        name = f"r of {row.a_map} and {row.b_map}"
+        size, layers = f"points of {row.point_um:g} um", f"{row.a} {row.b}"
+        yield layers, name, size, _text(row.r), "", "1", row.n, row.trust, why
+        for end, value in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
+            yield layers, name, f"{size}, {end} 95 % limit", value, "", "1", round(row.n_eff), row.trust, why
+
+
+def _names(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> str:
+    return "; ".join(c.name for c in concerned(checks, layers, figures) if c.state in ("look", "fail"))
+
+
+def _text(value: float | None) -> float | str:
+    return "" if value is None or not is_known(value) else value

@@ -1,0 +1,154 @@
+"""The volume of a run, whatever it was stored as."""
+
+from __future__ import annotations
+
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import xarray as xr
+from numpy.typing import NDArray
+
+from planish.core.errors import InputError, ResourceError, VolumeError
+from planish.core.frame import Frame
+from planish.core.lazy import LazyArray, Where, replaced
+from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
+from planish.io import find_place, read_volume
+from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
+from planish.io.sections import is_section_folder, read_section_stack
+from planish.run.compute import Compute, Progress
+from planish.run.summaries import section_facts
+from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
+
+_SLICES = 3
+_COPIES_OF_SECTIONS = 2  # the photographs and the volume made from them are in memory at the same time
+
+
+def read_sheet_volume(
+    params: VolumeParams, compute: Compute, progress: Progress
+) -> tuple[xr.DataArray, xr.Dataset | None]:
+    """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
+    path = find_place(params.path).path
+    if is_section_folder(path):
+        if compute.scheduler is not None:
+            raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
+        volume, sections = _join_sections(params, compute, progress)
+        _in_parts(volume, path, compute, _COPIES_OF_SECTIONS, f" --through {params.through}")
+        return volume, sections
+    if params.fixed_rows is not None or params.fixed_cols is not None:
+        raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
+    volume = _read(params, compute)
+    _in_parts(volume, path, compute)
+    return volume, None
+
+
+def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
+    """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
+    how = _how(params, compute.volume_bytes)
+    volume = read_volume(params.path, **how)
+    return volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))
+
+
+class _ByName(LazyArray):
+    """A volume that travels to other processes as the name of its file; each of them opens it once."""
+
+    def __init__(self, volume: xr.DataArray, path: str, how: dict[str, Any]) -> None:
+        self.path, self.how, self.shape, self.dtype = path, tuple(how.items()), volume.shape, volume.dtype
+
+    def read(self, where: Where) -> NDArray[Any]:
+        return _opened(self.path, self.how).variable[where].values
+
+
+@lru_cache(maxsize=1)
+def _opened(path: str, how: tuple[tuple[str, Any], ...]) -> xr.DataArray:
+    return read_volume(path, **dict(how))
+
+
+def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr.DataArray:
+    """Read a volume, or join serial sections to one, of any size: what does not fit into memory is worked out in parts.
+
+    What was done to sections is in the attributes, in short.
+    """
+    if not is_section_folder(params.path):
+        return _read(params, compute)
+    if compute.scheduler is not None:
+        raise InputError(f"{Path(params.path).name} holds sections, which one computer joins. Leave out --scheduler.")
+    volume, sections = _join_sections(params, compute, progress)
+    return volume.assign_attrs(sections=section_facts(sections).model_dump())
+
+
+def _how(params: VolumeParams, memory_bytes: int) -> dict[str, Any]:
+    return params.model_dump(include=HOW_VOLUMES_ARE_READ) | {"memory_bytes": memory_bytes}
+
+
+def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = "") -> None:
+    """Refuse a volume that is neither in memory nor can be read in parts."""
+    if volume.encoding.get("whole_slices"):
+        size = volume.size * volume.dtype.itemsize
+        needed = enough_gb(bytes_to_hold(copies * size) + PROGRAM_BYTES)
+        raise ResourceError(
+            f"{path.name} has {size / 1e9:.1f} GB, and its slices can only be decoded whole. To hold it, give --memory "
+            f"{needed}GB ({compute.memory / 1e9:.1f} GB are allowed), or bring it into a "
+            f"store first: planish import {path.name}{options} --out {path.stem}.zarr"
+        )
+
+
+def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -> tuple[xr.DataArray, xr.Dataset]:
+    """Align serial sections and join them to a volume; return it with what was done to each of them."""
+    path = Path(params.path)
+    if params.through == "z":
+        raise VolumeError(
+            f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
+            "Give --through y where it runs along the rows of the photographs, x where along their columns."
+        )
+    stack = read_section_stack(path, **_how(params, compute.volume_bytes // _COPIES_OF_SECTIONS))
+    progress("align", f"{stack.values.shape[0]} sections")
+    series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
+    fixed = None
+    if params.fixed_rows is not None or params.fixed_cols is not None:
+        fixed = fixed_places(stack.values, stack.pixel_um, rows=params.fixed_rows, cols=params.fixed_cols)
+    poses, gains = align_sections(series, fixed=fixed), normalise_sections(series)
+    volume = regular_volume(series, alignment=poses, gains=gains, attrs=stack.attrs)
+    first = float(volume.attrs["first_position_um"])
+    columns = {
+        "position": (stack.positions_um - first, "Place along the volume", "um"),
+        "shift_row": (poses.shift_um[:, 0], "Shift taken off, rows", "um"),
+        "shift_col": (poses.shift_um[:, 1], "Shift taken off, columns", "um"),
+        "rotation": (poses.rotation_rad, "Rotation taken off", "rad"),
+        "aligned": (poses.aligned, "Aligned; others count as missing", None),
+        "gain": (gains.gain, "Gain put on the grey", "1"),
+    }
+    sections = xr.Dataset(
+        {
+            name: ("section", values, ({} if units is None else {"units": units}) | {"long_name": title})
+            for name, (values, title, units) in columns.items()
+        },
+        attrs={
+            "kind": stack.kind, "first_position_um": first, "cutoff_um": poses.cutoff_um,
+            "missing": int(volume.attrs["sections_missing"]),
+            "jitter_left_um": [float(v) for v in poses.jitter_left_um], "pairs_used": poses.pairs_used,
+            "pairs_refused": poses.pairs_refused,
+            "fixed": [name for name, held in zip(("row", "col", "rotation"), poses.fixed, strict=True) if held],
+        },
+    )  # fmt: skip
+    return volume, sections
+
+
+def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
+    """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
+    rows = volume.sizes[frame.rows] // step * step
+    shown = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
+    parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in shown]
+    values = np.stack([np.ascontiguousarray(part.T) for part in parts])
+    coords = {
+        "slice": volume.coords[frame.rows].values[shown],
+        "height": volume.coords[frame.through].values,
+        "x": volume.coords[frame.cols].values,
+    }
+    data = xr.Dataset(
+        {"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
+        coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()},
+        attrs=frame.attrs(),
+    )
+    return data.assign(row=("slice", shown // step))
