@@ -164,8 +164,8 @@ def _compared_rows(
     variants: Sequence[tuple[str, float, Mesh | None]], sums: Sequence[PairAtSizes], *, name: str, point_um: float
 ) -> Iterator[ComparisonRow]:
     """Rows of each registration at both sizes, with the change to that of the run, which stands last."""
-    (cells, cell_um), points = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
-    by_run = [(row.r, *of_size) for (row, _), of_size in zip(sums[-1].sizes(), ((cells, cell_um), points), strict=True)]
+    (cells, cell_um), (at_pixel, at_points) = sums[-1].cells(), (row for row, _ in sums[-1].sizes())
+    by_run = (at_pixel.r, cells, cell_um), (at_points.r, sums[-1].points(), (point_um, point_um))
     for (title, rms_um, mesh), of_variant in zip(variants, sums, strict=True):
         pairs = of_variant.cells()[0], of_variant.points()
         for (row, _), pair, reference in zip(of_variant.sizes(), pairs, by_run, strict=True):
