@@ -8,8 +8,7 @@ from typing import Any
 import tomli_w
 
 from planish.core.errors import FileError
-from planish.validate.certify import Certificate, run_scenario
-from planish.validate.scenario import FIGURES, read_scenario
+from planish.validate import certify, scenario
 
 _SCENARIO = "small"
 _SHARE = 0.02  # of a value that may come and go with the versions of numpy, scipy and the compiler
@@ -17,7 +16,7 @@ _SPREADS = 2.0
 _FLOOR = {"um": 0.01, "%": 0.01, "deg": 0.01, "1": 0.002, "pitch": 1e-4, "s": 1.0}
 
 
-def record(certificate: Certificate) -> dict[str, Any]:
+def record(certificate: certify.Certificate) -> dict[str, Any]:
     """Mean and standard deviation over the seeds of every figure, ready for TOML."""
     figures = {
         name: {"mean": float(f"{found.mean:.5g}"), "sd": float(f"{found.sd or 0.0:.3g}")}
@@ -45,7 +44,7 @@ def read_recorded(path: Path) -> dict[str, Any]:
         raise FileError(f"{path} cannot be read: {error}. Make it with 'python tests/record.py {path}'.") from error
 
 
-def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
+def worse(certificate: certify.Certificate, recorded: dict[str, Any]) -> list[str]:
     """Name the figures that are worse than recorded by more than the seeds scatter; better ones are no fault.
 
     The allowance is twice the standard deviation over the seeds, 2 % of the value, or a floor, whichever is largest.
@@ -55,7 +54,7 @@ def worse(certificate: Certificate, recorded: dict[str, Any]) -> list[str]:
     found = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
     faults: list[str] = []
     for name, old in recorded["figures"].items():
-        figure = FIGURES.get(name)
+        figure = scenario.FIGURES.get(name)
         if figure is None or figure.better == "neither":
             continue
         if name not in found:
@@ -79,7 +78,7 @@ def main(arguments: list[str]) -> int:
     def report(stage: str, detail: str) -> None:
         sys.stderr.write(f"{stage}: {detail}\n")
 
-    certificate = run_scenario(read_scenario(_SCENARIO), progress=report)
+    certificate = certify.run_scenario(scenario.read_scenario(_SCENARIO), progress=report)
     head = (
         "# Figures of the small scenario, mean and standard deviation over its seeds.\n"
         "# Made by: python tests/record.py tests/validate/recorded.toml\n\n"

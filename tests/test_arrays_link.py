@@ -6,9 +6,8 @@ import tifffile
 
 import planish as pl
 from planish.core.errors import FileError, StudyError
-from planish.run.build import sections_of, study_of
-from planish.run.compute import Compute
-from planish.run.study import SECTIONS, read_study
+from planish.run import Compute, build, read_study, study_of
+from planish.run.study import SECTIONS
 
 VOXEL_UM, PIXEL_UM = 4.0, 5.0  # of the small specimen
 
@@ -79,7 +78,7 @@ def test_a_mapped_array_needs_no_folder(tmp_path):
 def test_words_are_those_of_the_command_line_each_given_once():
     words = {"through": "y", "property": ["porosity"], "image_side": "bottom", "point_um": 50, "memory": "4GB",
              "labels": None, "label_air": [0], "hole_um": (80, 200)}  # fmt: skip
-    sections, compute = sections_of(words, tuple(SECTIONS), None, call="pl.link")
+    sections, compute = build.sections_of(words, tuple(SECTIONS), None, call="pl.link")
     assert sections == {
         "volume": {"through": "y"}, "properties": {"maps": ["porosity"]}, "image": {"side": "bottom"},
         "correlate": {"point_um": 50}, "surface": {"labels": {"air": [0]}}, "holes": {"hole_um": (80, 200)},
@@ -93,6 +92,6 @@ def test_words_are_those_of_the_command_line_each_given_once():
     assert flags - own == {*words_of([*SECTIONS, "compute"])}
     for words, compute in (({"through": "y", "volume": {"through": "x"}}, None), ({"threads": 2}, Compute(threads=1))):
         with pytest.raises(StudyError, match="is given twice, by itself and in"):
-            sections_of(words, tuple(SECTIONS), compute, call="pl.link")
-    _, both = sections_of({"memory": "4GB"}, tuple(SECTIONS), Compute(threads=1), call="pl.link")
+            build.sections_of(words, tuple(SECTIONS), compute, call="pl.link")
+    _, both = build.sections_of({"memory": "4GB"}, tuple(SECTIONS), Compute(threads=1), call="pl.link")
     assert both == Compute(threads=1, memory_bytes=4 * 10**9)

@@ -6,7 +6,7 @@ import tifffile
 from PIL import Image
 
 from folders import disc_image, write_image, write_volume
-from planish.io.run_folder import new_folder
+from planish.io import new_folder
 
 
 @pytest.fixture(scope="module")

@@ -8,12 +8,20 @@ import numpy as np
 import pytest
 
 from analyze.fields import compared, gaussian_maps, lags_of, related_maps
-from planish.analyze import CorrelateParams, bland_altman, cross_correlogram, deming, ring_correlation, variogram
-from planish.analyze.agreement import answer_twice
-from planish.analyze.correlograms import answer_correlogram
-from planish.analyze.diagnostics import PairWords, sentences
+from planish.analyze import (
+    CorrelateParams,
+    PairWords,
+    agreement,
+    bland_altman,
+    correlograms,
+    cross_correlogram,
+    deming,
+    ring_correlation,
+    sentences,
+    variogram,
+)
 from planish.analyze.variograms import answer_variograms
-from planish.report.diagnostics import draw_correlogram, draw_rings, draw_variograms
+from planish.report import diagnostics
 from planish.results import EvidenceFacts, Results
 
 CELL = (8.0, 8.0)
@@ -21,7 +29,7 @@ CELL = (8.0, 8.0)
 
 def twice_of(maps, points, **options):
     asked = compared(maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated=points)
-    return answer_twice(asked)["twice"]
+    return agreement.answer_twice(asked)["twice"]
 
 
 def pair(seed=0, r=0.6, length=6.0, shape=(120, 150)):
@@ -46,7 +54,10 @@ def test_variograms_are_those_of_the_function():
 
 def test_the_correlogram_is_that_of_the_function_with_lag_0_in_its_profiles():
     maps, lags = pair()
-    found, twin = answer_correlogram(compared(maps, lags))["correlogram"], cross_correlogram(*maps, pixel_um=CELL)
+    found, twin = (
+        correlograms.answer_correlogram(compared(maps, lags))["correlogram"],
+        cross_correlogram(*maps, pixel_um=CELL),
+    )
     assert (found.peak_r, found.lag_um, found.n_eff) == (twin.peak_r, twin.lag_um, twin.n_eff)
     for profile in (found.along_x, found.along_y):
         middle = len(profile.r) // 2
@@ -77,7 +88,7 @@ def test_two_measurements_are_compared_as_the_functions_say():
     assert said[1].startswith("lm minus ct, over 720 points of 40\u202fµm: 0.5")
     assert "Deming" in said[2]
     assert "a ratio of 2.00, as declared" in said[2]
-    picture = draw_rings(found, name="coating thickness", layers=("ct", "lm"))
+    picture = diagnostics.draw_rings(found, name="coating thickness", layers=("ct", "lm"))
     assert len(picture.data["rings"]["correlation"]) == len(rings.rings)
 
 
@@ -96,7 +107,7 @@ def facts(seed=0, *, md_deg=None, same=False, **how):
     asked = compared(maps, lags, a=("a", "coating_top"), b=b, units=units, md_deg=md_deg)
     return EvidenceFacts(
         a="a", a_map="coating_top", b="b", b_map=b[1], declared=True, **answer_variograms(asked),
-        **answer_correlogram(asked),
+        **correlograms.answer_correlogram(asked),
     )  # fmt: skip
 
 
@@ -122,15 +133,18 @@ def test_the_page_names_ranges_directions_and_the_lag():
 
 def test_figures_hold_their_numbers():
     found = facts(md_deg=10.0)
-    variograms = draw_variograms(found, titles=("Coating thickness, top side", "Relative grey"))
+    variograms = diagnostics.draw_variograms(found, titles=("Coating thickness, top side", "Relative grey"))
     assert [*variograms.data] == ["coating-top", "image"]
     assert [*variograms.data["coating-top"]] == ["distance / µm", "half mean square difference / µm²"]
     assert [*variograms.data["image"]] == ["distance / µm", "half mean square difference / relative grey²"]
     assert "µm²" in variograms.svg
-    lags = draw_correlogram(found.correlogram, names=("coating", "grey"))
+    lags = diagnostics.draw_correlogram(found.correlogram, names=("coating", "grey"))
     assert lags.data["along-x"]["r"] == list(found.correlogram.along_x.r)
     same = facts(same=True)
-    assert [*draw_variograms(same, titles=("Coating, a", "Coating, b")).data] == ["a-coating-top", "b-coating-top"]
+    assert [*diagnostics.draw_variograms(same, titles=("Coating, a", "Coating, b")).data] == [
+        "a-coating-top",
+        "b-coating-top",
+    ]
 
 
 def test_a_run_has_all_of_it(linked_run):

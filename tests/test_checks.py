@@ -12,12 +12,12 @@ import xarray as xr
 from tests.report.runs import a_run
 
 from planish.checks import CHECKS, HolesOnSheet, apply_checks
-from planish.cli.show import run_facts, run_lines
+from planish.cli import show
 from planish.core.checks import Check, Light
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts
 from planish.results import Results
-from planish.run.summaries import figures_text
+from planish.run import summaries
 
 LIGHTS = {light.name: light for light in CHECKS}
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
@@ -69,7 +69,7 @@ def test_a_failed_scan_withholds_its_properties_alone_and_other_states_change_no
 
 def test_the_table_of_figures_says_what_is_doubtful_and_why():
     found = run_with(check("look", "coating_top"), check("fail", "position"))
-    rows = list(csv.DictReader(io.StringIO(figures_text(found))))
+    rows = list(csv.DictReader(io.StringIO(summaries.figures_text(found))))
     at = {(row["figure"], row["statistic"]): row for row in rows}
     assert (at["coating_top", "mean"]["trust"], at["coating_top", "mean"]["checks"]) == ("doubtful", "x")
     assert float(at["coating_top", "mean"]["value"]) == found.layers[0].sheet.properties["coating_top"].mean
@@ -86,9 +86,9 @@ def test_runs_whose_results_have_an_older_format_are_named(tmp_path):
     ))  # fmt: skip
     with pytest.raises(FileError, match=r"planish 0\.2\.0: its results have an older format.*planish run"):
         Results.read(tmp_path / "results.json")
-    facts = run_facts(tmp_path)
+    facts = show.run_facts(tmp_path)
     assert facts["fail"] == ["marks"]
-    assert "made by planish 0.2.0: its results have an older format" in " ".join(run_lines(facts))
+    assert "made by planish 0.2.0: its results have an older format" in " ".join(show.run_lines(facts))
 
 
 @pytest.mark.parametrize(

@@ -13,18 +13,15 @@ import numpy as np
 import pytest
 
 from folders import bytes_of
-from planish.cli.show import fact_lines
+from planish.cli import show
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, labelled
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
-from planish.io import describe, read_volume
-from planish.io.params import VolumeParams
-from planish.io.store import write_store
-from planish.run import map_sheet, read_whole, run_study
-from planish.run.compute import Compute, column_step, engine
-from planish.run.study import as_study
+from planish.io import VolumeParams, describe, read_volume, write_store
+from planish.run import Compute, as_study, engine, map_sheet, read_whole, run_study
+from planish.run.compute import column_step
 from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 
@@ -79,14 +76,14 @@ def test_a_killed_run_goes_on_and_gives_the_same(store, whole, tmp_path, share):
 
 def test_two_runs_do_not_write_to_one_place(store, tmp_path):
     from planish.core.errors import FileError
-    from planish.io.run_folder import work_folder
+    from planish.io import work_folder
 
     with work_folder(tmp_path / "run", "a"), pytest.raises(FileError, match="Another planish"):
         run_study(study(store), tmp_path / "run")
 
 
 def test_tiles_of_another_study_are_not_used(tmp_path):
-    from planish.io.run_folder import work_folder
+    from planish.io import work_folder
 
     work = tmp_path / ".run.work"
     (work / "tiles").mkdir(parents=True)
@@ -98,7 +95,8 @@ def test_tiles_of_another_study_are_not_used(tmp_path):
 
 
 def test_what_a_run_left_that_was_killed_while_it_wrote_is_swept_up(tmp_path):
-    from planish.io.run_folder import WORK_MARKER, new_folder, work_folder
+    from planish.io import new_folder, work_folder
+    from planish.io.run_folder import WORK_MARKER
 
     with work_folder(tmp_path / "run", "this") as work:
         marker = (work / WORK_MARKER).read_bytes()
@@ -231,7 +229,9 @@ def test_the_memory_that_info_states_is_enough_for_single_voxels(shape, tmp_path
     (tmp_path / "v.raw.toml").write_text(f'shape = {list(shape)}\ndtype = "uint8"\nvoxel_um = 3\n')
     with (tmp_path / "v.raw").open("wb") as file:
         file.truncate(int(np.prod(shape)))
-    line = next(one for one in fact_lines(describe(tmp_path / "v.raw", values=False)) if one.startswith("planish map"))
+    line = next(
+        one for one in show.fact_lines(describe(tmp_path / "v.raw", values=False)) if one.startswith("planish map")
+    )
     stated = Compute.model_validate({"memory_bytes": line.split()[2] + "GB"})
     frame = Frame(through="zyx"[int(np.argmin(shape))])
     assert column_step(read_volume(tmp_path / "v.raw"), frame, None, stated) == 1

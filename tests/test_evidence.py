@@ -8,16 +8,22 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.analyze import CorrelateParams, commonality, correlate, diagnostics, partial
-from planish.analyze.compare import correlate_layers, headline_of
-from planish.analyze.diagnostics import PairWords, correlation_diagnostics
+from planish.analyze import (
+    CorrelateParams,
+    PairWords,
+    commonality,
+    correlate,
+    correlate_layers,
+    correlation_diagnostics,
+    diagnostics,
+    headline_of,
+    partial,
+)
 from planish.core.area import area_mean
 from planish.core.errors import InputError
-from planish.report.summary import cautions
+from planish.report import summary
 from planish.results import Results
-from planish.run.compute import Compute
-from planish.run.preflight import check_request
-from planish.run.study import as_study
+from planish.run import Compute, as_study, preflight
 
 
 @pytest.fixture(scope="module")
@@ -75,9 +81,9 @@ def test_the_headline_has_its_scales_and_ceiling(results):
 
 def test_what_to_be_careful_about_stands_on_the_first_page(results):
     rows = [row.model_copy(update={"warnings": ("Only 17 independent points.",)}) for row in results.correlations]
-    assert cautions(results.model_copy(update={"correlations": tuple(rows)})) == ["Only 17 independent points."]
+    assert summary.cautions(results.model_copy(update={"correlations": tuple(rows)})) == ["Only 17 independent points."]
     withheld = [row.model_copy(update={"trust": "withheld"}) for row in rows]
-    assert cautions(results.model_copy(update={"correlations": tuple(withheld)})) == []
+    assert summary.cautions(results.model_copy(update={"correlations": tuple(withheld)})) == []
 
 
 @pytest.mark.study
@@ -131,7 +137,7 @@ def test_two_of_three_parts_may_stand_beside(specimen_files):
     volume, image = (str(path) for path in specimen_files[:2])
     for beside in (["base_thickness", "coating_bottom"], ["thickness", "coating_bottom"], ["topography_top"]):
         study = as_study({"volume": {"path": volume}, "image": {"path": image}, "correlate": {"beside": beside}})
-        assert check_request(study, Compute()) is None
+        assert preflight.check_request(study, Compute()) is None
 
 
 @pytest.mark.parametrize(
@@ -150,19 +156,19 @@ def test_a_map_that_its_numbers_make_may_lead_or_stand_beside(specimen_files, pr
     volume, image = (str(path) for path in specimen_files[:2])
     for place in ({"headline": name}, {"beside": [name]}):
         parts = {"volume": {"path": volume}, "image": {"path": image}, "correlate": place}
-        assert check_request(as_study(parts | {"properties": properties}), Compute()) is None
+        assert preflight.check_request(as_study(parts | {"properties": properties}), Compute()) is None
         if properties:
             with pytest.raises(InputError, match=f'{name}"?: there will be no such map'):
-                check_request(as_study(parts), Compute())
+                preflight.check_request(as_study(parts), Compute())
 
 
 def test_of_labels_no_map_but_those_of_the_faces_may_lead(specimen_files):
     volume, image = (str(path) for path in specimen_files[:2])
     parts = {"volume": {"path": volume}, "image": {"path": image}, "surface": {"labels": {}}}
     parts |= {"properties": {"coating_g_cm3": 1.6}}
-    assert check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
+    assert preflight.check_request(as_study(parts | {"correlate": {"headline": "thickness"}}), Compute()) is None
     with pytest.raises(InputError, match=r'coat_weight_top"?: there will be no such map'):
-        check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
+        preflight.check_request(as_study(parts | {"correlate": {"headline": "coat_weight_top"}}), Compute())
 
 
 @pytest.mark.study

@@ -18,8 +18,7 @@ from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
 from planish.exports import FORMATS, ExportParams, formats_table, writer_of
 from planish.exports.formats import imported
-from planish.io import map_store
-from planish.io.run_folder import write_tree
+from planish.io import map_store, write_tree
 from planish.run import open_run
 
 SUFFIXES = {to: form.suffixes[0] for to, form in FORMATS.items() if form.suffixes}

@@ -9,9 +9,7 @@ import pytest
 import xarray as xr
 
 from analyze.fields import compared, gaussian_maps, lags_of
-from planish.analyze import CorrelateParams
-from planish.analyze.ceiling import answer_ceiling
-from planish.analyze.split_half import Columns, half_points
+from planish.analyze import Columns, CorrelateParams, ceiling, split_half
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 
@@ -52,7 +50,7 @@ def ceilings(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_
     )  # fmt: skip
     if error_um is not None:
         asked.layers[0]["expected_error"] = (("y", "x"), np.full(known.shape, error_um))
-    return answer_ceiling(asked)
+    return ceiling.answer_ceiling(asked)
 
 
 def test_noise_of_single_columns_gives_the_share_that_it_takes():
@@ -96,13 +94,13 @@ def test_a_thickness_of_a_tilted_column_is_that_along_the_normal():
 
 def test_many_rows_are_taken_in_bands_and_none_twice(monkeypatch):
     found, _ = columns(noise=5.0, slope=0.3)
-    whole = half_points(
+    whole = split_half.half_points(
         found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
     )
     monkeypatch.setattr(
         "planish.analyze.split_half.bands", lambda n: [slice(k, min(k + 34, n)) for k in range(0, n, 34)]
     )
-    parts = half_points(
+    parts = split_half.half_points(
         found, "coating_top", np.ones((80, 100), bool), origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
     )
     for one, other in zip(whole[:2], parts[:2], strict=True):
@@ -113,7 +111,7 @@ def test_only_columns_in_cells_that_count_are_taken():
     found, _ = columns(noise=1.0)
     known = np.ones((80, 100), bool)
     known[:, 50:] = False
-    odd, even, _ = half_points(
+    odd, even, _ = split_half.half_points(
         found, "coating_top", known, origin_um=(-2.0, -2.0), cell_um=(8.0, 8.0), point_um=POINT_UM
     )
     assert odd.shape == (6, 8)

@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from planish.core.errors import VolumeError
-from planish.run import run_study
-from planish.run.study import as_study
+from planish.run import as_study, run_study
 from planish.synthetic import (
     CameraParams,
     HoleParams,
@@ -18,8 +17,7 @@ from planish.synthetic import (
     make_specimen,
     write_instruments,
 )
-from planish.validate.certify import make_ledger
-from planish.validate.truth import Comparison
+from planish.validate import certify, truth
 
 PARAMS = SpecimenParams(
     size_um=(1000.0, 760.0),
@@ -39,7 +37,7 @@ def _link(params, instrument, folder):
         {"volume": {"path": str(files.volume), "through": files.through}, "image": {"path": str(files.image)}}
     )
     run = run_study(study, folder / "run")
-    return specimen, files, run, make_ledger(Comparison(specimen, files, run))
+    return specimen, files, run, certify.make_ledger(truth.Comparison(specimen, files, run))
 
 
 @pytest.mark.study

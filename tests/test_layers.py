@@ -10,15 +10,13 @@ import tifffile
 import xarray as xr
 
 from planish.core.transform import Similarity
-from planish.io.params import ImageParams, VolumeParams
-from planish.marks import cut_holes, find_holes, write_marks
-from planish.marks.exchange import read_any
-from planish.marks.params import HoleParams
+from planish.io import ImageParams, VolumeParams
+from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_marks
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
-from planish.run import link, map_sheet, open_run
-from planish.run.layers import Layer, LayerHoles
-from planish.run.study import LayerParams, Study, read_study, write_study
+from planish.run import Layer, LayerParams, Study, link, map_sheet, open_run, read_study
+from planish.run.layers import LayerHoles
+from planish.run.study import write_study
 from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
 from planish.validate.errors import pair_errors
 

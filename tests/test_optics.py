@@ -8,20 +8,22 @@ import pytest
 import xarray as xr
 
 from analyze.fields import compared, gaussian_maps, lags_of
-from planish.analyze import reflectance, spread_light, without_screen
-from planish.analyze.diagnostics import sentences
-from planish.analyze.image_values import compared_image, image_facts
+from planish.analyze import (
+    CorrelateParams,
+    compared_image,
+    image_facts,
+    light_spread,
+    mottle_of,
+    reflectance,
+    sentences,
+    spread_light,
+    without_screen,
+)
 from planish.analyze.kubelka_munk import answer_kubelka_munk, density_of, kubelka_munk_of
-from planish.analyze.light_spread import answer_light_spread
-from planish.analyze.mottle import mottle_of
-from planish.analyze.params import CorrelateParams
 from planish.core.errors import InputError, PlanishError
-from planish.io.params import ImageParams
+from planish.io import ImageParams
 from planish.results import EvidenceFacts, Results
-from planish.run import correlate_maps
-from planish.run.compute import Compute
-from planish.run.preflight import check_request
-from planish.run.study import as_study
+from planish.run import Compute, as_study, correlate_maps, preflight
 
 
 def image_of(values, um=4.0, title="Relative grey"):
@@ -82,7 +84,7 @@ def test_refining_and_regions_come_before_a_screen_is_taken_off(tmp_path):
         "volume": {"path": "v.tif"}, "image": {"path": "i.tif", "screen_um": 167}, "registration": {"refine": "affine"}
     })  # fmt: skip
     with pytest.raises(InputError, match="refine= aligns the fine texture"):
-        check_request(study, Compute())
+        preflight.check_request(study, Compute())
 
 
 # --- light over the coating ------------------------------------------------------------------------------------------
@@ -112,7 +114,7 @@ def test_a_coating_blurred_like_the_light_follows_the_image_better():
     coating, image = coated(spread_um=80.0)
     maps, lags = (coating, image), lags_of(coating, (20.0, 20.0))
     asked = compared(maps, lags, params=CorrelateParams(light_spread_um=80.0, point_um=40.0))
-    found = answer_light_spread(asked)
+    found = light_spread.answer_light_spread(asked)
     spread = found["light_spread"]
     assert spread.r > 0.6
     assert spread.difference_interval[0] > 0.05
@@ -122,7 +124,7 @@ def test_a_coating_blurred_like_the_light_follows_the_image_better():
     assert said.startswith("With the coating blurred by light that spreads over 80\u202fµm (declared), r = ")
     assert ": distinguishable from that of the coating as it is" in said
     small = compared(maps, lags, params=CorrelateParams(light_spread_um=80.0, kubelka_munk=0.0, point_um=10.0))
-    for answer in (answer_light_spread(small)["light_spread"], answer_kubelka_munk(small)["kubelka_munk"]):
+    for answer in (light_spread.answer_light_spread(small)["light_spread"], answer_kubelka_munk(small)["kubelka_munk"]):
         assert "smaller than the means" in answer.silence
 
 
@@ -169,7 +171,7 @@ def test_requests_that_lack_something_are_refused(layers, correlate, said):
     kinds = [{"name": f"n{k}", kind: {"path": f"{k}.tif"}} for k, kind in enumerate(layers)]
     study = as_study({"layers": kinds, "correlate": correlate})
     with pytest.raises(InputError, match=said):
-        check_request(study, Compute())
+        preflight.check_request(study, Compute())
 
 
 @pytest.mark.parametrize("dark", ["100", "0"])  # 0 is given, too

@@ -15,15 +15,10 @@ import zarr
 from folders import refused
 from planish.core.errors import FileError, StudyError
 from planish.exports import ExportSource
-from planish.io import fingerprint
-from planish.io.formats import find_place
-from planish.io.params import VolumeParams
-from planish.io.run_folder import read_tree, refuse_inside, write_tree
-from planish.io.store import write_store
+from planish.io import VolumeParams, find_place, fingerprint, read_tree, refuse_inside, write_store, write_tree
 from planish.measure import surfaces_of
-from planish.run.build import study_of
-from planish.run.compute import silent
-from planish.run.study import LayerParams, Study, read_study, write_study
+from planish.run import LayerParams, Study, read_study, silent, study_of
+from planish.run.study import write_study
 from planish.series import read_plan
 
 PART = "/entry/a"

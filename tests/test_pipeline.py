@@ -11,18 +11,13 @@ import pytest
 import xarray as xr
 
 from folders import write_image
-from planish.analyze.compare import REGISTRATION_VARIANTS
-from planish.cli.runs import _compare
-from planish.marks.exchange import read_any
+from planish.analyze import compare
+from planish.cli import runs
+from planish.marks import read_any
 from planish.register import fit_transform
-from planish.run import link, open_run
-from planish.run.cached_maps import sheets_of
-from planish.run.layers import MappedSheets
-from planish.run.run import open_results, open_sheet
-from planish.run.save import save_run
-from planish.run.study import read_study
+from planish.run import cached_maps, layers, link, open_results, open_run, read_study, run, save_run
 
-ROWS = [*(name for name, _, _ in REGISTRATION_VARIANTS[:2]), "flattened, similarity"]
+ROWS = [*(name for name, _, _ in compare.REGISTRATION_VARIANTS[:2]), "flattened, similarity"]
 
 
 @pytest.fixture(scope="module")
@@ -141,14 +136,14 @@ def test_a_repeated_run_has_the_same_bytes(passes, linked_run):
 
 def test_files_that_differ_are_named_and_those_of_maps_counted(linked_run, tmp_path, capsys):
     other = Path(shutil.copytree(linked_run, tmp_path / "other"))
-    _compare(linked_run, other)
+    runs._compare(linked_run, other)
     assert f"{other}: same bytes as {linked_run}" in capsys.readouterr().err
     chunks = sorted((other / "maps.zarr/linked/image/c").rglob("[0-9]"))
     for path in (*chunks, other / "maps.zarr/maps/u/zarr.json", other / "figures.csv"):
         if path.is_file():
             path.write_bytes(path.read_bytes() + b" ")
     count = 1 + sum(path.is_file() for path in chunks)
-    _compare(linked_run, other)
+    runs._compare(linked_run, other)
     said = f"{other}: {count} files of maps.zarr (linked, maps), figures.csv differ from {linked_run}"
     assert said in capsys.readouterr().err
 
@@ -158,14 +153,14 @@ def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked
     other = Path(shutil.copytree(linked_run, tmp_path / "other"))
     study = read_study(other / "run.toml")
     hashes = [layer.source.sha256 for layer in open_results(other).layers]
-    assert sheets_of(other, study, hashes).ready.keys() == {"sheet"}
-    assert open_sheet(other).unchanged
+    assert cached_maps.sheets_of(other, study, hashes).ready.keys() == {"sheet"}
+    assert run.open_sheet(other).unchanged
     results = open_results(other)
     assert len(results.code) == 16
     (other / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
-    assert sheets_of(other, study, hashes) == MappedSheets()
-    assert not open_sheet(other).unchanged
-    _compare(other, linked_run)
+    assert cached_maps.sheets_of(other, study, hashes) == layers.MappedSheets()
+    assert not run.open_sheet(other).unchanged
+    runs._compare(other, linked_run)
     said = f"results.json differs from {other}, which was made by other code (planish {results.planish})"
     assert said in capsys.readouterr().err
 

@@ -13,16 +13,16 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from folders import refused
-from planish.analyze.params import CorrelateParams
+from planish.analyze import CorrelateParams
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.grid import Grid
-from planish.io.params import ImageParams, VolumeParams
-from planish.marks.regions import Region, Regions, geojson_text, read_regions
+from planish.io import ImageParams, VolumeParams
+from planish.marks import Region, Regions, geojson_text, read_regions
 from planish.marks.regions.model import nested
 from planish.results import Results
-from planish.run import correlate_maps, link, open_run
+from planish.run import LayerParams, Study, correlate_maps, link, open_run, read_study
 from planish.run.regions import region_facts, regions_on
-from planish.run.study import LayerParams, Study, read_study, write_study
+from planish.run.study import write_study
 from report.runs import a_run, page_of
 
 SQUARE = [[10, 10], [30, 10], [30, 30], [10, 30], [10, 10]]

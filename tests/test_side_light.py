@@ -7,7 +7,7 @@ from scipy import ndimage
 import planish as pl
 from planish.analyze import texture_lag, textures
 from planish.core.grid import Grid
-from planish.report.tables import _SIDE_LIGHT, comparison_sentence
+from planish.report import tables
 from planish.results import Results
 from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, make_specimen
 from planish.synthetic.camera import image_material
@@ -49,7 +49,7 @@ def test_a_displacement_towards_the_light_raises_r_only_under_light_from_one_sid
     found = textures(known, use, Grid.of(image).pixel_um).with_slopes("face")
     lag = texture_lag(found, ["coating", "face_x", "face_y"], "image", slopes=2, reach_um=150.0)
     print(f"{paper}, shading {shading}: {towards:.3f}, {right:.3f}, {away:.3f}; light {lag.light:.2f}")
-    assert (lag.light < _SIDE_LIGHT) == diffuse
+    assert (lag.light < tables._SIDE_LIGHT) == diffuse
     assert lag.length_um < 1.0  # with the slopes beside the coating, the lag stays right
     assert away < right  # by 0.02 and more
     if diffuse:
@@ -67,7 +67,7 @@ def sentence_with(light: float) -> str:
     layers = (layer.model_copy(update={"registration": registration}), *results.layers[1:])
     apart = {"difference": 0.1, "difference_interval": (0.05, 0.15)}
     rows = tuple(row.model_copy(update=apart) for row in results.comparison)
-    return comparison_sentence(results.model_copy(update={"layers": layers, "comparison": rows}))
+    return tables.comparison_sentence(results.model_copy(update={"layers": layers, "comparison": rows}))
 
 
 def test_the_page_cautions_where_the_image_shows_slopes():

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from planish.series.plan import read_plan
+from planish.series import read_plan
 
 ROOT = Path(__file__).resolve().parents[1]
 STUDIES = ROOT / "examples" / "studies"

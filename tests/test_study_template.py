@@ -8,9 +8,7 @@ import pytest
 import tifffile
 
 from planish.core.options import Params
-from planish.run.build import study_of
-from planish.run.study import Study, as_study, in_study_words, read_study
-from planish.run.study_template import draft_study
+from planish.run import Study, as_study, draft_study, in_study_words, read_study, study_of
 
 KEY = re.compile(r"^#(\w+) = ([^#]*)", re.MULTILINE)
 

@@ -5,7 +5,7 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.analyze.sides import texture_of
+from planish.analyze import texture_of
 
 PIXEL_UM = 5.0
 

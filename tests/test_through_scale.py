@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.checks import CHECKS, MeasuredSheet, RegisteredSheet
-from planish.checks.through_scale import estimate, judge_marks, scale_from_thickness
+from planish.checks import CHECKS, MeasuredSheet, RegisteredSheet, through_scale
 from planish.core.frame import Frame
 from planish.flatten import flatten_sheet, places_when_scaled
 from planish.register import Pairs, find_through_scale, fit_transform
@@ -61,8 +60,10 @@ def checked(seen, *, count=16, error_um=0.7, linear=None, wrong_um=0.0, seed=1, 
     fixed[0] += wrong_um
     fit = fit_transform(at, fixed, model=model, lowest="similarity")
     registered = RegisteredSheet(measured=seen, flat=flat, fit=fit)
-    found = estimate(registered)
-    return found, None if found is None else judge_marks(BY_MARKS, registered, found, scale_from_thickness(seen))
+    found = through_scale.estimate(registered)
+    return found, None if found is None else through_scale.judge_marks(
+        BY_MARKS, registered, found, through_scale.scale_from_thickness(seen)
+    )
 
 
 def turned_onto(places, truth):
@@ -139,8 +140,8 @@ def test_a_plane_sheet_cannot_tell_a_spacing_from_a_stretch():
     flat, at, places = marks(wrong, 16)
     fixed = places * [np.sqrt(1 + 0.49), 1] + np.random.default_rng(0).normal(0, 0.5, at.shape)
     registered = RegisteredSheet(measured=wrong, flat=flat, fit=fit_transform(at, fixed, model="affine"))
-    found = estimate(registered)
-    check = judge_marks(BY_MARKS, registered, found, scale_from_thickness(wrong))
+    found = through_scale.estimate(registered)
+    check = through_scale.judge_marks(BY_MARKS, registered, found, through_scale.scale_from_thickness(wrong))
     assert (found.scale, check.state) == (pytest.approx(2, abs=0.05), "look")
     assert "explains it as well" in check.sentence
 
@@ -184,7 +185,7 @@ def test_a_sheet_seen_from_the_low_end_of_its_axis():
 
 @pytest.mark.parametrize("stated", [2.0, 1.5, 1.0, 0.5])
 def test_thickness_against_slope_is_exact_without_noise(stated):
-    found = scale_from_thickness(sheet(stated, slope=0.8))
+    found = through_scale.scale_from_thickness(sheet(stated, slope=0.8))
     assert found.scale == pytest.approx(1 / stated, rel=0.01)
     check = BY_THICKNESS(MeasuredSheet(None, sheet(stated, slope=0.8, grain=0.05)))
     assert check.state == ("pass" if stated == 1 else "look")
@@ -194,8 +195,8 @@ def test_thickness_tells_a_spacing_from_a_stretch():
     """Half the spacing on a sheet whose marks fit a stretch as well: the thickness decides."""
     seen = sheet(0.5, slope=0.8, grain=0.05)
     found, _ = checked(seen, slope=0.8)
-    slope = scale_from_thickness(seen)
+    slope = through_scale.scale_from_thickness(seen)
     doubtful = type(found)(**{k: getattr(found, k) for k in found.__slots__} | {"over_stretch": 0.0})
-    check = judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
+    check = through_scale.judge_marks(BY_MARKS, RegisteredSheet(measured=seen, flat=None, fit=None), doubtful, slope)
     assert check.state == "fail"
     assert "Thickness against slope asks for the same" in check.sentence

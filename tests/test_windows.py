@@ -20,11 +20,9 @@ from marks import files_by_hand as by_hand
 from planish.core.errors import FileError
 from planish.core.files import INSIDE, check_length, fault_of_name, move, refuse_name, write_whole
 from planish.core.tiles import Engine
-from planish.io import guard, read_volume
-from planish.io.run_folder import new_folder, refuse_existing
-from planish.io.store import write_store
-from planish.marks.exchange import read_any
-from planish.run.study import as_study, read_study
+from planish.io import guard, new_folder, read_volume, refuse_existing, write_store
+from planish.marks import read_any
+from planish.run import as_study, read_study
 from planish.surface import find_surfaces
 
 ROOT = Path(__file__).resolve().parents[1]

@@ -4,9 +4,7 @@ import numpy as np
 import xarray as xr
 from scipy import fft, ndimage
 
-from planish.analyze import CorrelateParams
-from planish.analyze.covariance import Lags
-from planish.analyze.diagnostics import ComparedMaps
+from planish.analyze import CorrelateParams, covariance, diagnostics
 from planish.analyze.ncc import MaskedNcc
 from planish.core.grid import Grid
 
@@ -50,12 +48,12 @@ def compared(maps, lags, *, a=("sheet", "coating_top"), b=("image", "image"), un
     grid = Grid.regular(lags.is_valid.shape, lags.pixel_um)
     layers = tuple(xr.Dataset({name: (("y", "x"), m)}) for (_, name), m in zip((a, b), maps, strict=True))
     options = {"params": CorrelateParams(), "layers": layers, "grid": grid} | more
-    return ComparedMaps(a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options)
+    return diagnostics.ComparedMaps(a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options)
 
 
 def lags_of(values, cell_um):
     """Lags of the cells of a map that are known."""
-    return Lags(np.isfinite(values), cell_um)
+    return covariance.Lags(np.isfinite(values), cell_um)
 
 
 def by_shift(b, reach, *, sign=0):

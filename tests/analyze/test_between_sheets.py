@@ -4,8 +4,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from planish.analyze import Fields, equivalence, holm, p_of_tables, paired_over_sheets, two_groups
-from planish.analyze.between_sheets import power_of_shift, shift_seen
+from planish.analyze import Fields, between_sheets, equivalence, holm, p_of_tables, paired_over_sheets, two_groups
 from planish.core.errors import InputError
 
 
@@ -107,4 +106,6 @@ def test_the_smallest_difference_that_is_seen_has_the_power_and_a_margin_is_abov
 @pytest.mark.parametrize("free", [2.0, 3.0, 3.9, 4.0, 7.3, 40.0, 3000.0])
 def test_the_smallest_difference_that_is_seen_has_that_power_at_any_degrees_of_freedom(free):
     for power in (0.1, 0.8, 0.99):
-        assert power_of_shift(shift_seen(power, free), free) == pytest.approx(power, abs=1e-8)
+        assert between_sheets.power_of_shift(between_sheets.shift_seen(power, free), free) == pytest.approx(
+            power, abs=1e-8
+        )

@@ -6,9 +6,7 @@ from hypothesis import strategies as st
 
 import planish as pl
 from analyze.fields import exact_n_eff, gaussian_maps, related_maps
-from planish.analyze import PairSums, correlate, pearson
-from planish.analyze.correlation import PairAtSizes
-from planish.analyze.covariance import Lags, PairCovariances
+from planish.analyze import PairAtSizes, PairSums, correlate, covariance, pearson
 from planish.core.errors import InputError, PlanishError, SizeError
 
 
@@ -114,7 +112,9 @@ def test_sums_by_lag_and_n_eff_equal_those_over_all_pairs_of_points(masked):
     shape = (17, 23)
     x, y = related_maps(rng, shape, 3.0, 0.4)
     known = holed(shape, rng) if masked else np.ones(shape, bool)
-    found = PairCovariances(np.where(known, x, 9.0), np.where(known, y, -9.0), Lags(known, (1.0, 1.0)))
+    found = covariance.PairCovariances(
+        np.where(known, x, 9.0), np.where(known, y, -9.0), covariance.Lags(known, (1.0, 1.0))
+    )
     at = np.argwhere(known)
     lag = at[None, :] - at[:, None]
     values = [m[known] - m[known].mean() for m in (x, y)]

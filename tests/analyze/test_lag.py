@@ -6,8 +6,7 @@ from scipy import fft, ndimage
 
 from analyze.fields import by_shift
 from folders import refused
-from planish.analyze import Registration, cross_fitted, in_band, searched_null, texture_lag, textures
-from planish.analyze.ncc import MARGIN, MaskedNcc, find_peak, within
+from planish.analyze import Registration, cross_fitted, in_band, ncc, searched_null, texture_lag, textures
 from planish.core.errors import CannotMeasure, SizeError
 
 PAD = 16
@@ -47,7 +46,7 @@ def test_the_transforms_give_what_direct_sums_give():
     a, b = rng.normal(5.0, 2.0, (19, 23)), rng.normal(-300.0, 0.1, (19, 23))
     known_a, known_b = rng.random((2, 19, 23)) > 0.25
     a[~known_a], b[~known_b] = 1e6, -1e6
-    r = MaskedNcc(a, a_valid=known_a, b_valid=known_b, reach=(5, 6))(b)
+    r = ncc.MaskedNcc(a, a_valid=known_a, b_valid=known_b, reach=(5, 6))(b)
     for dy in range(-5, 6):
         for dx in range(-6, 7):
             x, y = [], []
@@ -90,10 +89,10 @@ def test_the_standard_error_is_what_the_lags_scatter_by():
 
 def test_the_peak_of_the_sign_that_is_asked_for_is_found():
     reach = (12, 12)
-    y, x = np.mgrid[-12 - MARGIN : 13 + MARGIN, -12 - MARGIN : 13 + MARGIN]
+    y, x = np.mgrid[-12 - ncc.MARGIN : 13 + ncc.MARGIN, -12 - ncc.MARGIN : 13 + ncc.MARGIN]
     r = 0.5 * np.exp(-((y - 3) ** 2 + x**2) / 8) - 0.8 * np.exp(-((y + 5) ** 2 + (x - 4) ** 2) / 8)
     for sign, at, height in ((1, (0.0, 3.0), 0.5), (-1, (4.0, -5.0), -0.8), (0, (4.0, -5.0), -0.8)):
-        peak = find_peak(r, within(reach), sign)
+        peak = ncc.find_peak(r, ncc.within(reach), sign)
         assert sorted(peak.at) == pytest.approx(sorted(at), abs=0.05)
         assert peak.r == pytest.approx(height, abs=0.01)
 

@@ -6,8 +6,7 @@ from scipy import fft
 
 from analyze.fields import gaussian_maps
 from folders import refused
-from planish.analyze import half_bit, ring_correlation
-from planish.analyze.octaves import spectrum_of, window_of
+from planish.analyze import half_bit, octaves, ring_correlation
 from planish.core.errors import CannotMeasure, InputError
 
 SHAPE, LENGTH, NOISE = (120, 160), 6.0, 1.0
@@ -56,8 +55,8 @@ def test_rings_are_sums_over_single_waves():
     a, b = a[:30, :40], b[:30, :40]
     found = ring_correlation(a, b, pixel_um=2.0).rings
     known = np.ones(a.shape, bool)
-    window = window_of(known)
-    one, two = (spectrum_of(m, known, window) for m in (a, b))
+    window = octaves.window_of(known)
+    one, two = (octaves.spectrum_of(m, known, window) for m in (a, b))
     joined = a.size * np.sum(window**4) / np.sum(window**2) ** 2
     width = math.sqrt(joined) / 60.0
     sums = {}

@@ -6,16 +6,14 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps, related_maps
-from planish.analyze import correlate, second_opinion
-from planish.analyze.correlation import BANDWIDTH
-from planish.analyze.covariance import Lags
+from planish.analyze import correlate, correlation, covariance, second_opinion
 from planish.analyze.second_opinion import critical_value
 
 
 def drawn_critical(known, draws=4000):
     """How many estimated standard errors the mean of independent values is off in 5 %."""
-    rng, lags = np.random.default_rng(0), Lags(known, (1.0, 1.0))
-    weight = np.maximum(1 - lags.distance_um / (BANDWIDTH * min(known.shape)), 0.0)
+    rng, lags = np.random.default_rng(0), covariance.Lags(known, (1.0, 1.0))
+    weight = np.maximum(1 - lags.distance_um / (correlation.BANDWIDTH * min(known.shape)), 0.0)
     found = []
     for _ in range(draws):
         values = np.where(known, rng.normal(size=known.shape), 0.0)

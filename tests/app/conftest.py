@@ -15,7 +15,7 @@ import pytest
 import tifffile
 
 from folders import make_once
-from planish.app.session import Session
+from planish.app import Session
 from planish.cli import main
 from planish.run import link, open_run
 from planish.synthetic import DEMO, make_specimen, write_instruments

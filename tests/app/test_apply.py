@@ -13,14 +13,10 @@ import pytest
 
 from app.asgi import HOST, TOKEN, Client
 from folders import bytes_of
-from planish.app.apply import STAGED, OriginalRun, order_of, place_of
+from planish.app import Session, apply, changes, create_app
 from planish.app.applying import Applying, Busy
-from planish.app.changes import change_of
-from planish.app.server import create_app
-from planish.app.session import Session
 from planish.results import Results
-from planish.run import open_run, run_study
-from planish.run.study import read_study
+from planish.run import open_run, read_study, run_study
 
 UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")
 
@@ -46,17 +42,17 @@ def opened(run, image=None, **more):
 
 
 def do(session, **change):
-    return session.change(change_of(json.dumps(change)))
+    return session.change(changes.change_of(json.dumps(change)))
 
 
 def ordered(session):
-    return order_of(OriginalRun.of(session), session.state, session.folder / STAGED)
+    return apply.order_of(apply.OriginalRun.of(session), session.state, session.folder / apply.STAGED)
 
 
 def made(session):
     """Apply in this process: the new run."""
-    order, staged = ordered(session), session.folder / STAGED
-    out = place_of(session.folder, linked=session.image_params is not None)
+    order, staged = ordered(session), session.folder / apply.STAGED
+    out = apply.place_of(session.folder, linked=session.image_params is not None)
     staged.mkdir(parents=True, exist_ok=True)
     for name, text in order.files.items():
         (staged / name).write_text(text)
@@ -127,7 +123,7 @@ def test_marks_keep_what_is_known_of_them(run):
     for side in ("moving", "fixed"):  # what was burnt is still there
         alone = [one["at"] for one in marks.values() if one["at"].keys() == {side} and one["label"] != "mine"]
         assert alone == [{side: old[third.label]["at"][side]}]
-    assert order.study.registration.marks == str(run / STAGED / "marks.json")
+    assert order.study.registration.marks == str(run / apply.STAGED / "marks.json")
 
 
 def test_regions_stand_in_the_order_as_they_were_drawn(run):
@@ -138,7 +134,7 @@ def test_regions_stand_in_the_order_as_they_were_drawn(run):
     (feature,) = json.loads(order.files["regions.geojson"])["features"]
     assert feature["properties"] == {"name": "spot", "author": "A", "reason": "grease"}
     assert feature["geometry"]["coordinates"] == [[*corners, corners[0]]]
-    assert order.study.correlate.regions == str(run / STAGED / "regions.geojson")
+    assert order.study.correlate.regions == str(run / apply.STAGED / "regions.geojson")
     assert order.study.registration.marks is None
 
 
@@ -152,7 +148,7 @@ def test_regions_stand_in_the_order_as_they_were_drawn(run):
 def test_the_new_run_stands_beside_the_old_one(tmp_path, name, linked, there, wanted):
     for folder in (name, *there):
         (tmp_path / folder).mkdir()
-    assert place_of(tmp_path / name, linked=linked) == tmp_path / wanted
+    assert apply.place_of(tmp_path / name, linked=linked) == tmp_path / wanted
 
 
 # --- the run ---------------------------------------------------------------------------------------------------------
@@ -307,7 +303,7 @@ def test_a_process_makes_the_run_and_says_how_far_it_is(run):
     assert open_run(run.with_name("run-2")).results.layers[0].registration.model == "similarity"
     assert applied.reports[end.report.rpartition("/")[2]] == run.with_name("run-2") / "report.html"
     assert sorted(p.name for p in run.parent.iterdir()) == ["run", "run-2"]
-    assert not (run / STAGED).exists()
+    assert not (run / apply.STAGED).exists()
 
 
 @pytest.mark.study
@@ -320,7 +316,7 @@ def test_what_cannot_be_applied_is_said_and_nothing_is_left(run):
         assert (end.state, end.run) == ("failed", None)
         assert "2 pairs of marks in use" in end.message
         assert [p.name for p in run.parent.iterdir()] == ["run"]
-        assert not (run / STAGED).exists()
+        assert not (run / apply.STAGED).exists()
 
 
 @pytest.mark.study
@@ -364,7 +360,7 @@ def test_a_cancel_at_any_moment_leaves_nothing(run):
             if end.run is not None:
                 shutil.rmtree(end.run)
             assert [p.name for p in run.parent.iterdir()] == ["run"]
-            assert not (run / STAGED).exists()
+            assert not (run / apply.STAGED).exists()
 
 
 @pytest.mark.study
@@ -386,7 +382,7 @@ def test_a_server_that_is_killed_in_mid_apply_leaves_nothing(run, stage):
         server.stdout.close()
     wait_for(lambda: not Path(f"/proc/{worker}").exists(), 20)
     assert [p.name for p in run.parent.iterdir()] == ["run"]
-    assert not (run / STAGED).exists()
+    assert not (run / apply.STAGED).exists()
 
 
 @pytest.mark.study
@@ -402,11 +398,11 @@ def test_what_both_left_when_they_were_killed_goes_at_the_next_start(run):
         assert "ended without a word" in end.message
         assert [p.name for p in run.parent.iterdir()] == ["run"]
         # As if the server had gone first.
-        (run / STAGED).mkdir()
-        (run / STAGED / "target").write_text(str(run.with_name("run-2")))
+        (run / apply.STAGED).mkdir()
+        (run / apply.STAGED / "target").write_text(str(run.with_name("run-2")))
         work = run.with_name(".run-2.work")
         work.mkdir()
         (work / "planish-work-folder").write_text("Results of single tiles")
     with opened(run) as session, applying(session):
         assert [p.name for p in run.parent.iterdir()] == ["run"]
-        assert not (run / STAGED).exists()
+        assert not (run / apply.STAGED).exists()

@@ -7,9 +7,8 @@ import pytest
 import tifffile
 
 from app.marks_page import api, expect, settled
+from planish.app import Session, snap
 from planish.app.pictures import Pictures
-from planish.app.session import Session
-from planish.app.snap import hole_at
 
 pytestmark = pytest.mark.study
 
@@ -45,7 +44,7 @@ def test_a_hole_is_searched_on_the_plane_of_the_next_layer(chained, monkeypatch)
         assert session.shown_by("b", "fixed") == ("fixed", "c")
         monkeypatch.setattr(Session, "holes", lambda *_: {"moving": None, "fixed": None})
         for mark in marks:
-            found = hole_at(session, pictures, "a", "fixed", mark.fixed.xy)
+            found = snap.hole_at(session, pictures, "a", "fixed", mark.fixed.xy)
             assert found is not None
             np.testing.assert_allclose(found.xy, mark.fixed.xy, atol=2.0)
         pixel = pictures.on("moving", "b")[0].grid.pixel_um

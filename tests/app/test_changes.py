@@ -5,19 +5,21 @@ import random
 
 import pytest
 
-from planish.app.changes import ChangeError, Mark, State, applied, change_of, numbered
+from planish.app import changes
 
 
-def state() -> State:
+def state() -> changes.State:
     marks = tuple(
-        Mark.model_validate({"id": f"m0-{k}", "label": f"hole {k}", "moving": (1.0 * k, 2.0), "fixed": (3.0, 1.0 * k)})
+        changes.Mark.model_validate(
+            {"id": f"m0-{k}", "label": f"hole {k}", "moving": (1.0 * k, 2.0), "fixed": (3.0, 1.0 * k)}
+        )
         for k in (1, 2, 3)
     )
-    return State(marks={"sheet": marks, "other": ()}, first="sheet")
+    return changes.State(marks={"sheet": marks, "other": ()}, first="sheet")
 
 
-def after(one: State, line: int, **change: object) -> State:
-    return applied(one, numbered(change_of(json.dumps(change)), line))
+def after(one: changes.State, line: int, **change: object) -> changes.State:
+    return changes.applied(one, changes.numbered(changes.change_of(json.dumps(change)), line))
 
 
 def test_added_and_imported_marks_get_the_id_of_their_line():
@@ -59,7 +61,7 @@ def test_a_moved_end_is_clicked_and_a_change_leaves_the_state_before():
     ],
 )
 def test_what_cannot_be_done_is_refused(change):
-    with pytest.raises(ChangeError):
+    with pytest.raises(changes.ChangeError):
         after(state(), 1, **change)
 
 
@@ -75,12 +77,12 @@ def test_what_cannot_be_done_is_refused(change):
     ],
 )  # fmt: skip
 def test_what_is_no_change_is_refused(text):
-    with pytest.raises(ChangeError, match="This is no change"):
-        change_of(text)
+    with pytest.raises(changes.ChangeError, match="This is no change"):
+        changes.change_of(text)
 
 
 # --- undo and redo against a slow model ------------------------------------------------------------------------------
-def random_change(draw: random.Random, now: State) -> dict[str, object]:
+def random_change(draw: random.Random, now: changes.State) -> dict[str, object]:
     ids = [m.id for m in now.of(None)]
     point = [draw.uniform(0, 100), draw.uniform(0, 100)]
     kinds = ["add", "model", "region", "correct"] + (["move", "use", "delete", "label"] * 2 if ids else [])

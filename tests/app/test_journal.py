@@ -15,10 +15,10 @@ import pytest
 
 from app.test_changes import random_change
 from folders import refused
+from planish.app import Session, changes
 from planish.app import journal as module
-from planish.app.changes import ChangeError, change_of
 from planish.app.journal import InUse, Journal
-from planish.app.session import Session, Stale
+from planish.app.session import Stale
 from planish.core.errors import FileError, ResourceError
 
 
@@ -33,7 +33,7 @@ def path(tmp_path) -> Path:
 
 
 def change(session: Session, **values: object) -> None:
-    session.change(change_of(json.dumps(values)))
+    session.change(changes.change_of(json.dumps(values)))
 
 
 def standing(session: Session) -> list[object]:
@@ -152,7 +152,7 @@ def test_undo_and_redo_survive_a_new_start(run):
     second.undo()
     second.undo()
     assert standing(second) == begin
-    refused(ChangeError, "nothing to undo", second.undo)
+    refused(changes.ChangeError, "nothing to undo", second.undo)
     second.close()
 
 
@@ -217,7 +217,7 @@ def test_a_hundred_sequences_of_changes_undo_and_redo(run, seed, monkeypatch):
                 case "start":
                     session = restarted(session)
                 case _:
-                    session.change(change_of(json.dumps(random_change(draw, session.state))))
+                    session.change(changes.change_of(json.dumps(random_change(draw, session.state))))
                     done.append(standing(session))
                     undone.clear()
             assert standing(session) == done[-1]

@@ -10,7 +10,7 @@ from app.marks_page import IMAGE, VOLUME, ends, expect, message, pair, settled
 from app.test_maps_page import RIGHT, cursor_gives_the_pixel
 from app.test_surfaces_page import Shown, face_lies_on_the_top
 from planish.core.frame import Frame
-from planish.io.run_folder import read_group
+from planish.io import read_group
 from planish.run import open_run
 
 pytestmark = pytest.mark.study

@@ -8,11 +8,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planish.app.changes import Import, Mark, change_of
-from planish.app.fits import find_outliers, fitted
+from planish.app import changes, fits, snap
 from planish.app.live import Live
 from planish.app.pictures import Pictures
-from planish.app.snap import snapped
 from planish.register import RegistrationParams, fit_transform
 
 PARAMS = RegistrationParams()
@@ -21,10 +19,10 @@ SIX = np.array([[597, 394], [1475, 609], [1045, 652], [408, 690], [746, 891], [1
 TURN = np.array([[0.99, 0.12], [-0.12, 0.99]])
 
 
-def marks_of(moving, fixed, used=None) -> tuple[Mark, ...]:
+def marks_of(moving, fixed, used=None) -> tuple[changes.Mark, ...]:
     used = [True] * len(moving) if used is None else used
     return tuple(
-        Mark.model_validate(
+        changes.Mark.model_validate(
             {"id": f"m0-{k}", "label": f"hole {k}", "used": u, "moving": tuple(a), "fixed": tuple(b)}
         )
         for k, (a, b, u) in enumerate(zip(moving.tolist(), fixed.tolist(), used, strict=True), 1)
@@ -39,7 +37,7 @@ def pairs(n: int, seed: int, error_um: float = 2.0):
 
 
 def shown(moving, fixed, model="similarity", used=None, **how):
-    return fitted(marks_of(moving, fixed, used), model, mirrored=False, params=PARAMS, **how)
+    return fits.fitted(marks_of(moving, fixed, used), model, mirrored=False, params=PARAMS, **how)
 
 
 @pytest.mark.parametrize("quick", [True, False])
@@ -82,18 +80,18 @@ def test_right_marks_are_seldom_named(n):
     named = 0
     for seed in range(200):
         moving, fixed, _ = pairs(n, seed, error_um=4.0)
-        named += bool(find_outliers(moving, fixed, False, tolerance_um=25).any())
+        named += bool(fits.find_outliers(moving, fixed, False, tolerance_um=25).any())
     assert named < 8
 
 
 def test_mirrored_marks_agree_when_the_planes_show_both_sides():
     moving, fixed, _ = pairs(6, 3)
     turned = moving * (-1, 1)
-    found = fitted(marks_of(turned, fixed), "similarity", mirrored=True, params=PARAMS)
+    found = fits.fitted(marks_of(turned, fixed), "similarity", mirrored=True, params=PARAMS)
     assert found.fit is not None
     assert found.fit.rms_um < 4
     assert not found.outliers.any()
-    other = fitted(marks_of(turned, fixed), "similarity", mirrored=False, params=PARAMS)
+    other = fits.fitted(marks_of(turned, fixed), "similarity", mirrored=False, params=PARAMS)
     assert "handedness" in other.error
     assert np.isnan(other.residual_um).all()
 
@@ -152,8 +150,8 @@ def test_a_stated_error_of_a_predicted_place_holds():
 
 
 # --- on a run ------------------------------------------------------------------------------------------------------
-def imported(moving, fixed) -> Import:
-    return Import(marks=marks_of(moving, fixed))
+def imported(moving, fixed) -> changes.Import:
+    return changes.Import(marks=marks_of(moving, fixed))
 
 
 def followed(live: Live, layer: str) -> dict:
@@ -179,7 +177,7 @@ def test_a_fit_that_follows_is_a_new_version(session):
     followed(live, layer)
     heard: list[int] = []
     session.listen(lambda: heard.append(session.version))
-    session.change(change_of('{"do": "model", "model": "tps"}'))
+    session.change(changes.change_of('{"do": "model", "model": "tps"}'))
     changed_at = session.version
     live.shown(layer)
     found = followed(live, layer)
@@ -194,9 +192,9 @@ def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
     before = session.state.of(layer)
     for mark in before:
         rough = {p: [v + draw.normal(0, 4) for v in getattr(mark, p).xy] for p in ("moving", "fixed")}
-        session.change(change_of(json.dumps({"do": "move", "id": mark.id} | rough)))
+        session.change(changes.change_of(json.dumps({"do": "move", "id": mark.id} | rough)))
     for mark in session.state.of(layer):
-        session.change(snapped(session, pictures, layer, mark))
+        session.change(snap.snapped(session, pictures, layer, mark))
     for old, new in zip(before, session.state.of(layer), strict=True):
         assert (new.moving, new.fixed) == (old.moving, old.fixed)
 
@@ -209,7 +207,7 @@ def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_
     none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
     monkeypatch.setattr(session, "holes", lambda _layer: none)
     marks = session.state.of(layer)
-    straight = [snapped(session, pictures, layer, mark) for mark in marks]
+    straight = [snap.snapped(session, pictures, layer, mark) for mark in marks]
     for mark, move in zip(marks, straight, strict=True):
         for end, old in ((move.moving, mark.moving), (move.fixed, mark.fixed)):
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
@@ -217,7 +215,7 @@ def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_
     facts = session.results.layer(layer).registration
     oblique = facts.model_copy(update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})})
     monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
-    moved = snapped(session, pictures, layer, marks[0])
+    moved = snap.snapped(session, pictures, layer, marks[0])
     assert moved.moving.xy == pytest.approx((straight[0].moving.x + 3.0, straight[0].moving.y - 2.0))
     assert moved.fixed == straight[0].fixed
 
@@ -229,12 +227,12 @@ def test_a_click_is_answered_within_its_time(session):
     session.change(imported(*pairs(30, 1)[:2]))
     first = session.state.of(layer)[0].id
     for model, limit_s in (("similarity", 0.05), ("affine", 0.05), ("tps", 0.25), ("auto", 0.25)):
-        session.change(change_of(json.dumps({"do": "model", "model": model})))
+        session.change(changes.change_of(json.dumps({"do": "model", "model": model})))
         followed(live, layer)
         answers, ends = [], []
         for k in range(9):
             begin, clock = time.process_time(), time.perf_counter()
-            session.change(change_of(json.dumps({"do": "move", "id": first, "moving": [600 + k, 400]})))
+            session.change(changes.change_of(json.dumps({"do": "move", "id": first, "moving": [600 + k, 400]})))
             live.shown(layer)
             answers.append(time.perf_counter() - clock)
             followed(live, layer) if model in ("tps", "auto") else None

@@ -9,12 +9,11 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.app import selection
-from planish.app.pictures import Pictures, Tiles, group_pictures
+from planish.app import pictures, selection
 from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
 from planish.core.area import halved, overviews
 from planish.core.errors import InputError
-from planish.io.run_folder import write_tree
+from planish.io import write_tree
 from planish.report import colours
 from planish.run import open_run
 
@@ -42,7 +41,7 @@ def tiles(maps, tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     smaller = {f"overviews/linked/{k}": one for k, one in enumerate(overviews(maps), 1)}
     write_tree(folder / "maps.zarr", {"linked": maps} | smaller)
-    return Tiles(Pictures(group_pictures(folder, "linked", plane="fixed", layer="image")))
+    return pictures.Tiles(pictures.Pictures(pictures.group_pictures(folder, "linked", plane="fixed", layer="image")))
 
 
 @pytest.fixture(scope="module")
@@ -109,7 +108,7 @@ def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatc
 def test_both_ends_of_a_mark_show_one_place_of_the_volume(passes, request, tmp_path, posed):
     files = request.getfixturevalue(posed)
     passes("link", files.volume, files.image, *files.options, "-o", tmp_path / "run", codes=(0, 4))
-    tiles = Tiles(Pictures.of(tmp_path / "run"))
+    tiles = pictures.Tiles(pictures.Pictures.of(tmp_path / "run"))
     by = {(p.plane, p.name): p for p in tiles.pictures}
     (marks,) = (one.marks for one in open_run(tmp_path / "run").registrations.values())
     pairs = marks[["moving_x", "moving_y", "fixed_x", "fixed_y"]].to_dataframe().dropna()

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from app.marks_page import IMAGE, VOLUME, ends, expect, message, pair, settled
-from planish.io.run_folder import read_group
+from planish.io import read_group
 from planish.run import Registration, open_run
 
 pytestmark = pytest.mark.study

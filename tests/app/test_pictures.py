@@ -9,14 +9,12 @@ import xarray as xr
 from PIL import Image
 
 from planish.app import picture as computed_levels
-from planish.app import pictures
+from planish.app import pictures, strain
 from planish.app.picture import Codes, ComputedLevels, trim
 from planish.app.pictures import TILE, Pictures, Tiles, group_pictures
-from planish.app.strain import STRAINS
 from planish.core.area import overviews
 from planish.core.errors import InputError
-from planish.io import ImageParams, map_store, read_image
-from planish.io.run_folder import write_tree
+from planish.io import ImageParams, map_store, read_image, write_tree
 
 SHAPE = (1500, 2101)  # 2 overviews and an odd number of columns
 
@@ -240,7 +238,7 @@ def test_pictures_of_a_linked_run(linked_run):
     with xr.open_datatree(linked_run / "maps.zarr", engine="zarr") as tree:
         for plane, group in (("moving", "maps"), ("fixed", "linked")):
             drawn = {str(n) for n, data in tree[group].data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
-            assert {name for of, name in found if of == plane} - set(STRAINS) == drawn
+            assert {name for of, name in found if of == plane} - set(strain.STRAINS) == drawn
             data = tree[group]["coating_top"]
             rows, cols = data.dims
             facts = found[plane, "coating_top"].facts

@@ -10,11 +10,9 @@ import numpy as np
 import pytest
 
 from app.asgi import HOST, TOKEN, Client, run_apart
-from planish.app.marks_routes import get_events
-from planish.app.server import create_app
-from planish.app.session import Session
+from planish.app import Session, create_app, marks_routes
 from planish.core.errors import FileError, SizeError
-from planish.io.params import ImageParams
+from planish.io import ImageParams
 from planish.run import open_run
 
 
@@ -109,7 +107,7 @@ def test_every_window_hears_of_a_change(client, session):
 
     async def listen() -> list[dict[str, int]]:
         request = type("Request", (), {"app": client.app})()
-        lines = (await get_events(request)).body_iterator
+        lines = (await marks_routes.get_events(request)).body_iterator
         found = [json.loads(await anext(lines))]
         session.publish()
         found += [json.loads(await asyncio.wait_for(anext(lines), 2)) for _ in range(2)]

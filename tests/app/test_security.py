@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from app.asgi import HOST, TOKEN, Client
-from planish.app.server import HEADERS, MOST_BYTES, create_app
-from planish.app.session import Session
+from planish.app import Session, create_app
+from planish.app.server import HEADERS, MOST_BYTES
 
 READS = ("/api/session", "/api/state", "/api/predict?side=moving&x=1&y=2", "/api/marks/export?format=json")
 WRITES: dict[str, object] = {

@@ -9,14 +9,11 @@ import pytest
 import tifffile
 from scipy import ndimage
 
-from planish.app.changes import CorrectedPoint, Correction, State, changed_corrections, corrections_of, stretches_of
-from planish.app.slices import HEIGHTS, SlicedSheet, contour, sheets_of
-from planish.app.view_routes import slice_message
+from planish.app import changes, slices, view_routes
 from planish.cli import main
 from planish.core.errors import InputError
 from planish.core.frame import Frame
-from planish.run import open_run, run_study
-from planish.run.study import changed, read_study
+from planish.run import changed, open_run, read_study, run_study
 from planish.surface import Corrections, correct_surfaces
 
 
@@ -35,10 +32,10 @@ def folder(request) -> Path:
     return request.getfixturevalue("linked_run" if request.param == "upright" else "laid_run")
 
 
-def opened(folder: Path) -> SlicedSheet:
+def opened(folder: Path) -> slices.SlicedSheet:
     study = read_study(folder / "run.toml")
-    ((name, (params, store)),) = sheets_of(folder, study).items()
-    return SlicedSheet.open(name, params, store)
+    ((name, (params, store)),) = slices.sheets_of(folder, study).items()
+    return slices.SlicedSheet.open(name, params, store)
 
 
 def voxels(folder: Path) -> np.ndarray:
@@ -77,7 +74,7 @@ def test_the_lines_of_a_slice_are_the_surfaces_of_the_run(folder):
         cut = sheet.cut(direction, index)
         row = index // sheet.step
         lines = dict(zip(cut.facts.lines, cut.lines, strict=True))
-        for name in (*HEIGHTS, "status", "thickness_se"):
+        for name in (*slices.HEIGHTS, "status", "thickness_se"):
             np.testing.assert_array_equal(lines[name], np.take(surfaces[name].values, row, axis).astype(np.float32))
         normal = np.stack([lines[f"normal_{part}"] for part in ("rows", "cols", "through")])
         known = np.isfinite(normal).all(axis=0)
@@ -132,7 +129,7 @@ def test_a_slice_along_the_sheet_has_the_contours_of_its_surfaces(folder):
 def test_a_message_has_its_parts_at_places_of_four_bytes_and_contours_are_straight(linked_run):
     sheet = opened(linked_run)
     cut = sheet.cut(sheet.frame.rows, 40)
-    data = slice_message(cut)
+    data = view_routes.slice_message(cut)
     (length,) = struct.unpack("<I", data[:4])
     facts = json.loads(data[4 : 4 + length])
     assert length % 4 == 0
@@ -143,10 +140,10 @@ def test_a_message_has_its_parts_at_places_of_four_bytes_and_contours_are_straig
     top = np.frombuffer(data, "<f4", facts["columns"]["count"], at)
     np.testing.assert_array_equal(top, cut.lines[0])
     y, x = np.arange(5.0), np.arange(7.0)
-    found = contour(np.broadcast_to(x - 2.25, (5, 7)), x, y)
+    found = slices.contour(np.broadcast_to(x - 2.25, (5, 7)), x, y)
     np.testing.assert_allclose(found[:, [0, 2]], 2.25)
     assert np.hypot(found[:, 2] - found[:, 0], found[:, 3] - found[:, 1]).sum() == pytest.approx(4)
-    assert contour(np.full((5, 7), np.nan), x, y).shape == (0, 4)
+    assert slices.contour(np.full((5, 7), np.nan), x, y).shape == (0, 4)
 
 
 def stretch_in(surfaces, *, off_um=12.0):
@@ -158,15 +155,15 @@ def stretch_in(surfaces, *, off_um=12.0):
     for k in range(-10, 11, 4):
         place = {frame.through: surfaces["top"].values[row, col + k] + frame.sign * off_um,
                  frame.rows: surfaces["y"].values[row], frame.cols: surfaces["x"].values[col + k]}  # fmt: skip
-        points.append(CorrectedPoint(**{axis: float(place[axis]) for axis in "zyx"}, face="top"))
-    return int(row), Correction(id="c1", points=tuple(points), reach_um=40.0)
+        points.append(changes.CorrectedPoint(**{axis: float(place[axis]) for axis in "zyx"}, face="top"))
+    return int(row), changes.Correction(id="c1", points=tuple(points), reach_um=40.0)
 
 
 @pytest.mark.study
 def test_what_is_tried_shows_what_apply_makes(folder):
     sheet, surfaces = opened(folder), open_run(folder).groups["surfaces"]
     row, correction = stretch_in(surfaces)
-    asked = stretches_of([correction], "sheet", "sheet")
+    asked = changes.stretches_of([correction], "sheet", "sheet")
     cut = sheet.cut(sheet.frame.rows, row * sheet.step, corrections=asked)
     lines = dict(zip(cut.facts.lines, cut.lines, strict=True))
     corrected = correct_surfaces(surfaces, sheet.volume, asked)
@@ -179,8 +176,8 @@ def test_what_is_tried_shows_what_apply_makes(folder):
 def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_path):
     study, surfaces = read_study(linked_run / "run.toml"), open_run(linked_run).groups["surfaces"]
     _, correction = stretch_in(surfaces)
-    state = State(marks={}, corrections=(correction,))
-    ((name, made),) = changed_corrections(study, (), state.corrections).items()
+    state = changes.State(marks={}, corrections=(correction,))
+    ((name, made),) = changes.changed_corrections(study, (), state.corrections).items()
     file = tmp_path / "made.json"
     file.write_text(made.to_json(), encoding="utf-8")
     layers = tuple(
@@ -191,10 +188,10 @@ def test_corrections_become_a_file_of_the_new_run_and_come_back(linked_run, tmp_
     file.unlink()
     new = read_study(tmp_path / "new" / "run.toml")
     assert Path(str(new.layers[0].surface.corrections)) == tmp_path / "new" / "edits" / "surface.json"
-    (back,) = corrections_of(new)
+    (back,) = changes.corrections_of(new)
     assert (back.points, back.reach_um) == (correction.points, correction.reach_um)
-    assert changed_corrections(new, (back,), (back,)) == {}
-    assert changed_corrections(new, (back,), ()) == {"sheet": Corrections()}
+    assert changes.changed_corrections(new, (back,), (back,)) == {}
+    assert changes.changed_corrections(new, (back,), ()) == {"sheet": Corrections()}
     # Taken back, the run has the surfaces that it began with.
     bare = tuple(changed(one, surface=changed(one.surface, corrections=None)) for one in new.layers)
     run_study(changed(new, layers=bare), tmp_path / "back", old=tmp_path / "new")

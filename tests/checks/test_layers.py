@@ -7,12 +7,11 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.checks import CHECKS, check_scan
+from planish.checks import CHECKS, check_scan, sheets
 from planish.checks.greys import clipping, level_jump, noise_width
 from planish.checks.scan import voxels_through
-from planish.checks.sheets import find_particles
 from planish.checks.windows import window_of
-from planish.measure.registry import Greys
+from planish.measure import Greys
 
 LIGHTS = {light.name: light for light in CHECKS}
 VOXEL = 3.0
@@ -234,12 +233,12 @@ def test_particles_are_counted_and_covered():
     rng = np.random.default_rng(0)
     field = ndimage.gaussian_filter(rng.normal(size=(500, 600)), 8)
     coating = 15 + 4 * field / field.std()
-    assert find_particles(coating, (3.0, 3.0)).number == 0
+    assert sheets.find_particles(coating, (3.0, 3.0)).number == 0
     rows, cols = np.meshgrid(np.arange(500), np.arange(600), indexing="ij")
     for k in range(9):
         r, c = 50 + 50 * k, 60 + 55 * k
         coating[(rows - r) ** 2 + (cols - c) ** 2 < 36] += 40.0
     coating[:, :5] = np.nan
-    found = find_particles(coating, (3.0, 3.0))
+    found = sheets.find_particles(coating, (3.0, 3.0))
     assert (found.number, found.a_mm2) == (9, pytest.approx(9 / 2.6775))
     assert found.mask.sum() == pytest.approx(9 * 113, rel=0.15)

@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from planish.cli import setup
 from planish.cli import setup as completion
-from planish.cli.setup import SHELLS, install_script, script_of
 from planish.core.errors import FileError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -23,10 +23,10 @@ def home(tmp_path, monkeypatch):
     return tmp_path
 
 
-@pytest.mark.parametrize("shell", SHELLS)
+@pytest.mark.parametrize("shell", setup.SHELLS)
 def test_the_script_is_printed(planish, shell):
     code, out, err = planish("completion", shell)
-    assert (code, err, out) == (0, "", script_of(shell))
+    assert (code, err, out) == (0, "", setup.script_of(shell))
     assert "_PLANISH_COMPLETE" in out
     assert out.isascii(), "a console of any code page may write it"
 
@@ -46,7 +46,7 @@ def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, 
         (home / start).parent.mkdir(exist_ok=True)
         (home / start).write_bytes(b"alias ll='ls -l'")
     code, out, _ = planish("completion", shell, "--install")
-    assert (code, (home / place).read_text(encoding="utf-8")) == (0, script_of(shell))
+    assert (code, (home / place).read_text(encoding="utf-8")) == (0, setup.script_of(shell))
     assert str(home / place) in out
     if start is None:
         return
@@ -61,11 +61,11 @@ def test_it_is_installed_once_and_says_where(home, monkeypatch, planish, shell, 
 def test_a_missing_powershell_is_reported_and_an_older_profile_stays_readable(monkeypatch, home):
     monkeypatch.setattr(completion.shutil, "which", lambda _name: None)
     with pytest.raises(FileError, match=r"planish completion powershell >> \$PROFILE"):
-        install_script("powershell")
+        setup.install_script("powershell")
     profile = home / "profile.ps1"
     profile.write_bytes("Set-Location C:\\\r\n".encode("utf-16"))
     monkeypatch.setattr(completion, "_profile", lambda: profile)
-    install_script("powershell")
+    setup.install_script("powershell")
     assert profile.read_bytes().decode("utf-16").splitlines() == [
         "Set-Location C:\\", '. "$PSScriptRoot/planish.completion.ps1"'
     ]  # fmt: skip
@@ -110,7 +110,7 @@ def shell_answers(program, *arguments, home):
 
 
 def test_bash_completes(home):
-    install_script("bash")
+    setup.install_script("bash")
     asked = (
         'source ~/.bashrc; COMP_WORDS=(planish ma); COMP_CWORD=1; _planish_completion planish; echo "${COMPREPLY[@]}"'
     )
@@ -119,6 +119,6 @@ def test_bash_completes(home):
 
 @pytest.mark.study
 def test_fish_completes(home):
-    install_script("fish")
+    setup.install_script("fish")
     out = shell_answers("fish", "-c", 'complete -C "planish ma"', home=home)
     assert [line.split("\t")[0] for line in out.splitlines()] == ["map", "marks"]

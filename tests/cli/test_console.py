@@ -9,10 +9,9 @@ from types import SimpleNamespace
 
 import pytest
 
-from planish.cli import console
+from planish.cli import console, show
 from planish.cli.console import stacked, table, wrapped
-from planish.cli.show import finish, stages
-from planish.run.run import open_results
+from planish.run import open_results
 
 SHOWN = """
 import time
@@ -75,7 +74,7 @@ def test_colours_that_are_off_are_off(environment):
 
 
 def test_what_is_no_terminal_gets_plain_lines(capsys):
-    with stages(2) as tell:
+    with show.stages(2) as tell:
         tell("map", "1 of 2")
     wide = "x" * 200
     table("Papers", ("name", "what it is"), [("a", wide)])
@@ -90,7 +89,7 @@ def test_what_is_no_terminal_gets_plain_lines(capsys):
 def test_narrow_terminals_keep_units_beside_their_numbers(linked_run, monkeypatch, capsys, width):
     monkeypatch.setattr(console, "width", lambda **_: width)
     results = open_results(linked_run)
-    finish(SimpleNamespace(results=results), Path("run"), as_json=False)
+    show.finish(SimpleNamespace(results=results), Path("run"), as_json=False)
     out, err = capsys.readouterr()
     lines = [*out.splitlines(), *err.splitlines()]
     assert max(len(line.rstrip()) for line in lines) <= width

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 import console
-from planish.cli.docs import page, schema, with_options
+from planish.cli import docs
 from planish.core.series_results import SeriesResults
 from planish.results import Results
 
@@ -21,16 +21,18 @@ OTHER |= {"--require-hashes", "--cpus-per-task", "--mem", "--wrap", "--bind", "-
 
 
 def test_the_pages_have_the_help_options_schema_and_terms_of_the_program():
-    assert (DOCS / "cli.md").read_text(encoding="utf-8") == page(), "run: python3 run.py docs"
+    assert (DOCS / "cli.md").read_text(encoding="utf-8") == docs.page(), "run: python3 run.py docs"
     text = (DOCS / "properties.md").read_text(encoding="utf-8")
-    assert text == with_options(text), "run: python3 run.py docs"
-    assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == schema(Results), "run: python3 run.py docs"
-    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == schema(SeriesResults), (
+    assert text == docs.with_options(text), "run: python3 run.py docs"
+    assert (DOCS / "results.schema.json").read_text(encoding="utf-8") == docs.schema(Results), (
+        "run: python3 run.py docs"
+    )
+    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == docs.schema(SeriesResults), (
         "run: python3 run.py docs"
     )
     packed = files("planish.core").joinpath("results.schema.json")
-    assert packed.read_text(encoding="utf-8") == schema(Results), "run: python3 run.py docs"
-    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == schema(SeriesResults), (
+    assert packed.read_text(encoding="utf-8") == docs.schema(Results), "run: python3 run.py docs"
+    assert (DOCS / "series.schema.json").read_text(encoding="utf-8") == docs.schema(SeriesResults), (
         "run: python3 run.py docs"
     )
     terms = re.findall(r"\*\*([\w -]+)\*\*", (DOCS / "glossary.md").read_text(encoding="utf-8"))

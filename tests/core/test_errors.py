@@ -8,16 +8,16 @@ import pytest
 
 import planish.app.changes
 import planish.core.files  # noqa: F401  their errors, too, are in the tree
-from planish.analyze.params import CorrelateParams
+from planish.analyze import CorrelateParams
 from planish.core import errors
 from planish.core.errors import SWITCHES, PlanishError, SizeError, in_python_words
 from planish.core.options import kinds_of, options_of
-from planish.exports.formats import ExportParams
-from planish.io.params import ImageParams, VolumeParams
-from planish.marks.params import HoleParams
-from planish.measure.params import MeasureParams
-from planish.register.params import RegistrationParams
-from planish.surface.params import SurfaceParams
+from planish.exports import ExportParams
+from planish.io import ImageParams, VolumeParams
+from planish.marks import HoleParams
+from planish.measure import MeasureParams
+from planish.register import RegistrationParams
+from planish.surface import SurfaceParams
 
 SOURCE = Path(errors.__file__).parents[1]
 

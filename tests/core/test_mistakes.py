@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from planish.core.errors import FileError, InputError
 from planish.core.mistakes import key_lines
-from planish.run.study import read_study
+from planish.run import read_study
 
 
 def said(tmp_path, text):

@@ -5,7 +5,7 @@ import xarray as xr
 import zarr
 
 from planish.core.area import overviews
-from planish.io.run_folder import read_tree, write_tree
+from planish.io import read_tree, write_tree
 
 
 def maps(rows, cols):

@@ -9,7 +9,7 @@ import zarr
 from correct.made import AIR, COATING, CONTRAST, VOXEL, as_volume, correct, radius_um, ring, sheet, volume
 from planish.core.errors import InputError, PlanishError, SizeError, VolumeError
 from planish.correct import write_picture
-from planish.io.store import _identity, write_store
+from planish.io import store, write_store
 
 SHAPE = (60, 100, 200)
 RINGS = ((81.0, 0.05), (150.0, -0.035))
@@ -245,7 +245,7 @@ def test_the_store_says_what_was_corrected_and_does_not_go_on_with_other_options
     assert [round(r["radius_um"]) for r in told["rings"]] == pytest.approx([81, 150], abs=2)
     partial = tmp_path / ".b.zarr.partial"
     partial.mkdir()
-    (partial / "source.json").write_text(json.dumps(_identity(given)))
+    (partial / "source.json").write_text(json.dumps(store._identity(given)))
     with pytest.raises(InputError, match="another volume stopped half-way"):
         write_store(found.volume, tmp_path / "b.zarr")
     write_store(given, tmp_path / "c.zarr")  # what is not corrected says nothing

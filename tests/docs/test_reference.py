@@ -20,8 +20,7 @@ from planish.core import errors
 from planish.core.options import options_of
 from planish.measure import registered
 from planish.results import Results
-from planish.run import open_run
-from planish.run.study import LayerParams, Study
+from planish.run import LayerParams, Study, open_run
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

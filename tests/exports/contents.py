@@ -7,7 +7,7 @@ from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.core.transform import Affine
 from planish.exports import DirectedTransform, ExportHistory, ExportParams, Maps, Surface, TransformPair, writer_of
-from planish.report.colours import Scale
+from planish.report import Scale
 
 PIXEL_UM = (2.6, 1.37)
 FIRST_UM = (-18.2, -66.0)

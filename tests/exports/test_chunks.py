@@ -6,14 +6,15 @@ import xarray as xr
 import zarr
 from tests.exports.contents import maps
 
-from planish.exports.content import Chunks, Maps
-from planish.io.map_store import CODECS
+from planish.exports import Maps
+from planish.exports.content import Chunks
+from planish.io import map_store
 
 SHAPE = (1100, 700)
 
 
 def stored(tmp_path, values, **more):
-    how = {"chunks": (512, 256), "compressors": CODECS, "fill_value": 0} | more
+    how = {"chunks": (512, 256), "compressors": map_store.CODECS, "fill_value": 0} | more
     array = zarr.create_array(tmp_path / "one", data=values, **how)
     data = xr.Dataset({"one": (("y", "x"), values.copy())}, coords=maps(SHAPE).data.coords)
     return array, Maps(data=data, group="linked", levels={"one": [tmp_path / "one"]})
@@ -40,7 +41,7 @@ def test_chunks_give_the_values_of_the_map(tmp_path, kind):
     "more",
     [
         {"chunks": (256, 256)}, {"shards": (1024, 512)},
-        {"compressors": zarr.codecs.ZstdCodec(level=1, checksum=True)}, {"compressors": CODECS[:1]},
+        {"compressors": zarr.codecs.ZstdCodec(level=1, checksum=True)}, {"compressors": map_store.CODECS[:1]},
         {"compressors": None}, {"attributes": {"scale_factor": 2.0}},
         {"serializer": zarr.codecs.BytesCodec(endian="big")},
         {"filters": zarr.codecs.TransposeCodec(order=(1, 0))}, {"chunk_key_encoding": {"name": "v2", "separator": "/"}},

@@ -13,11 +13,9 @@ from pymatreader import read_mat
 from tests.exports.contents import FIRST_UM, HISTORY, PIXEL_UM, maps, written
 
 from planish.core.errors import ResourceError, StudyError
-from planish.exports import ExportParams, matlab
-from planish.exports.content import Maps
-from planish.exports.formats import check_content
+from planish.exports import ExportParams, Maps, formats, matlab
 from planish.io import read_topography
-from planish.report.colours import Scale
+from planish.report import Scale
 
 OME = "{http://www.openmicroscopy.org/Schemas/OME/2016-06}"
 
@@ -262,10 +260,10 @@ def test_large_pictures_and_stacks_are_averaged_or_refused(monkeypatch):
     from planish.exports import tiff
 
     monkeypatch.setattr(tiff, "MOST", 100_000)
-    check_content("tiff", maps((60, 110)).only("tilt"), ExportParams(to="tiff"))
-    check_content("ome-tiff", maps((60, 110)), ExportParams(to="ome-tiff"))
+    formats.check_content("tiff", maps((60, 110)).only("tilt"), ExportParams(to="tiff"))
+    formats.check_content("ome-tiff", maps((60, 110)), ExportParams(to="ome-tiff"))
     with pytest.raises(ResourceError, match=r"holds 4 GB. Give to=.ome-tiff., or a folder for a file each"):
-        check_content("tiff", maps((60, 110)), ExportParams(to="tiff"))
+        formats.check_content("tiff", maps((60, 110)), ExportParams(to="tiff"))
 
 
 @pytest.mark.parametrize("dims", [("y", "x"), ("v", "u")])

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 from tests.exports.contents import HISTORY, transform_pair
 
-from planish.exports import FORMATS, ExportParams, writer_of
-from planish.exports.transforms import before_affine, displacement
+from planish.exports import FORMATS, ExportParams, transforms, writer_of
 
 sitk = pytest.importorskip("SimpleITK")
 RNG = np.random.default_rng(3)
@@ -70,7 +69,7 @@ def test_pynrrd_reads_the_field(tmp_path):
 
     place = folder(tmp_path, "nrrd", bent=True)
     values, head = nrrd.read(str(place / "sheet_to_image.nrrd"))
-    field = displacement(transform_pair(bent=True).forward)
+    field = transforms.displacement(transform_pair(bent=True).forward)
     np.testing.assert_array_equal(values, np.moveaxis(field.vectors, -1, 0).transpose(0, 2, 1))
     assert head["space units"] == ["um", "um"]
     assert head["space origin"].tolist() == pytest.approx(field.origin_um)
@@ -147,7 +146,10 @@ def test_transformix_moves_points(tmp_path):
 
 
 def test_a_field_is_as_fine_as_needed_and_missing_values_take_the_affine_map():
-    bent, plain = displacement(transform_pair(bent=True).forward), displacement(transform_pair(bent=False).forward)
+    bent, plain = (
+        transforms.displacement(transform_pair(bent=True).forward),
+        transforms.displacement(transform_pair(bent=False).forward),
+    )
     assert plain.pitch_um == (192.0, 192.0)  # 64 pixels of 3 um: an affine map needs no more
     assert plain.error_um < 1e-9
     assert 10.0 < bent.pitch_um[0] < 100.0
@@ -160,7 +162,7 @@ def test_a_field_is_as_fine_as_needed_and_missing_values_take_the_affine_map():
     from dataclasses import replace
 
     cut = replace(both, function=lambda points: np.where(points[..., :1] > 500.0, np.nan, both.function(points)))
-    field = before_affine(cut)
+    field = transforms.before_affine(cut)
     assert field.filled > 0
     assert np.isfinite(field.vectors).all()
     assert not field.vectors[:, -1].any()

@@ -6,8 +6,7 @@ import pytest
 from tests.exports.contents import HISTORY, surface, written
 
 from planish.core.errors import StudyError
-from planish.exports import ExportParams
-from planish.exports.meshes import mesh_of
+from planish.exports import ExportParams, meshes
 
 PARAMS = ExportParams(to="ply")
 
@@ -65,7 +64,7 @@ def test_ply_obj_and_stl_have_colours(tmp_path):
 @pytest.mark.parametrize("through", ["z", "y", "x"])
 @pytest.mark.parametrize("name", ["top", "bottom"])
 def test_cells_run_anticlockwise_as_seen_from_outside(through, top, name, seen):
-    mesh = mesh_of(surface(through, top, name), PARAMS.model_copy(update={"as_seen": seen}))
+    mesh = meshes.mesh_of(surface(through, top, name), PARAMS.model_copy(update={"as_seen": seen}))
     a, b, c = (mesh.points[mesh.quads[:, k]].astype(np.float64) for k in (0, 1, 2))
     up = np.cross(b - a, c - a)[:, "xyz".index(through)] * (1 if top == "high" else -1)
     if seen and through == "y":
@@ -74,10 +73,13 @@ def test_cells_run_anticlockwise_as_seen_from_outside(through, top, name, seen):
 
 
 def test_a_mesh_takes_every_kth_column_and_turns_y_as_displayed():
-    fine, coarse = mesh_of(surface(), PARAMS), mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": 6.0}))
+    fine, coarse = (
+        meshes.mesh_of(surface(), PARAMS),
+        meshes.mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": 6.0})),
+    )
     assert len(coarse.points) == 15 * 14 - 2 * 2  # without those in the hole
     assert {tuple(row) for row in coarse.points.tolist()} <= {tuple(row) for row in fine.points.tolist()}
-    plain, seen = (mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag})) for flag in (False, True))
+    plain, seen = (meshes.mesh_of(surface(), PARAMS.model_copy(update={"as_seen": flag})) for flag in (False, True))
     np.testing.assert_array_equal(seen.points, plain.points * [1, -1, 1])
     assert "sign turned" in seen.about
 
@@ -85,7 +87,7 @@ def test_a_mesh_takes_every_kth_column_and_turns_y_as_displayed():
 @pytest.mark.parametrize(("mesh_um", "words"), [(1.0, "less than a column of 3 um"), (500.0, "no cell at these nodes")])
 def test_a_mesh_that_cannot_be_is_refused(mesh_um, words):
     with pytest.raises(StudyError, match=words):
-        mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": mesh_um}))
+        meshes.mesh_of(surface(), PARAMS.model_copy(update={"mesh_um": mesh_um}))
 
 
 @pytest.mark.parametrize("to", ["ply", "obj", "stl", "vtk"])

@@ -4,7 +4,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from planish.flatten.distortion import _BLOCK, boundary_lengths, cell_strain, measure_distortion
+from planish.flatten import cell_strain, distortion, measure_distortion
 
 
 def grid(rows, cols, pitch=1.0):
@@ -76,7 +76,7 @@ def test_cell_strain_equals_the_slow_twin(noise):
 def test_blocks_of_rows_make_no_difference():
     """Cells are worked on in blocks of rows; a mesh of several blocks equals its parts."""
     rng = np.random.default_rng(1)
-    uv = grid(9, _BLOCK // 3)
+    uv = grid(9, distortion._BLOCK // 3)
     points = in_space(uv) + 0.1 * rng.normal(size=(*uv.shape[:2], 3))
     whole = cell_strain(points, uv)
     for i in (0, 2, 3, 7):
@@ -153,9 +153,9 @@ def test_boundaries_and_displacements_are_measured():
     """8 by 5 cells of 10 um are bounded by 260 um; a missing node takes 4 cells out, whose rim is 80 um."""
     uv = grid(6, 9, 10.0)
     points = in_space(uv)
-    assert boundary_lengths(points, 1.1 * uv) == pytest.approx((260.0, 286.0))
+    assert distortion.boundary_lengths(points, 1.1 * uv) == pytest.approx((260.0, 286.0))
     points[2, 4] = np.nan
-    assert boundary_lengths(points, 1.1 * uv) == pytest.approx((340.0, 374.0))
+    assert distortion.boundary_lengths(points, 1.1 * uv) == pytest.approx((340.0, 374.0))
     # Tilted by 10.4 degrees, 15 mm grow by 250 um, half of it at either end, however the flat sheet was turned.
     turn = np.arccos(1 - 250 / 15000 / (1 + 250 / 15000))
     uv = grid(76, 5, 200.0)

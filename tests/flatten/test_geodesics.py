@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from planish.flatten.distortion import MeshPoints, geodesic_error, random_places, trace_lines, whole_cells
+from planish.flatten import distortion, geodesic_error
 
 
 def grid(rows, cols, pitch=1.0):
@@ -26,7 +26,7 @@ def cross(p, q):
 
 def slow_length(points, uv, p, q, start, end):
     """Every edge of the mesh is cut with the line; the cuts, in order, are the line on the surface."""
-    whole = whole_cells(points, uv)
+    whole = distortion.whole_cells(points, uv)
     cuts = [(0.0, start), (1.0, end)]
     edges = {tuple(sorted(e)) for t in triangles(whole) for e in zip(t, t[1:] + t[:1], strict=True)}
     for a, b in edges:
@@ -55,9 +55,9 @@ def test_traced_lengths_equal_the_slow_twin(seed):
     points = np.concatenate([uv * [1.1, 0.9], rng.normal(0, 0.4, (8, 10, 1))], axis=-1)
     points[rng.random((8, 10)) < 0.04] = np.nan
     points[3, 4] = np.nan
-    whole = whole_cells(points, uv)
-    start, end = random_places(whole, 12, rng), random_places(whole, 12, rng)
-    flat, space = trace_lines(points, uv, start, end)
+    whole = distortion.whole_cells(points, uv)
+    start, end = distortion.random_places(whole, 12, rng), distortion.random_places(whole, 12, rng)
+    flat, space = distortion.trace_lines(points, uv, start, end)
     p, q = start.on(uv), end.on(uv)
     slow = [slow_length(points, uv, *ends) for ends in zip(p, q, start.on(points), end.on(points), strict=True)]
     np.testing.assert_allclose(flat, np.linalg.norm(q - p, axis=1))
@@ -76,9 +76,11 @@ def test_lines_through_nodes_do_no_harm(direction):
         x, y = at - cell
         half, weights = (0, [1 - x, x - y, y]) if x > y else (1, [1 - y, x, y - x])
         ends.append(
-            MeshPoints(row=cell[1:], col=cell[:1], half=np.array([half]), weights=np.array([weights], dtype=float))
+            distortion.MeshPoints(
+                row=cell[1:], col=cell[:1], half=np.array([half]), weights=np.array([weights], dtype=float)
+            )
         )
-    flat, space = trace_lines(points, uv, *ends)
+    flat, space = distortion.trace_lines(points, uv, *ends)
     assert (flat, space) == (pytest.approx([7 * 2.5 * np.hypot(*direction)]), pytest.approx(flat))
 
 
@@ -114,11 +116,13 @@ def test_great_circles_of_a_cap():
     radius, uv = 5000.0, grid(81, 81, 20.0) - 800.0
     r = np.linalg.norm(uv, axis=-1) / radius
     points = np.concatenate([uv * np.sinc(r / np.pi)[..., None], radius * np.cos(r)[..., None]], axis=-1)
-    whole = whole_cells(points, uv)
-    end = random_places(whole, 300, np.random.default_rng(0))
+    whole = distortion.whole_cells(points, uv)
+    end = distortion.random_places(whole, 300, np.random.default_rng(0))
     ones = np.ones(300, dtype=np.intp)
-    middle = MeshPoints(row=40 * ones, col=40 * ones, half=0 * ones, weights=np.tile([0.998, 0.001, 0.001], (300, 1)))
-    flat, space = trace_lines(points, uv, middle, end)
+    middle = distortion.MeshPoints(
+        row=40 * ones, col=40 * ones, half=0 * ones, weights=np.tile([0.998, 0.001, 0.001], (300, 1))
+    )
+    flat, space = distortion.trace_lines(points, uv, middle, end)
     # chords of 20 um, 28 um along the diagonal
     np.testing.assert_allclose(flat / space, 1.0, atol=2e-6)
     found = geodesic_error(points, uv, rng=np.random.default_rng(0))
@@ -127,8 +131,8 @@ def test_great_circles_of_a_cap():
     def great_circle(a, b):
         return radius * np.arctan2(np.linalg.norm(np.cross(a, b), axis=1), np.sum(a * b, axis=1))
 
-    start = random_places(whole, 300, np.random.default_rng(1))
-    _, space = trace_lines(points, uv, start, end)
+    start = distortion.random_places(whole, 300, np.random.default_rng(1))
+    _, space = distortion.trace_lines(points, uv, start, end)
     strain = r.max() / np.sin(r.max()) - 1
     # second order: the traced line is longer than the great circle by less than a few squares of the strain
     excess = space / great_circle(start.on(points), end.on(points)) - 1

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 from scipy import sparse
 
+from planish.flatten import direct, levels
 from planish.flatten._kernels import FAR, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import interpolate
-from planish.flatten.direct import Network, relax_exactly
-from planish.flatten.levels import Level, Team, bordered, halve, make_springs, padded, stiffen
 
 
 @pytest.fixture(params=["whole", "gaps", "weights"])
@@ -20,10 +19,10 @@ def mesh(request):
     points = np.stack([x, y, rng.normal(0, 0.3, x.shape)], axis=-1)
     if request.param == "gaps":
         points[3:6, 4:8] = points[0, :5] = points[8, 9] = np.nan
-    with Team(1) as team:
-        level = make_springs(points, 1.0, "chord", team)[0]
+    with levels.Team(1) as team:
+        level = levels.make_springs(points, 1.0, "chord", team)[0]
     if request.param == "weights":
-        stiffen(level, rng.uniform(0.2, 1.0, x.shape))
+        levels.stiffen(level, rng.uniform(0.2, 1.0, x.shape))
     level.open()
     inside = np.s_[:, 1:12, 1:15]
     there = np.isfinite(points).all(axis=-1)
@@ -31,7 +30,7 @@ def mesh(request):
     level.xy[inside] = np.where(there, places, FAR)
     level.near[inside] = level.xy[inside]
     prepare(level.near, level.stiff, level.ease, 14, 1, 12)
-    network = Network.of(level)
+    network = direct.Network.of(level)
     assert np.array_equal(network.mask, there)
     return level, network, level.xy[inside][:, there].T
 
@@ -41,7 +40,7 @@ def at_nodes(level, network, array):
 
 
 def put(level, network, values):
-    out = padded(2, level.rows, level.cols, np.float32)
+    out = levels.padded(2, level.rows, level.cols, np.float32)
     out[:, 1 : level.rows + 1, 1 : level.cols + 1][:, network.mask] = values.T
     return out
 
@@ -76,7 +75,7 @@ def test_smoothing(mesh, cuts, kind):
     np.testing.assert_allclose(ease, [1 / np.linalg.eigvalsh(b).max() for b in blocks], rtol=2e-4)
     force = put(level, network, rng.normal(size=uv.shape))
     move = put(level, network, rng.normal(size=uv.shape))
-    coarse = padded(2, 6, 8, np.float32)
+    coarse = levels.padded(2, 6, 8, np.float32)
     coarse[:, 1:7, 1:9] = rng.normal(size=(2, 6, 8))
     f = at_nodes(level, network, force)
     first = {0: 0.6 * ease[:, None] * f, 2: at_nodes(level, network, move)}
@@ -116,7 +115,7 @@ def test_restriction_is_the_transpose_of_interpolation(mesh):
     )
     expected = np.stack([halved(11).T @ left[..., c] @ halved(14) for c in (0, 1)])
     for cuts in ((1, 7), (1, 2, 5, 7)):
-        coarse = padded(2, 6, 8, np.float32)
+        coarse = levels.padded(2, 6, 8, np.float32)
         for a, b in itertools.pairwise(cuts):
             restrict(level.near, level.stiff, force, move, coarse, 14, 8, a, b)
         np.testing.assert_allclose(coarse[:, 1:7, 1:9], expected, atol=1e-5)
@@ -127,18 +126,18 @@ def test_coarse_springs_and_interpolation_are_exact():
     for rows, cols in ((17, 33), (16, 30), (23, 12)):
         y, x = np.mgrid[0:rows, 0:cols].astype(float)
         points = np.stack([x, y, 0 * x], axis=-1)
-        with Team(1) as team:
-            level = make_springs(points, 1.0, "chord", team)[0]
+        with levels.Team(1) as team:
+            level = levels.make_springs(points, 1.0, "chord", team)[0]
             for strain in ([[1.01, 0], [0, 1]], [[1, 0], [0, 0.99]], [[1, 0.01], [0.01, 1]]):
-                fine = Network.of(level)
+                fine = direct.Network.of(level)
                 energy = fine.energy(np.argwhere(fine.mask)[:, ::-1] @ np.array(strain))
-                coarse = halve(level, team)
-                net = Network.of(coarse)
+                coarse = levels.halve(level, team)
+                net = direct.Network.of(coarse)
                 assert net.energy(2.0 * np.argwhere(net.mask)[:, ::-1] @ np.array(strain)) == pytest.approx(energy)
     i, j = np.mgrid[0:9, 0:12].astype(float)
-    coarse = bordered(9, 12, np.float64)
+    coarse = levels.bordered(9, 12, np.float64)
     coarse[:, 1:10, 1:13] = np.stack([i**3 - j * i, 0.5 * j**3 + i])
-    fine, near = bordered(17, 23, np.float64), bordered(17, 23, np.float32)
+    fine, near = levels.bordered(17, 23, np.float64), levels.bordered(17, 23, np.float32)
     interpolate(coarse, fine, near, 23, 12, False, 1, 18)
     y, x = np.mgrid[0:17, 0:23] / 2.0
     truth = np.stack([y**3 - x * y, 0.5 * x**3 + y])
@@ -149,13 +148,13 @@ def test_coarse_springs_and_interpolation_are_exact():
 
 def test_newton_s_method_finds_rest():
     """A flat mesh that was disturbed goes back to no energy at all."""
-    rest = padded(4, 5, 6, np.float64)
+    rest = levels.padded(4, 5, 6, np.float64)
     rest[0, 1:6, 1:6] = rest[1, 1:5, 1:7] = 1.0
     rest[2:, 1:5, 1:6] = np.sqrt(2)
-    network = Network.of(Level(5, 6, [(1, 6)], rest, np.ones((4, 1, rest.shape[2]), np.float32)))
+    network = direct.Network.of(levels.Level(5, 6, [(1, 6)], rest, np.ones((4, 1, rest.shape[2]), np.float32)))
     rng = np.random.default_rng(0)
     uv = np.argwhere(network.mask)[:, ::-1] + rng.normal(0, 0.15, (30, 2))
-    assert network.energy(relax_exactly(network, uv)) < 1e-20
+    assert network.energy(direct.relax_exactly(network, uv)) < 1e-20
     dense = network.full_matrix(uv, exact=True)
     tied = network.matrix(uv, exact=True) - 1e-10 * sparse.eye_array(60)
     np.testing.assert_allclose(dense, tied.toarray(), atol=1e-12)

@@ -9,7 +9,7 @@ from planish.core.frame import Frame
 from planish.core.grid import Grid
 from planish.flatten import FlattenParams, flat_moves, flatten_sheet, variants
 from planish.register import Chain, fit_transform
-from planish.run.position_error import NEUTRAL, PositionErrors, error_shares
+from planish.run import position_error
 
 RADIUS, OFFSET = 1500.0, 4.0
 
@@ -69,7 +69,7 @@ def test_shares_of_the_error_of_a_place():
     known = np.zeros(grid.shape)
     known[:3] = np.nan
     groups = {"surfaces": surfaces, "flat": flat}
-    found = PositionErrors(groups, Chain(fits=(fit,)), grid).on(grid, known)
+    found = position_error.PositionErrors(groups, Chain(fits=(fit,)), grid).on(grid, known)
     assert set(found) == {"expected_error", "error_marks", "error_neutral", "error_smoothing"}
     squares = sum(found[f"error_{name}"].values.astype(float) ** 2 for name in ("marks", "neutral", "smoothing"))
     np.testing.assert_allclose(found["expected_error"].values ** 2, squares, rtol=1e-5)
@@ -81,10 +81,10 @@ def test_shares_of_the_error_of_a_place():
     xx, yy = np.meshgrid(grid.x_um, grid.y_um)
     at = fit.inverse(np.stack([xx, yy], axis=-1))
     other = again(at + np.stack([-OFFSET * at[..., 0] / (RADIUS + OFFSET), 0 * yy], axis=-1))
-    left = NEUTRAL["base"] * np.linalg.norm(other - np.stack([xx, yy], axis=-1), axis=-1)
+    left = position_error.NEUTRAL["base"] * np.linalg.norm(other - np.stack([xx, yy], axis=-1), axis=-1)
     np.testing.assert_allclose(found["error_neutral"].values[3:], left[3:], atol=0.03)
     assert np.nanmax(found["error_smoothing"].values) < 1e-3
-    shares = error_shares(xr.Dataset(found))
+    shares = position_error.error_shares(xr.Dataset(found))
     assert shares.largest in ("marks", "neutral")
     assert shares.rms_um == pytest.approx(np.sqrt(np.nanmean(squares)), rel=1e-4)
     assert "A shift that all marks share is not in it" in shares.sentence
@@ -102,14 +102,14 @@ def test_no_coating_seen_leaves_a_hundredth_of_the_thickness_and_sections_their_
     # places by 5 marks, unless the stage showed it.
     for fixed, wander in (([], np.hypot(0.1, 0.2)), (["col"], 0.1), (["row", "col"], 0.0)):
         cut = {"sections": xr.Dataset(shifts, attrs={"jitter_left_um": [0.3, 0.4], "fixed": fixed})}
-        found = PositionErrors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid).on(
+        found = position_error.PositionErrors({"surfaces": bare, "flat": flat} | cut, Chain(fits=(fit,)), grid).on(
             grid, np.zeros(grid.shape)
         )
         left = np.hypot(1.3 * 0.5, wander * np.sqrt(600 / np.sqrt(5) / 6)) * fit.transform.scale
         np.testing.assert_allclose(found["error_sections"].values, left, rtol=1e-6)
-    stated = PositionErrors({"surfaces": surfaces, "flat": flat}, Chain(fits=(fit,)), grid).on(
+    stated = position_error.PositionErrors({"surfaces": surfaces, "flat": flat}, Chain(fits=(fit,)), grid).on(
         grid, np.zeros(grid.shape)
     )
     # an offset of 0.8 um against one of 4 um, of which faces state NEUTRAL["faces"]
     ratio = found["error_neutral"].values / stated["error_neutral"].values
-    np.testing.assert_allclose(np.median(ratio), 0.8 / (OFFSET * NEUTRAL["faces"]), rtol=0.05)
+    np.testing.assert_allclose(np.median(ratio), 0.8 / (OFFSET * position_error.NEUTRAL["faces"]), rtol=0.05)

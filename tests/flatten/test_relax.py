@@ -10,9 +10,7 @@ from naive import springs as slow_springs
 from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
 from planish.core.threads import limit_threads
-from planish.flatten import RelaxationParams, cell_strain, edge_strain, relax_grid
-from planish.flatten.levels import Team, make_springs
-from planish.flatten.multigrid import Multigrid
+from planish.flatten import RelaxationParams, cell_strain, edge_strain, levels, multigrid, relax_grid
 
 
 def cylinder(rows, cols, radius, pitch):
@@ -55,8 +53,8 @@ def test_rest_lengths_equal_the_slow_twin():
     points = rng.normal(size=(5, 6, 3))
     points[2, 3] = np.nan
     points[4, 1, 2] = np.nan
-    with Team(1) as team:
-        level, count, straight = make_springs(points, 2.0, "chord", team)
+    with levels.Team(1) as team:
+        level, count, straight = levels.make_springs(points, 2.0, "chord", team)
     slow = slow_springs(points)
     assert count == len(slow)
     assert np.isnan(straight)
@@ -72,8 +70,8 @@ def test_arcs_are_right_to_the_fourth_power_of_the_pitch(angle):
     points = np.stack([x, y, np.sqrt(40.0**2 - t**2)], axis=-1)
     flat_t = 40.0 * np.arcsin(t / 40.0)
     w = -np.sin(angle) * x + np.cos(angle) * y
-    with Team(1) as team:
-        arc, chord = (make_springs(points, 1.0, rest, team)[0].rest for rest in ("arc", "chord"))
+    with levels.Team(1) as team:
+        arc, chord = (levels.make_springs(points, 1.0, rest, team)[0].rest for rest in ("arc", "chord"))
     truth = np.hypot(np.diff(flat_t, axis=1), np.diff(w, axis=1))
     errors = [np.abs(r[0, 1:31, 1:30] - truth)[1:-1, 1:-1].max() for r in (chord, arc)]
     assert errors[1] < 2e-6
@@ -330,7 +328,7 @@ def test_the_unit_of_length_does_not_matter(unit):
 
 
 def test_an_interrupted_run_leaves_no_thread(monkeypatch):
-    balance, calls = Multigrid.balance, []
+    balance, calls = multigrid.Multigrid.balance, []
 
     def interrupted(self, level):
         calls.append(level)
@@ -339,7 +337,7 @@ def test_an_interrupted_run_leaves_no_thread(monkeypatch):
         return balance(self, level)
 
     before = threading.active_count()
-    monkeypatch.setattr(Multigrid, "balance", interrupted)
+    monkeypatch.setattr(multigrid.Multigrid, "balance", interrupted)
     with pytest.raises(KeyboardInterrupt), limit_threads(3):
         relax_grid(bumpy(400, 420))
     assert threading.active_count() == before

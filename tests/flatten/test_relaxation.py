@@ -3,8 +3,7 @@ import pytest
 
 from planish.core.errors import CannotFlatten
 from planish.core.status import Outcome
-from planish.flatten import relax_grid
-from planish.flatten.relaxation import RelaxationParams, relax_dynamically
+from planish.flatten import RelaxationParams, relax_dynamically, relax_grid
 
 TIES = ((0, 0, 0, 1), (0, 0, 1, 0), (0, 0, 1, 1), (0, 1, 1, 0))  # ends of the four springs of a cell: row, column twice
 

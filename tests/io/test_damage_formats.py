@@ -19,7 +19,7 @@ import pytest
 import tifffile
 
 from formats_written import CASES, VALUES, Case
-from planish.io.guard import quiet
+from planish.io import guard
 
 LENGTHS = (0, 7, 60, 130, 0.3, 0.7, 0.95, -1)
 FLIPS = 6
@@ -219,7 +219,7 @@ def absurd(folder: Path) -> Iterator[tuple[str, str, str]]:
 
 def topographies(folder: Path) -> Iterator[tuple[str, str, str]]:
     """Damaged height maps."""
-    with quiet:
+    with guard.quiet:
         from SurfaceTopography import Topography
         from SurfaceTopography.IO.X3P import write_x3p
 

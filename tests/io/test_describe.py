@@ -18,8 +18,7 @@ from PIL import Image
 
 from folders import refused
 from planish.core.errors import FileError, VolumeError
-from planish.io import describe, fingerprint
-from planish.io.inspection import as_text, best_section, middle_sections, write_picture
+from planish.io import as_text, best_section, describe, fingerprint, middle_sections, write_picture
 
 
 def ramp(shape: tuple[int, ...], dtype: str = "uint16") -> np.ndarray:

@@ -36,8 +36,7 @@ from formats_written import (
     write_zarr,
 )
 from planish.core.errors import FileError, SizeError, VolumeError
-from planish.io import describe, fingerprint, read_volume
-from planish.io.formats import FORMATS, extra, find_place, format_of, loader
+from planish.io import describe, find_place, fingerprint, formats, read_volume
 
 
 def edit(path: Path, old: str, new: str) -> None:
@@ -48,12 +47,12 @@ def edit(path: Path, old: str, new: str) -> None:
 
 # Which reader, and which volume
 def test_every_line_of_the_table_has_its_module(tmp_path: Path) -> None:
-    for line in FORMATS:
-        assert callable(loader(line))
+    for line in formats.FORMATS:
+        assert callable(formats.loader(line))
         for suffix in line.suffixes:
             path = tmp_path / f"scan{suffix}"
             path.mkdir() if line.members else path.touch()
-            assert format_of(find_place(path)) is line
+            assert formats.format_of(find_place(path)) is line
 
 
 @pytest.mark.parametrize(
@@ -87,7 +86,7 @@ def test_a_missing_library_names_the_command(tmp_path: Path, monkeypatch: pytest
     np.testing.assert_array_equal(read_volume(path).values, VALUES)  # not needed for what fits
     with pytest.raises(FileError, match=r'needs the library SimpleITK, which .* pip install "planish\[formats\]"'):
         read_volume(path, memory_bytes=2500)
-    refused(FileError, "no_such_library", extra, "no_such_library", path)
+    refused(FileError, "no_such_library", formats.extra, "no_such_library", path)
 
 
 # HDF5 and NeXus

@@ -8,9 +8,8 @@ from planish.core.area import overviews
 from planish.core.errors import FileError
 from planish.core.grid import Grid
 from planish.core.tiles import tiles_of
-from planish.io import map_store
-from planish.io.map_store import HeldMaps, StoredMaps, large_groups, map_tiles, stored_group
-from planish.io.run_folder import read_tree, write_tree
+from planish.io import HeldMaps, StoredMaps, map_store, map_tiles, read_tree, stored_group, write_tree
+from planish.io.map_store import large_groups
 
 
 @pytest.fixture

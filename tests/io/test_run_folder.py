@@ -7,7 +7,7 @@ import xarray as xr
 
 from folders import refused
 from planish.core.errors import FileError, ResourceError
-from planish.io.run_folder import WORK_MARKER, new_folder, read_tree, work_folder, write_json, write_tree
+from planish.io import new_folder, read_tree, run_folder, work_folder, write_json, write_tree
 
 
 def test_a_folder_appears_only_when_whole_and_never_over_another(tmp_path):
@@ -62,9 +62,9 @@ def old_folder_with_more(work, _victim):
 
 def marked_folder_with_more(work, _victim):
     with work_folder(work.parent / "run", "key") as made:
-        text = tree(made)[WORK_MARKER]
+        text = tree(made)[run_folder.WORK_MARKER]
     work.mkdir()
-    (work / WORK_MARKER).write_bytes(text)
+    (work / run_folder.WORK_MARKER).write_bytes(text)
     (work / "thesis").mkdir()
     (work / "thesis" / "chapter.tex").write_text("years")
 
@@ -83,7 +83,7 @@ def tiles_are_a_link(work, victim):
 
 def other_marker(work, _victim):
     work.mkdir()
-    (work / WORK_MARKER).write_text("of another program")
+    (work / run_folder.WORK_MARKER).write_text("of another program")
     (work / "tiles").mkdir()
 
 
@@ -122,7 +122,7 @@ def test_a_killed_run_finds_its_tiles(tmp_path, version):
         shutil.copytree(work, tmp_path / "killed")
     (tmp_path / "killed").rename(work)
     if version == "old":  # no marker before 0.2
-        (work / WORK_MARKER).unlink()
+        (work / run_folder.WORK_MARKER).unlink()
         (work / "lock").touch()
     with work_folder(tmp_path / "run", "key") as again:
         assert (again / "tiles" / "0.npy").read_bytes() == b"tile"

@@ -11,7 +11,7 @@ from PIL import Image
 
 from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError, VolumeError
-from planish.io.sections import is_section_folder, read_section_stack
+from planish.io import is_section_folder, read_section_stack
 
 POSITIONS = (10.0, 13.0, 16.5, 25.0)
 PER_CM = 1e4 / 2.43  # pixels of 2.43 um

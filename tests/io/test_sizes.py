@@ -5,7 +5,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.core.errors import SizeError
-from planish.io.sizes import PIXEL, VOXEL, Stated, agreed_size, from_density, unit_um
+from planish.io import PIXEL, agreed_size
+from planish.io.sizes import VOXEL, Stated, from_density, unit_um
 
 sizes = st.floats(0.02, 90)
 

@@ -17,8 +17,7 @@ from PIL import Image
 
 from folders import refused
 from planish.core.errors import FileError, InputError, ResourceError, SizeError, VolumeError
-from planish.io import read_volume
-from planish.io.slice_volume import list_slices
+from planish.io import read_volume, slice_volume
 
 
 def stack(dtype: str = "uint8", shape: tuple[int, ...] = (12, 7, 9)) -> NDArray[Any]:
@@ -75,7 +74,7 @@ def test_any_numbering_with_a_constant_step_is_ordered(
     numbers = [first + i * step for i in range(count)]
     for number in random.Random(1).sample(numbers, count):
         (folder / f"scan_2um_{number:0{width}d}.tif").touch()
-    assert [int(p.stem.split("_")[-1]) for p in list_slices(folder)] == numbers
+    assert [int(p.stem.split("_")[-1]) for p in slice_volume.list_slices(folder)] == numbers
 
 
 def test_other_files_are_ignored(tmp_path: Path) -> None:
@@ -157,7 +156,7 @@ def test_names_that_are_no_series_are_refused(
 ) -> None:
     for name in names:
         (tmp_path / name).touch()
-    refused(error, words, list_slices, tmp_path)
+    refused(error, words, slice_volume.list_slices, tmp_path)
 
 
 def test_sizes_of_slices_are_read_and_must_agree(tmp_path: Path) -> None:

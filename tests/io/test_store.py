@@ -10,10 +10,8 @@ import zarr
 
 from folders import bytes_of
 from planish.core.errors import FileError, InputError, ResourceError
-from planish.io import read_volume
+from planish.io import hashes, read_volume, store, write_store
 from planish.io import store as module
-from planish.io.hashes import missing_shards, store_fingerprint
-from planish.io.store import halve, write_store
 
 VOXEL = [2.0, 1.5, 1.5]
 
@@ -51,13 +49,13 @@ def test_coarser_levels_are_means_also_at_odd_ends(tmp_path):
     assert [group[k].shape for k in sorted(group.array_keys())] == [(70, 130, 200), (35, 65, 100), (18, 33, 50)]
     whole = data.values.reshape(35, 2, 65, 2, 100, 2).mean(axis=(1, 3, 5))
     assert np.abs(group["1"][:] - whole).max() <= 0.5
-    np.testing.assert_array_equal(group["2"][:], halve(group["1"][:]))
+    np.testing.assert_array_equal(group["2"][:], store.halve(group["1"][:]))
     scales = [d["coordinateTransformations"] for d in group.attrs["ome"]["multiscales"][0]["datasets"]]
     moved = {"type": "translation", "translation": [1.0, 0.75, 0.75]}
     assert scales[1] == [{"type": "scale", "scale": [4.0, 3.0, 3.0]}, moved]
-    np.testing.assert_array_equal(halve(np.full((3, 3, 3), 7, np.uint8)), np.full((2, 2, 2), 7))
+    np.testing.assert_array_equal(store.halve(np.full((3, 3, 3), 7, np.uint8)), np.full((2, 2, 2), 7))
     ramp = np.arange(4.0)[:, None, None] * np.ones((4, 2, 2))
-    np.testing.assert_allclose(halve(ramp)[:, 0, 0], [0.5, 2.5])
+    np.testing.assert_allclose(store.halve(ramp)[:, 0, 0], [0.5, 2.5])
 
 
 def test_neither_memory_nor_threads_change_a_byte(tmp_path):
@@ -65,7 +63,7 @@ def test_neither_memory_nor_threads_change_a_byte(tmp_path):
     write_store(data, tmp_path / "a.zarr", memory_bytes=2**31)
     write_store(data, tmp_path / "b.zarr", memory_bytes=2**20, threads=1)
     assert bytes_of(tmp_path / "a.zarr") == bytes_of(tmp_path / "b.zarr")
-    assert store_fingerprint(tmp_path / "a.zarr") == store_fingerprint(tmp_path / "b.zarr")
+    assert hashes.store_fingerprint(tmp_path / "a.zarr") == hashes.store_fingerprint(tmp_path / "b.zarr")
 
 
 class Stop(BaseException):
@@ -178,7 +176,7 @@ def changed_shards(path):
 
 def test_a_lost_or_changed_shard_is_named(tmp_path):
     write_store(volume(), tmp_path / "s.zarr")
-    assert (missing_shards(tmp_path / "s.zarr"), changed_shards(tmp_path / "s.zarr")) == ([], [])
+    assert (hashes.missing_shards(tmp_path / "s.zarr"), changed_shards(tmp_path / "s.zarr")) == ([], [])
     shards = sorted((tmp_path / "s.zarr" / "0" / "c").rglob("*"))
     victim = next(p for p in shards if p.is_file())
     name = victim.relative_to(tmp_path / "s.zarr").as_posix()
@@ -186,7 +184,7 @@ def test_a_lost_or_changed_shard_is_named(tmp_path):
     victim.write_bytes(whole[:50] + bytes([whole[50] ^ 1]) + whole[51:])
     assert changed_shards(tmp_path / "s.zarr") == [name]
     victim.unlink()
-    assert missing_shards(tmp_path / "s.zarr") == [name]
+    assert hashes.missing_shards(tmp_path / "s.zarr") == [name]
     with pytest.raises(FileError, match=r"shard|lost|missing"):
         read_volume(tmp_path / "s.zarr").values  # noqa: B018
 
@@ -207,4 +205,4 @@ def test_halving_equals_its_slow_twin(dtype, shape):
     z, y, x = (n // 2 for n in padded.shape)
     mean = padded.reshape(z, 2, y, 2, x, 2).mean(axis=(1, 3, 5))
     wanted = mean if dtype == np.float32 else np.floor(mean + 0.5)
-    np.testing.assert_allclose(halve(values), wanted, rtol=1e-6)
+    np.testing.assert_allclose(store.halve(values), wanted, rtol=1e-6)

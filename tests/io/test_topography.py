@@ -8,10 +8,9 @@ import pytest
 
 from folders import refused
 from planish.core.errors import FileError, ResourceError, SizeError
-from planish.io import read_topography
-from planish.io.guard import quiet
+from planish.io import guard, read_topography
 
-with quiet:
+with guard.quiet:
     from SurfaceTopography import Topography
     from SurfaceTopography.IO.X3P import write_x3p
 
@@ -22,7 +21,7 @@ def write(path: Path, unit: str, heights: np.ndarray = HEIGHTS) -> Path:
     um = {"nm": 1e3, "um": 1.0, "mm": 1e-3}[unit]
     masked = np.ma.masked_invalid(heights.T * um)
     sizes = (heights.shape[1] * 2.0 * um, heights.shape[0] * 3.0 * um)
-    with quiet:
+    with guard.quiet:
         surface = Topography(masked if masked.mask.any() else masked.data, sizes, unit=unit)
         if path.suffix == ".x3p":
             write_x3p(surface, str(path))

@@ -8,8 +8,7 @@ from pydantic import ValidationError
 
 from planish.core.errors import MarkError
 from planish.core.transform import Similarity
-from planish.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, predict
-from planish.design.plan import _blank_pattern, _draw_pattern
+from planish.design import DesignParams, ImagingParams, check_pattern, design_pattern, hole_error_um, plan, predict
 from planish.design.rules import code_rules, crops, simple_rules
 from planish.register import match_marks
 
@@ -52,12 +51,12 @@ def test_coded_sides_are_golomb_rulers():
 
 def test_four_consecutive_holes_tell_where_they_are_over_fifty_seeds():
     """Any four holes in a row, turned, shifted, scaled by up to 3 % and 3 um off, fit nowhere else within 10 um."""
-    blank = _blank_pattern(DesignParams(field_um=(20_000.0, 15_000.0)))
+    blank = plan._blank_pattern(DesignParams(field_um=(20_000.0, 15_000.0)))
     tried = 0
     for seed in range(50):
         rng = np.random.default_rng(seed)
         while True:
-            pattern = _draw_pattern(blank, 24, rng)
+            pattern = plan._draw_pattern(blank, 24, rng)
             if pattern is not None and code_rules(pattern)[0].passed and all(r.passed for r in simple_rules(pattern)):
                 break
         z = pattern.points_um @ [1, 1j]

@@ -7,15 +7,7 @@ from hypothesis import strategies as st
 
 from planish.core.errors import MarkError
 from planish.design import DesignParams, check_pattern, design_pattern, own_pattern
-from planish.design.rules import (
-    CROP,
-    _HoleIndex,
-    code_misfit_um,
-    crops,
-    perimeter_order,
-    self_motions,
-    simple_rules,
-)
+from planish.design.rules import CROP, _HoleIndex, code_misfit_um, crops, perimeter_order, self_motions, simple_rules
 
 
 @pytest.fixture(scope="module")

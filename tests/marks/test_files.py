@@ -26,19 +26,16 @@ from marks.files_by_hand import (
     slicer,
     slicer_list,
 )
-from planish.marks import read_holes
-from planish.marks.exchange import (
+from planish.marks import (
     FORMATS,
     LayerPixels,
     Places,
-    format_of,
+    exchange,
     holes_of,
     layer_names,
     make_marks,
-    marks_of_holes,
     read_any,
-    target_of,
-    used_pairs,
+    read_holes,
     write_any,
 )
 from planish.marks.exchange.formats import formats_table, module_of
@@ -85,7 +82,13 @@ def test_bigwarp_of_two_images_and_of_a_volume(put):
     marks = read_any(put(bigwarp_3d()))
     assert layer_names(marks) == ["volume", "fixed"]
     assert marks.volume_z.values.tolist() == [40.0, 41.0, 42.5, 39.0]
-    assert set(used_pairs(read_any(put(bigwarp_3d())))) >= {"volume_x", "volume_y", "volume_z", "fixed_x", "fixed_y"}
+    assert set(exchange.used_pairs(read_any(put(bigwarp_3d())))) >= {
+        "volume_x",
+        "volume_y",
+        "volume_z",
+        "fixed_x",
+        "fixed_y",
+    }
     assert layer_names(read_any(put(bigwarp_3d(z=(0.0,) * 4)))) == ["moving", "fixed"]  # two flat pictures
 
 
@@ -97,7 +100,7 @@ def test_bigwarp_points_that_are_off_or_not_set(put):
     assert marks.used.values.tolist() == [True, False, True, True, False]
     assert np.isnan(points(marks, "fixed")[4]).all()
     assert points(marks, "moving")[4].tolist() == [90.5, 80.5]
-    pairs = used_pairs(marks)
+    pairs = exchange.used_pairs(marks)
     assert pairs.label.values.tolist() == ["Pt-0", "Pt-2", "Pt-3"]
     assert set(pairs.variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
 
@@ -152,7 +155,7 @@ def test_slicer_points_not_set_or_not_selected_and_other_markups(put):
     marks = read_any(put(slicer(line, moving, fixed, {"type": "Fiducial", "controlPoints": []})))
     assert marks.used.values.tolist() == [True, False, True, True]
     assert np.isnan(points(marks, "fixed")[3]).all()
-    assert used_pairs(marks, least=2).label.values.tolist() == ["Pt-0", "Pt-2"]
+    assert exchange.used_pairs(marks, least=2).label.values.tolist() == ["Pt-0", "Pt-2"]
 
 
 @pytest.mark.parametrize("make", [
@@ -179,7 +182,7 @@ def test_matlab_of_another_machine(put):
 def test_the_two_tables_of_planish_also_beside_a_file_of_another_program(put):
     path = put(PAIRS, "pairs.csv")
     assert same(read_any(path))
-    assert set(used_pairs(read_any(path)).variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
+    assert set(exchange.used_pairs(read_any(path)).variables) == {"label", "moving_x", "moving_y", "fixed_x", "fixed_y"}
     holes = "label,x_um,y_um,diameter_um\nhole 1,1.5,2.5,150\nhole 2,3.5,4.5,\n"
     marks = read_any(put(holes, "holes.csv"))
     assert (layer_names(marks), holes_of(marks, "marks").diameter.values[0]) == (["marks"], 150)
@@ -195,7 +198,7 @@ def test_the_page_has_the_formats_of_the_table_and_its_example_is_read(put):
         module = module_of(name)
         assert callable(module.looks_like)
         assert hasattr(module, "write") == form.writable
-        assert len([s for s in form.suffixes if target_of(f"a{s}") == name]) == len(form.suffixes)
+        assert len([s for s in form.suffixes if exchange.target_of(f"a{s}") == name]) == len(form.suffixes)
     marks = read_any(put(page.split("```json\n")[1].split("```")[0]))
     assert marks.label.values.tolist() == ["hole 1", "hole 2"]
     assert marks.attrs["layers"]["moving"]["size_px"] == {"x": 1200, "y": 1000}
@@ -223,7 +226,7 @@ def test_own_json_holds_everything(put, tmp_path):
 def test_holes_of_one_layer_marks_of_three_and_marks_of_a_run_come_back(tmp_path):
     holes = xr.Dataset({k: ("mark", [v, v + 200.0]) for k, v in (("x", 100.1), ("y", 200.2), ("diameter", 150.0))})
     holes["cov_xx"], holes["cov_yy"], holes["cov_xy"] = (("mark", [v, v]) for v in (4.0, 5.0, -1.0))
-    one = marks_of_holes(holes, layer="image", about={"side": "top"})
+    one = exchange.marks_of_holes(holes, layer="image", about={"side": "top"})
     (path,) = write_any(one, tmp_path / "holes.json")
     back = holes_of(read_any(path), "image")
     for name in holes.data_vars:
@@ -234,7 +237,7 @@ def test_holes_of_one_layer_marks_of_three_and_marks_of_a_run_come_back(tmp_path
     three = make_marks(["a", "b", "c"], dict.fromkeys(("map", "unprinted", "printed"), places))
     (path,) = write_any(three, tmp_path / "three.json")
     assert layer_names(read_any(path)) == ["map", "unprinted", "printed"]
-    pairs = used_pairs(read_any(path), moving="map", fixed="printed", least=2)
+    pairs = exchange.used_pairs(read_any(path), moving="map", fixed="printed", least=2)
     assert pairs.moving_y.values.tolist() == [2.0, 6.5]
     names = ("moving_x", "moving_y", "fixed_x", "fixed_y", "residual_x", "residual_y", "residual", "leave_one_out")
     values = np.random.default_rng(1).uniform(0, 1000, (8, 4))
@@ -272,7 +275,7 @@ def test_there_and_back(tmp_path, to, unit):
     own = to in ("json", "csv")
     again = read_any(*files, unit=unit, **({} if own else BACK))
     assert same(again, points(marks, "moving"), points(marks, "fixed"))
-    assert format_of(files[0]) == to
+    assert exchange.format_of(files[0]) == to
     if to in ("json", "csv", "bigwarp", "slicer"):
         assert again.label.values.tolist() == marks.label.values.tolist()
 

@@ -9,8 +9,8 @@ from marks.files_by_hand import FIXED, MOVING, bigwarp_2d, elastix
 from marks.test_files import mat_v5, same
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
-from planish.marks.exchange import LayerPixels, Places, make_marks, read_any, write_any
-from planish.run.registration import read_given
+from planish.marks import LayerPixels, Places, make_marks, read_any, write_any
+from planish.run import registration
 
 
 def test_convert_from_bigwarp_to_everything(passes, tmp_path):
@@ -52,7 +52,7 @@ def read_by_link(path):
     """Marks of a file as a link reads them, for an image of 5 um pixels; or the message."""
     grid = Grid(y_um=np.arange(300) * 5.0, x_um=np.arange(320) * 5.0)
     try:
-        read_given(path, SimpleNamespace(grid=grid, image=None), SimpleNamespace(grid=grid, image=grid))
+        registration.read_given(path, SimpleNamespace(grid=grid, image=None), SimpleNamespace(grid=grid, image=grid))
     except PlanishError as error:
         return str(error)
     return "the marks were read"

@@ -21,7 +21,7 @@ from marks.files_by_hand import (
 )
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
-from planish.marks.exchange import LayerPixels, Places, make_marks, read_any, used_pairs, write_any
+from planish.marks import LayerPixels, Places, exchange, make_marks, read_any, write_any
 
 
 def lines_with(text, k, new):
@@ -161,7 +161,7 @@ def test_files_that_are_missing_or_do_not_go_together(tmp_path, put):
     with pytest.raises(MarkError, match=r"already holds the layers moving, fixed"):
         read_any(put(PAIRS, "pairs.csv"), a)
     with pytest.raises(MarkError, match=r"one layer only .marks..*convert MOVING FIXED OUT"):
-        used_pairs(read_any(a))
+        exchange.used_pairs(read_any(a))
 
 
 def test_units_and_sizes_that_contradict(put):
@@ -182,10 +182,10 @@ def test_units_and_sizes_that_contradict(put):
 
 def test_too_few_marks(put):
     with pytest.raises(MarkError, match=r"holds 3 marks, of which 1 are used and lie in both .*\. At least 3"):
-        used_pairs(read_any(put(native())))
+        exchange.used_pairs(read_any(put(native())))
     three = make_marks(["a"], dict.fromkeys("klm", Places(um=np.array([[1.0, 2.0]]))))
-    refused(MarkError, "3 layers: k, l, m", used_pairs, three)
-    refused(MarkError, "no layer 'n'; they have k, l, m", used_pairs, three, moving="n", fixed="k")
+    refused(MarkError, "3 layers: k, l, m", exchange.used_pairs, three)
+    refused(MarkError, "no layer 'n'; they have k, l, m", exchange.used_pairs, three, moving="n", fixed="k")
 
 
 # --- marks against their layer

@@ -5,8 +5,7 @@ import xarray as xr
 from folders import refused
 from marks.holes import make_hole, place, scene
 from planish.core.errors import MarkError, SizeError
-from planish.marks import _measure_kernels, find_holes
-from planish.marks.hole_criteria import is_whole
+from planish.marks import _measure_kernels, find_holes, hole_criteria
 
 NAMES = {"x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter", "axis_ratio", "arc_coverage", "contrast"}
 
@@ -270,4 +269,4 @@ def test_a_circle_that_a_border_cuts_is_not_whole():
     rows[:, _measure_kernels.RADIUS] = radius
     places = [(300, 100), (39, 100), (561, 100), (300, 39), (300, 161), (559, 159)]
     rows[:, [_measure_kernels.X, _measure_kernels.Y]] = places
-    assert is_whole(rows, shape, size).tolist() == [True, False, False, False, False, True]
+    assert hole_criteria.is_whole(rows, shape, size).tolist() == [True, False, False, False, False, True]

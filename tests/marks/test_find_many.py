@@ -5,9 +5,8 @@ import pytest
 from scipy import ndimage
 
 from planish.marks import _measure_kernels as k
-from planish.marks import candidates, find_holes
+from planish.marks import candidates, find_holes, hole_criteria
 from planish.marks._edge_kernels import half_level_edges
-from planish.marks.hole_criteria import BETTER, DEEPER, deepest_disjoint, merge_floors
 
 
 def lit_from_one_side(across, pixel=10.0, pitch=300.0, noise=0.004):
@@ -70,7 +69,7 @@ def quality(rows):
 def naive_deepest_disjoint(rows):
     step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
     deepest = [
-        not np.any((row[k.INSIDE] - rows[:, k.INSIDE] > DEEPER * s) & (apart(rows, row) < 0))
+        not np.any((row[k.INSIDE] - rows[:, k.INSIDE] > hole_criteria.DEEPER * s) & (apart(rows, row) < 0))
         for row, s in zip(rows, step, strict=True)
     ]
     kept = []
@@ -83,7 +82,7 @@ def naive_deepest_disjoint(rows):
 def naive_joined(rows, floors):
     for floor in floors:
         on = apart(rows, floor) < 0
-        if np.all(quality(rows[on]) + BETTER < quality(floor[None])):
+        if np.all(quality(rows[on]) + hole_criteria.BETTER < quality(floor[None])):
             rows = np.concatenate([rows[~on], floor[None]])
     return rows
 
@@ -93,8 +92,8 @@ def test_overlaps_are_judged_as_pair_by_pair(count):
     rng = np.random.default_rng(count)
     rows, others = rows_of(rng, count, 2000.0), rows_of(rng, count // 2, 2000.0)
     clear, floors = naive_deepest_disjoint(rows), naive_deepest_disjoint(others)
-    np.testing.assert_array_equal(deepest_disjoint(rows), clear)
-    both = merge_floors(clear, floors)
+    np.testing.assert_array_equal(hole_criteria.deepest_disjoint(rows), clear)
+    both = hole_criteria.merge_floors(clear, floors)
     np.testing.assert_array_equal(both, naive_joined(clear, floors))
     if count == 300:
         assert len(clear) < len(both) < len(clear) + len(floors)

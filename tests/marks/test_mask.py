@@ -3,7 +3,7 @@
 import numpy as np
 
 from planish.core.grid import Grid
-from planish.marks.mask import hole_mask
+from planish.marks import hole_mask
 
 
 def test_the_mask_equals_its_slow_twin():

@@ -6,8 +6,7 @@ from benchmarks.holes import make_scene
 
 from marks.holes import make_hole, scene
 from planish.checks import check_holes
-from planish.marks import candidates, find_holes, holes_from_json, holes_to_json
-from planish.marks.find import REASONS
+from planish.marks import REASONS, candidates, find_holes, holes_from_json, holes_to_json
 
 
 def row_of_holes(change=None, **more):

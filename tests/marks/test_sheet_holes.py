@@ -9,7 +9,7 @@ from planish.core.errors import MarkError, SizeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.marks import HoleParams, find_holes, find_sheet_holes, hole_tilt
-from planish.surface.assemble import LAYERS, find_presence
+from planish.surface import assemble
 from planish.surface.columns import Columns
 from surface.sheets import volume
 
@@ -27,7 +27,7 @@ def layer_map(name, leans, *, diameter=170.0, taper=0.15, depth=None, centres=CE
     """
     y, x = np.mgrid[: SHAPE[0], : SHAPE[1]] * PIXEL
     out = np.zeros(SHAPE)
-    places = np.linspace(*LAYERS[name], 21)
+    places = np.linspace(*assemble.LAYERS[name], 21)
     for t in places:
         share = np.ones(SHAPE)
         for k, ((u, v), (a, b)) in enumerate(zip(centres, np.broadcast_to(leans, centres.shape), strict=True)):
@@ -39,12 +39,12 @@ def layer_map(name, leans, *, diameter=170.0, taper=0.15, depth=None, centres=CE
 
 
 def layer_maps(leans, **more):
-    return [layer_map(name, leans, **more) for name in LAYERS]
+    return [layer_map(name, leans, **more) for name in assemble.LAYERS]
 
 
 def dataset(*layers, pixel=(PIXEL, PIXEL), origin=(0.0, 0.0), **attrs):
     """Maps of the layers that are there, top, centre, bottom."""
-    (rows, cols), names = layers[0].shape, list(LAYERS)
+    (rows, cols), names = layers[0].shape, list(assemble.LAYERS)
     data = {name: (("v", "u"), layer) for name, layer in zip(names, layers, strict=False) if layer is not None}
     coords = {"v": origin[0] + np.arange(rows) * pixel[0], "u": origin[1] + np.arange(cols) * pixel[1]}
     return xr.Dataset(data, coords=coords, attrs=attrs)
@@ -212,7 +212,7 @@ def test_oblique_holes_in_a_volume(slope):
         solid &= np.hypot(along, across) > radius * (1 + 0.2 * s / thickness)
     grey = np.where(solid, 180, 20).astype(np.uint8)
     columns = Columns(volume=volume(grey, voxel), frame=Frame())
-    present = find_presence(columns, height[0], thickness, 1.0, (20.0, 180.0), Engine(threads=1))
+    present = assemble.find_presence(columns, height[0], thickness, 1.0, (20.0, 180.0), Engine(threads=1))
     pixel = (voxel, voxel * long)
     found = find_sheet_holes(dataset(*present.values(), pixel=pixel, layers_apart_um=APART * thickness))
     assert found.sizes == {"mark": 3}

@@ -6,15 +6,14 @@ from hypothesis import strategies as st
 
 from folders import refused
 from planish.core.errors import FileError, MarkError, PlanishError
-from planish.marks import write_marks
-from planish.marks.exchange import read_any, used_pairs
+from planish.marks import exchange, read_any, write_marks
 
 FLAT = "label,moving_x_um,moving_y_um,fixed_x_um,fixed_y_um\n"
 lengths = st.floats(-1e6, 1e6, allow_nan=False)
 
 
 def read_marks(path):
-    return used_pairs(read_any(path), least=1)
+    return exchange.used_pairs(read_any(path), least=1)
 
 
 def read(tmp_path, text):

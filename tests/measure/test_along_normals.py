@@ -4,9 +4,8 @@ import xarray as xr
 
 from naive import distance_along_normal
 from planish.core.errors import SurfaceError
-from planish.measure import measure_properties
+from planish.measure import directions, measure_properties
 from planish.measure._ray_kernels import along_normals
-from planish.measure.rays import directions
 
 _NAMES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 

@@ -8,9 +8,8 @@ import xarray as xr
 
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import CannotMeasure
-from planish.measure import lengths, measure_along_rays, roughness_numbers, scale_limited, two_sidedness
+from planish.measure import lengths, measure_along_rays, registry, roughness_numbers, scale_limited, two_sidedness
 from planish.measure.lengths import smoothed
-from planish.measure.registry import find_property
 
 
 def slow_envelope(height, pitch, radius):
@@ -133,6 +132,6 @@ def test_peaks_of_both_sides_point_outwards(monkeypatch, side, outwards):
     params = SimpleNamespace(s_filter_um=20.0, l_filter_um=200.0)
     monkeypatch.setattr(lengths, "errors", lambda *_: np.ones(x.shape))
     sheet = SimpleNamespace(frame=frame, params=params, valid=np.ones(x.shape, dtype=bool))
-    values = find_property(f"roughness_{side}").function(sheet).values
+    values = registry.find_property(f"roughness_{side}").function(sheet).values
     assert values[60, 60] > 1.0
     assert np.nanmin(values) > -1.0

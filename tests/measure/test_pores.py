@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from planish.measure import MeasureParams, measure_along_rays
+from planish.measure import MeasureParams, measure_along_rays, structure
 from planish.measure._pore_kernels import inscribed
-from planish.measure.structure import chords, distances
 
 STEP = (3.0, 2.0, 1.0)
 
@@ -19,11 +18,11 @@ def blobs(seed=0, shape=(18, 20, 22)):
 def test_distances_and_inscribed_balls_equal_their_slow_twins():
     void = blobs()
     exact = ndimage.distance_transform_edt(void, sampling=STEP)
-    np.testing.assert_allclose(distances(void, STEP, 6.0), np.minimum(exact, 6.0), rtol=1e-6)
-    assert (distances(np.ones_like(void), STEP, 6.0) == 6.0).all()
+    np.testing.assert_allclose(structure.distances(void, STEP, 6.0), np.minimum(exact, 6.0), rtol=1e-6)
+    assert (structure.distances(np.ones_like(void), STEP, 6.0) == 6.0).all()
     # Every sample takes the largest sphere around any centre that holds it.
     void = blobs(1, (12, 13, 14))
-    radius = distances(void, STEP, 8.0)
+    radius = structure.distances(void, STEP, 8.0)
     places = np.stack(
         np.meshgrid(*(np.arange(n) * p for n, p in zip(void.shape, STEP, strict=True)), indexing="ij"), -1
     )
@@ -39,7 +38,7 @@ def test_distances_and_inscribed_balls_equal_their_slow_twins():
 
 def test_chords_equal_their_slow_twin():
     void = blobs(2, (9, 11, 6))
-    first, second = chords(void, 0, 4), chords(void, 1, 3)
+    first, second = structure.chords(void, 0, 4), structure.chords(void, 1, 3)
 
     def run(line, at, most):
         total = 1

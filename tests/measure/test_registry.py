@@ -17,10 +17,11 @@ from planish.measure import (
     further_maps,
     measure_along_rays,
     measure_properties,
+    ray_property,
     registered,
     sheet_numbers,
+    sheet_property,
 )
-from planish.measure.registry import ray_property, sheet_property
 
 
 @ray_property("test_depth", units="um", long_name="Depth of the brightest sample", reasons=("dark",))

@@ -5,11 +5,9 @@ import pytest
 import xarray as xr
 from scipy import ndimage
 
-from planish.measure import measure_properties
-from planish.measure.registry import Greys
-from planish.measure.uncertainty import Shared, common_errors
-from planish.resample.maps import _mean_se
-from planish.run.summaries import property_facts
+from planish.measure import Greys, measure_properties, uncertainty
+from planish.resample import maps
+from planish.run import summaries
 from planish.surface import find_surfaces
 
 FINE = 4  # sub-slices a voxel: partial volume, as a scanner shows it
@@ -71,7 +69,7 @@ def test_the_mean_counts_what_neighbours_share():
          "thickness_se": (("y", "x"), se, about)},
         {"y": at, "x": at},
     )  # fmt: skip
-    facts = property_facts(data)["thickness"]
+    facts = summaries.property_facts(data)["thickness"]
     assert facts.n_independent == side * side // 14
     assert facts.mean_standard_error == pytest.approx(np.hypot(0.5 / np.sqrt(side * side / 14), 0.1), rel=1e-3)
 
@@ -84,9 +82,9 @@ def test_standard_error_of_a_pixel_beside_drawn_fields():
     drawn /= drawn.std()
     for wide in (3, 6, 12):
         means = drawn.reshape(1200 // wide, wide, 1200 // wide, wide).mean(axis=(1, 3))
-        stated = _mean_se(np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0)
+        stated = maps._mean_se(np.ones(1), {"patch_um2": 2 * np.pi * sigma**2 * 4.0, "common_um": 0.0}, wide * 2.0)
         assert means.std() == pytest.approx(float(stated[0]), rel=0.06)
-    common = _mean_se(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
+    common = maps._mean_se(np.ones(1), {"patch_um2": 4.0, "common_um": 0.6}, 1e4)
     assert float(common[0]) == pytest.approx(0.6, rel=1e-3)
 
 
@@ -94,14 +92,14 @@ def test_averaging_and_shared_noise_leave_fewer_independent_values():
     plain = {"air": 40.0, "base": 90.0, "coating_top": 200.0, "coating_bottom": 200.0, "polarity": 1.0,
              "blur_um": 2.5, "padding": np.nan}  # fmt: skip
     layout = {"voxel_um": 3.0, "pitch_um": (3.0, 3.0), "wide": 1.0}
-    white = Shared.of(Greys(noise=8.0, single_noise=8.0, **plain), **layout)
+    white = uncertainty.Shared.of(Greys(noise=8.0, single_noise=8.0, **plain), **layout)
     assert (white.patch_um2, white.noise_um) == (pytest.approx(14 * 9.0), pytest.approx(8.0**2 * 3.0))
-    averaged = Shared.of(Greys(noise=2.0, single_noise=8.0, averaged=1.0, **plain), **layout)
+    averaged = uncertainty.Shared.of(Greys(noise=2.0, single_noise=8.0, averaged=1.0, **plain), **layout)
     assert averaged.patch_um2 == pytest.approx((14 + 4 * np.pi) * 9.0)
     assert averaged.noise_um < white.noise_um
-    shared = Shared.of(Greys(noise=8.0, single_noise=8.0, **plain), noise_um=3 * white.noise_um, **layout)
+    shared = uncertainty.Shared.of(Greys(noise=8.0, single_noise=8.0, **plain), noise_um=3 * white.noise_um, **layout)
     assert shared.noise_um == pytest.approx(3 * white.noise_um)
     assert shared.patch_um2 == pytest.approx((14 + 8) * 9.0)
     # Without noise, what little scatters in the air is no measure of anything: it made 2.5 mm of a coating's error.
-    clean = Shared.of(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
-    assert (clean.patch_um2, clean.common_um) == (pytest.approx(14 * 9.0), common_errors(3.0))
+    clean = uncertainty.Shared.of(Greys(noise=4e-5, single_noise=4e-5, **plain), noise_um=0.05, **layout)
+    assert (clean.patch_um2, clean.common_um) == (pytest.approx(14 * 9.0), uncertainty.common_errors(3.0))

@@ -6,10 +6,9 @@ import numpy as np
 import pytest
 
 from planish.core.transform import Affine, Similarity
+from planish.register import Pairs, fit_transform
 from planish.register import field as of_field
-from planish.register import fit_transform
 from planish.register.field import KERNELS, DeviationField, covariance
-from planish.register.pairs import Pairs
 
 TURN = Similarity(scale=1.012, rotation_rad=0.7, shift_um=(100.0, -40.0))
 

@@ -7,9 +7,7 @@ import pytest
 
 from planish.core.errors import CannotRegister
 from planish.core.transform import Similarity
-from planish.register import Chain, FittedTransform, fit_transform
-from planish.register.field import DeviationField
-from planish.register.pairs import Pairs
+from planish.register import Chain, FittedTransform, Pairs, field, fit_transform
 
 MARKS = np.array([[0.0, 0.0], [4000.0, 100.0], [3900.0, 2900.0], [-50.0, 3000.0], [1700.0, 1300.0], [900.0, 2400.0]])
 FIRST = Similarity(scale=1.01, rotation_rad=0.3, shift_um=(120.0, -40.0))
@@ -50,7 +48,7 @@ def certain(fit: FittedTransform) -> FittedTransform:
     mixture = np.zeros_like(fit.field.mixture)
     mixture[0, 0, 0] = 1.0
     pairs = Pairs(moving=fit.moving, fixed=fit.fixed, information=fit.information)
-    return replace(fit, known=DeviationField(pairs, fit.mirrored, mixture))
+    return replace(fit, known=field.DeviationField(pairs, fit.mirrored, mixture))
 
 
 @pytest.mark.study

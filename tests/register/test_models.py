@@ -6,9 +6,7 @@ import numpy as np
 import pytest
 
 from planish.core.transform import Affine, Projective, Similarity
-from planish.register import fit_transform, registration_from_json, registration_to_json
-from planish.register.models import MODELS
-from planish.register.pairs import Pairs
+from planish.register import Pairs, fit_transform, models, registration_from_json, registration_to_json
 
 PARAMETRIC = ("rigid", "similarity", "affine", "projective")
 ALL = (*PARAMETRIC, "tps", "averaged")
@@ -85,8 +83,8 @@ def test_the_fit_is_a_minimum(model):
     points = marks(8)
     info = np.linalg.inv(covariances(8))
     pairs = Pairs(moving=points, fixed=TRUTHS[model](points) + rng.normal(0, 5, (8, 2)), information=info)
-    transform = MODELS[model].fit(pairs, False)
-    design = MODELS[model].design(transform, pairs.frame(), points)
+    transform = models.MODELS[model].fit(pairs, False)
+    design = models.MODELS[model].design(transform, pairs.frame(), points)
     slope = np.einsum("nap,nab,nb->p", design, info, pairs.fixed - transform(points))
     scale = np.sqrt(np.einsum("nap,nab,nbp->p", design, info, design))
     # 5 um of error: 1e-7 of it is rounding of the Gauss-Newton steps

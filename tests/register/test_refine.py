@@ -8,8 +8,7 @@ from analyze.fields import by_shift
 from folders import refused
 from planish.analyze import cross_fitted
 from planish.core.errors import CannotRegister, SizeError
-from planish.register import fit_transform
-from planish.register.refinement import FreeForm, RefineOptions, refine
+from planish.register import RefineOptions, fit_transform, refine, refinement
 
 itk = pytest.importorskip("SimpleITK")
 PIXEL = 10.0
@@ -91,7 +90,7 @@ def test_the_spline_is_that_of_the_library():
     made = itk.BSplineTransformInitializer(itk.Image([40, 30], itk.sitkFloat64), [3, 2], 3)
     made.SetParameters(rng.normal(0, 0.5, made.GetNumberOfParameters()).tolist())
     nodes = made.GetCoefficientImages()
-    own = FreeForm(
+    own = refinement.FreeForm(
         coefficients_um=np.stack([itk.GetArrayFromImage(c) for c in nodes]),
         origin_um=nodes[0].GetOrigin(),
         mesh_um=nodes[0].GetSpacing(),
@@ -125,7 +124,7 @@ def test_a_fold_is_refused_and_a_strain_is_told(monkeypatch):
     def bent(height):
         nodes = np.zeros((2, 5, 6))
         nodes[0, 2, 2:4] = height, -height
-        return FreeForm(coefficients_um=nodes, origin_um=(-600.0, -600.0), mesh_um=(600.0, 600.0))
+        return refinement.FreeForm(coefficients_um=nodes, origin_um=(-600.0, -600.0), mesh_um=(600.0, 600.0))
 
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(noise=4000.0)}
     monkeypatch.setattr(module, "_searched", lambda *_: bent(900.0))

@@ -5,8 +5,7 @@ import pytest
 from scipy.interpolate import RBFInterpolator
 
 from planish.core.errors import CannotRegister
-from planish.register import fit_transform
-from planish.register.pairs import Pairs
+from planish.register import Pairs, fit_transform
 from planish.register.spline import Smoothing
 
 

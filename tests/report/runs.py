@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.report.page import render_report
+from planish.report import page
 from planish.results import Results
 
 PROPERTIES = {
@@ -183,6 +183,6 @@ def lag_of(**values: Any) -> Run:
 
 def page_of(run: Run) -> str:
     """Return the page of a run whose results are a dict."""
-    return render_report(
+    return page.render_report(
         groups=run["groups"], marks=run["marks"], results=Results.model_validate(run["results"])
     )  # fmt: skip

@@ -8,10 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 
-from planish.report import write_report
-from planish.report.draw import Canvas
+from planish.report import Canvas, relation, write_report
 from planish.report.page import standalone
-from planish.report.relation import block_means
 from planish.results import Results
 from report.pages import Page
 from report.runs import Run, a_run
@@ -63,7 +61,7 @@ def test_numbers_of_the_figures_are_those_of_the_results(figures: Path) -> None:
     found = {re.sub(r"^\d+-", "", stem): list(rows[stem]) for stem in sorted(rows)}
     run = with_evidence()
     linked = run["groups"]["linked"]
-    a, b = block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])
+    a, b = relation.block_means(linked["coating_top"], linked["image"], point_um=100.0, valid=[linked["valid"]])
     points = found["points-of-100-um-points"]
     np.testing.assert_array_equal([float(v) for row in points for v in row.values()], np.stack([a, b], axis=1).ravel())
     assert list(points[0]) == ["Coating thickness, top side / µm", "Relative grey, luminance"]

@@ -8,11 +8,8 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.analyze import correlate
-from planish.analyze.correlation import PairAtSizes
-from planish.report import write_report
-from planish.report.relation import block_means, draw_pair, largest
-from planish.report.summary import by_pair
+from planish.analyze import PairAtSizes, correlate
+from planish.report import largest, relation, summary, write_report
 from planish.report.text import beside
 from planish.results import CorrelationRow, Results
 from report.pages import Page
@@ -165,7 +162,7 @@ def test_page_shows_every_layer_and_pair(page: str) -> None:
 def test_the_page_states_registrations_and_differences_of_the_same_quantity(page: str) -> None:
     # The weakest correlation in a tile and in the scatter of the first page, a caption for each pair, and the table.
     assert len(re.findall("registration: marks only", Page(page).text(), flags=re.IGNORECASE)) == 1 + 1 + 3 + 1
-    rows = [largest(group) for group in by_pair(Results.model_validate(layers()["results"]))]
+    rows = [largest(group) for group in summary.by_pair(Results.model_validate(layers()["results"]))]
     assert [row.point_um for row in rows] == [60.0] * 3
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
     found = beside(rows[0].difference_mean, rows[0].difference_sd)
@@ -177,13 +174,13 @@ def test_the_page_states_registrations_and_differences_of_the_same_quantity(page
 def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_drawn() -> None:
     given = layers()
     a, b = (given["groups"][f"layers/{name}"]["coating_top"] for name in ("before", "after"))
-    first, second = block_means(a, b, point_um=60.0)
-    row = largest(by_pair(Results.model_validate(given["results"]))[0])
+    first, second = relation.block_means(a, b, point_um=60.0)
+    row = largest(summary.by_pair(Results.model_validate(given["results"]))[0])
     assert float((second - first).mean()) == pytest.approx(row.difference_mean, abs=0.1)
     a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
     row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
                          intercept=None, same_quantity=True, units="um")  # fmt: skip
-    drawn = draw_pair(a, a, [row], names=("a", "b"))
+    drawn = relation.draw_pair(a, a, [row], names=("a", "b"))
     assert "no correlation" in drawn.svg
     assert "nan" not in drawn.svg
 

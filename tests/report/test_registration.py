@@ -9,9 +9,7 @@ import pytest
 import xarray as xr
 
 from planish.analyze import LagNumbers, Registration
-from planish.report.draw import FULL, HALF, levels_between
-from planish.report.registration import blank_ground, draw_expected_error, draw_lags, lag_places, machine_direction
-from planish.report.summary import lag_verdict
+from planish.report import HALF, draw, registration, summary
 from planish.report.text import REGISTERED, capital, typeset
 from planish.results import RegistrationFacts
 from report.pages import Page
@@ -41,29 +39,29 @@ def a_lag(**values: Any) -> LagNumbers:
     ],
 )
 def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
-    check = lag_verdict(a_lag(**values), first="coating thickness", second="the image")
+    check = summary.lag_verdict(a_lag(**values), first="coating thickness", second="the image")
     assert check is not None
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
     assert " um" not in check.sentence
-    assert lag_verdict(None, first="a", second="b") is None
+    assert summary.lag_verdict(None, first="a", second="b") is None
 
 
 def test_words_units_and_levels_are_the_same_everywhere() -> None:
     assert Registration.MARKS.sentence == REGISTERED
     assert typeset("lag 2 um, 3 deg; a column") == f"lag 2{MICRO}, 3°; a column"
     assert (typeset("an umbrella of degrees"), capital("maps of A")) == ("an umbrella of degrees", "Maps of A")
-    levels, step = levels_between(0.93, 2.17, steps=5)
+    levels, step = draw.levels_between(0.93, 2.17, steps=5)
     np.testing.assert_allclose(levels, [1.0, 1.2, 1.4, 1.6, 1.8, 2.0])
-    assert (step, levels_between(1.0, 1.0, steps=5)[0].size) == (pytest.approx(0.2), 0)
+    assert (step, draw.levels_between(1.0, 1.0, steps=5)[0].size) == (pytest.approx(0.2), 0)
 
 
 def test_the_axis_given_for_the_image_comes_first() -> None:
     def found(**angles: float) -> tuple[float, str] | None:
         facts = registration_of("volume", "image")
         facts["orientation"] = facts["orientation"] | angles
-        return machine_direction(RegistrationFacts.model_validate(facts), "volume")
+        return registration.machine_direction(RegistrationFacts.model_validate(facts), "volume")
 
     assert found(md_deg_fixed=10.0, md_deg_fixed_from_moving=12.0) == (10.0, "given for the image")
     assert (found(md_deg_fixed_from_moving=12.0), found()) == ((12.0, "carried over from the volume"), None)
@@ -71,31 +69,36 @@ def test_the_axis_given_for_the_image_comes_first() -> None:
 
 def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
     # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of the small one.
-    ground = blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), of="image")
+    ground = registration.blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), of="image")
     ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
-    at, lag, silent = lag_places(a_lag(), ground)
+    at, lag, silent = registration.lag_places(a_lag(), ground)
     np.testing.assert_allclose(at, [[112.0, 202.0]])
     np.testing.assert_allclose(lag, [[1.0, 2.0]])
     np.testing.assert_allclose(silent, [[312.0, 202.0]])
-    ground = blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), of="image")
+    ground = registration.blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), of="image")
     silent = a_lag().model_copy(update={"tiles": a_lag().tiles[1:]})
     for none in (None, silent, a_lag(tiles=[], tile_um=None)):
-        assert draw_lags(none, ground, first="a", second="b") is None
+        assert registration.draw_lags(none, ground, first="a", second="b") is None
 
 
 def test_expected_error_states_its_range_and_needs_values() -> None:
     y, x = 5.0 * np.arange(40), 5.0 * np.arange(60)
     error = xr.DataArray(np.tile(np.linspace(1.0, 3.0, 60), (40, 1)), {"y": y, "x": x}, ("y", "x"))
-    drawn = draw_expected_error(error, None, hole_um=200.0, width=FULL, of="image", shown="volume")
+    drawn = registration.draw_expected_error(error, None, hole_um=200.0, width=draw.FULL, of="image", shown="volume")
     assert drawn is not None
     assert f"1.0{MICRO} to 3.0{MICRO}, median 2.0{MICRO}" in drawn.caption
     assert f"Contour lines every 0.2{MICRO}" in drawn.caption
     # The line of 2 um stands upright in the middle.
     assert re.search(r">2</text>", drawn.svg)
-    even = draw_expected_error(error * 0 + 1.5, None, hole_um=200.0, width=HALF, of="image", shown="volume")
+    even = registration.draw_expected_error(
+        error * 0 + 1.5, None, hole_um=200.0, width=HALF, of="image", shown="volume"
+    )
     assert even is not None
     assert "Contour" not in even.caption
-    assert draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF, of="image", shown="volume") is None
+    assert (
+        registration.draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF, of="image", shown="volume")
+        is None
+    )
 
 
 def test_page_states_what_is_known_of_the_registration() -> None:

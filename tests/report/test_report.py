@@ -12,13 +12,26 @@ import pytest
 import xarray as xr
 from PIL import Image
 
-from planish.report import write_report
-from planish.report.colours import GREYS, MISSING, Scale, image_uri, limits
-from planish.report.draw import Canvas, multiples, reduced, round_step
-from planish.report.maps import draw_outlines
-from planish.report.relation import block_means
-from planish.report.slices import take_slice
-from planish.report.text import beside, count, fixed, in_words, length, number, percent, plain
+from planish.report import (
+    GREYS,
+    MISSING,
+    Canvas,
+    Scale,
+    draw,
+    fixed,
+    image_uri,
+    in_words,
+    length,
+    limits,
+    maps,
+    number,
+    percent,
+    plain,
+    relation,
+    take_slice,
+    write_report,
+)
+from planish.report.text import beside, count
 from planish.results import Results
 from report.pages import Page
 from report.runs import PROPERTIES, a_run, page_of
@@ -211,15 +224,15 @@ def test_point_means_have_the_correlation_of_the_maps_and_need_two_pixels() -> N
     # Without noise in between the image is a straight line over the coating, and so are the means.
     linked = a_run()["groups"]["linked"]
     linked["image"] = 3 * linked["coating_top"] + 5
-    a, b = block_means(*coating_and_image(linked), point_um=100.0)
+    a, b = relation.block_means(*coating_and_image(linked), point_um=100.0)
     assert 20 < a.size <= 40  # 540 x 840 um hold 5 x 8 points, and the hole takes some
     np.testing.assert_allclose(b, 3 * a + 5, rtol=1e-6)
-    assert [a.size for a in block_means(*coating_and_image(linked), point_um=5.0)] == [0, 0]
+    assert [a.size for a in relation.block_means(*coating_and_image(linked), point_um=5.0)] == [0, 0]
 
 
 @pytest.mark.parametrize(("thin_um", "expected"), [(18.0, "below 18\u202fµm,"), (1.0, "No valid pixel is below 1")])
 def test_outlines_say_which_limit_they_show(thin_um: float, expected: str) -> None:
-    caption = draw_outlines(a_run()["groups"]["linked"], name="coating_top", thin_um=thin_um)[-1].caption
+    caption = maps.draw_outlines(a_run()["groups"]["linked"], name="coating_top", thin_um=thin_um)[-1].caption
     assert expected in caption
     assert ("thinnest 5 %" in caption) == (thin_um == 1.0)
     assert "standard deviations darker" in caption
@@ -227,7 +240,7 @@ def test_outlines_say_which_limit_they_show(thin_um: float, expected: str) -> No
 
 def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
     stripes = np.tile([0.0, 1.0], (40, 2000))
-    shown = reduced(stripes, np.arange(40.0), np.arange(4000.0), width=1000.0)
+    shown = draw.reduced(stripes, np.arange(40.0), np.arange(4000.0), width=1000.0)
     assert (shown.values.shape[1], shown.values.mean()) == (1350, pytest.approx(0.5, abs=1e-3))
     assert shown.values.std() < 0.2  # picking every third pixel would leave 0.5
     assert shown.width == pytest.approx(4000.0, rel=1e-3)
@@ -265,7 +278,7 @@ def test_numbers_and_names_are_written_the_same_way_everywhere(written: str, exp
 
 @pytest.mark.parametrize(("value", "expected"), [(7.3, 5.0), (1.0, 1.0), (0.0499, 0.02), (250.0, 200.0)])
 def test_scale_bars_have_round_lengths(value: float, expected: float) -> None:
-    assert round_step(value) == pytest.approx(expected)
+    assert draw.round_step(value) == pytest.approx(expected)
 
 
 @pytest.mark.parametrize(
@@ -277,8 +290,8 @@ def test_scale_bars_have_round_lengths(value: float, expected: float) -> None:
     ],
 )
 def test_ticks_are_round_and_few(low: float, high: float, expected: list[float]) -> None:
-    step = round_step((high - low) / 6, above=True)
-    np.testing.assert_allclose(multiples(low, high, step), expected, atol=1e-12)
+    step = draw.round_step((high - low) / 6, above=True)
+    np.testing.assert_allclose(draw.multiples(low, high, step), expected, atol=1e-12)
 
 
 def test_drawings_place_what_they_show() -> None:

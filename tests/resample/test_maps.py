@@ -8,7 +8,7 @@ from planish.core.errors import SurfaceError
 from planish.core.grid import Grid
 from planish.core.transform import Similarity, axial_angle
 from planish.resample import resample_image, resample_maps
-from planish.run.position_error import PositionErrors
+from planish.run import position_error
 
 
 class Placed(Similarity):
@@ -101,6 +101,6 @@ def test_an_image_on_a_reference_and_its_expected_error():
     known = np.isfinite(found.values)
     assert known.mean() > 0.5
     np.testing.assert_allclose(found.values[known], (3 * points[..., 0] - points[..., 1])[known], atol=1e-8)
-    error = PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
+    error = position_error.PositionErrors(None, way, grid).on(grid, found.values)["expected_error"]
     np.testing.assert_array_equal(np.isfinite(error.values), known)
     np.testing.assert_allclose(error.values[known], (1 + 0.01 * points[..., 0])[known], rtol=1e-6)

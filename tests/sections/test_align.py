@@ -5,10 +5,8 @@ import pytest
 
 from planish.core.errors import VolumeError
 from planish.core.threads import limit_threads
-from planish.sections import SectionSeries, align_sections, normalise_sections
+from planish.sections import SectionSeries, align_sections, band, network, normalise_sections
 from planish.sections._kernels import between, pair_sums, smooth, straighten
-from planish.sections.band import block_means, core_and_background
-from planish.sections.network import slow_part, solve_places
 from sections.bands import PITCH_UM, PIXEL_UM, Series, make_series, rms, split
 
 MISSING = (50, 51, 52, 120)
@@ -142,10 +140,10 @@ def test_the_slow_part_is_the_smoother_applied_twice_and_passes_cubics() -> None
     stiffness = (cut / (2 * np.pi)) ** 8 / (1 / np.sqrt(0.5) - 1)
     smoother = np.linalg.inv(np.eye(40) + stiffness * fourth.T @ fourth)
     twin = smoother @ y + smoother @ (y - smoother @ y)
-    np.testing.assert_allclose(slow_part(np.arange(40.0) * 3, y, cutoff_um=cut * 3), twin, atol=1e-9)
+    np.testing.assert_allclose(network.slow_part(np.arange(40.0) * 3, y, cutoff_um=cut * 3), twin, atol=1e-9)
     x = 3 * np.arange(120) + np.random.default_rng(2).uniform(-1, 1, 120)
     y = 1 + x - 0.01 * x**2 + 1e-5 * x**3
-    np.testing.assert_allclose(slow_part(x, y, cutoff_um=150.0), y, atol=1e-3)
+    np.testing.assert_allclose(network.slow_part(x, y, cutoff_um=150.0), y, atol=1e-3)
 
 
 def test_places_survive_a_fifth_of_wrong_pairs() -> None:
@@ -155,7 +153,7 @@ def test_places_survive_a_fifth_of_wrong_pairs() -> None:
     offset = place[second] - place[first] + rng.normal(0, 0.05, first.size)
     wrong = rng.random(first.size) < 0.2
     offset[wrong] += rng.normal(0, 20, wrong.sum())
-    found, kept = solve_places(first, second, offset, np.full(first.size, 0.05), 80)
+    found, kept = network.solve_places(first, second, offset, np.full(first.size, 0.05), 80)
     error = found - place
     assert np.std(np.diff(error)) < 0.1  # 0.05 um a pair, some eight good pairs each
     assert np.median(kept[wrong]) < 0.01
@@ -164,7 +162,7 @@ def test_places_survive_a_fifth_of_wrong_pairs() -> None:
 def test_block_means_smoothing_and_layers_equal_their_twins() -> None:
     section = np.random.default_rng(4).normal(size=(17, 23)).astype(np.float32)
     section[3, 4] = np.nan
-    out = block_means(section, 3, 5)
+    out = band.block_means(section, 3, 5)
     np.testing.assert_allclose(out, section[:15, :20].reshape(5, 3, 4, 5).mean(axis=(1, 3)), rtol=1e-5, atol=1e-6)
     values = np.random.default_rng(6).normal(size=(9, 12)).astype(np.float32)
     down, across = (np.array(w, np.float32) for w in ([0.25, 0.5, 0.25], [0.1, 0.2, 0.4, 0.2, 0.1]))
@@ -178,7 +176,7 @@ def test_block_means_smoothing_and_layers_equal_their_twins() -> None:
     section = np.random.default_rng(9).normal(size=(30, 12)).astype(np.float32)
     section[15, 3] = np.nan
     height = np.linspace(12, 17, 12).astype(np.float32)
-    core, off = core_and_background(section, height, 4.0, 8.0, (1, 3))
+    core, off = band.core_and_background(section, height, 4.0, 8.0, (1, 3))
     away = np.abs(np.arange(30)[:, None] - height)
     inside = section[away <= 4]
     np.testing.assert_array_equal(core, inside[np.isfinite(inside)])

@@ -5,9 +5,7 @@ import pytest
 from scipy.special import ndtr
 
 from planish.core.errors import VolumeError
-from planish.sections import SectionSeries, align_sections, fixed_places
-from planish.sections.align import _match_template
-from planish.sections.network import slow_part
+from planish.sections import SectionSeries, align, align_sections, fixed_places, network
 from sections.bands import PIXEL_UM, make_series, rms
 
 
@@ -60,7 +58,7 @@ def test_what_lies_still_brings_back_the_bend(drifting):
     # what comes in is the slow part of all that the fixture shows, and nothing else
     true = series.shift_um[:, 0] + drift[:, 0]
     away = series.positions_um - series.positions_um[0]
-    slow = slow_part(away, true - true.mean(), cutoff_um=held.cutoff_um)
+    slow = network.slow_part(away, true - true.mean(), cutoff_um=held.cutoff_um)
     assert rms(slow) > 5
     assert rms(held.shift_um[:, 0] - free.shift_um[:, 0] - slow) < 0.1
     np.testing.assert_array_equal(held.shift_um[:, 1], free.shift_um[:, 1])
@@ -70,7 +68,7 @@ def test_a_small_step_is_found_whatever_the_gain_and_a_strip_without_a_line_refu
     x = np.arange(60.0)
     template = ndtr((x - 30) / 3)[None]
     moved = 0.7 * ndtr((x - 30.4) / 3)[None, None] + 5
-    step, alike = _match_template(moved, template)
+    step, alike = align._match_template(moved, template)
     assert step[0, 0] == pytest.approx(0.4, abs=0.02)
     assert alike[0, 0] > 0.99
     noise = np.random.default_rng(0).normal(100, 5, (30, 60, 80))

@@ -7,7 +7,7 @@ import pytest
 
 from planish.cli.main import main
 from planish.core.errors import FileError, InputError
-from planish.series.members import members_of
+from planish.series import members_of
 from series.runs import put, results_of
 
 

@@ -8,11 +8,10 @@ import pytest
 import tifffile
 
 from formats_written import CUBE, NAME, write_hdf5, write_meta, write_nrrd, write_raw, write_zarr
-from planish.cli.series import code_of
+from planish.cli import series
 from planish.core.series_results import Member, MemberState
-from planish.run.compute import Compute
-from planish.series import Plan, PlannedSpecimen, SeriesState
-from planish.series.jobs import Job, JobOutcome, do
+from planish.run import Compute
+from planish.series import Plan, PlannedSpecimen, SeriesState, jobs
 
 COMPUTE = Compute()
 
@@ -30,30 +29,32 @@ def book(folder: Path, *specimens: PlannedSpecimen, changes: tuple[str, ...] = (
     return SeriesState(home, Plan(specimens=specimens, home=folder, changes=changes))
 
 
-def opened(one: SeriesState, specimen: PlannedSpecimen) -> Job:
+def opened(one: SeriesState, specimen: PlannedSpecimen) -> jobs.Job:
     job = one.open(specimen, COMPUTE)
-    assert isinstance(job, Job)
+    assert isinstance(job, jobs.Job)
     return job
 
 
 def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), JobOutcome(state="damaged", message="memory", seconds=1.0))
-    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
-    refused = one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no hole", seconds=1.0))
+    one.close(specimen, opened(one, specimen), jobs.JobOutcome(state="damaged", message="memory", seconds=1.0))
+    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), jobs.Job)
+    refused = one.close(
+        specimen, opened(one, specimen), jobs.JobOutcome(state="refused", message="no hole", seconds=1.0)
+    )
     assert (refused.state, refused.message, refused.run) == ("refused", "no hole", None)
     again = book(tmp_path, specimen).open(specimen, COMPUTE)
     assert isinstance(again, Member)
     assert again == refused
     other = book(tmp_path, specimen, changes=("correlate.point_um=50",)).open(specimen, COMPUTE)
-    assert isinstance(other, Job)
+    assert isinstance(other, jobs.Job)
     tifffile.imwrite(tmp_path / "i.tif", np.ones((8, 7), np.uint8))
-    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Job)
+    assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), jobs.Job)
 
 
 def test_same_bytes_are_the_same_whatever_their_date(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no hole", seconds=1.0))
+    one.close(specimen, opened(one, specimen), jobs.JobOutcome(state="refused", message="no hole", seconds=1.0))
     os.utime(tmp_path / "i.tif", (1e9, 1e9))
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Member)
 
@@ -80,13 +81,13 @@ def test_a_volume_whose_values_changed_is_done_again(tmp_path: Path, kind: str) 
     """The file that changed has as many bytes as before and an older date than the header: a copy that was put back."""
     path, data = in_parts_or_two_files(tmp_path, kind)
     one, specimen = book(tmp_path), PlannedSpecimen(name="A", files=(path,))
-    one.close(specimen, opened(one, specimen), JobOutcome(state="refused", message="no sheet", seconds=1.0))
+    one.close(specimen, opened(one, specimen), jobs.JobOutcome(state="refused", message="no sheet", seconds=1.0))
     assert isinstance(one.open(specimen, COMPUTE), Member)
     changed = bytearray(data.read_bytes())
     changed[-1] ^= 1
     data.write_bytes(changed)
     os.utime(data, (1e9, 1e9))
-    assert isinstance(one.open(specimen, COMPUTE), Job)
+    assert isinstance(one.open(specimen, COMPUTE), jobs.Job)
 
 
 def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: PlannedSpecimen) -> None:
@@ -100,21 +101,21 @@ def test_a_folder_that_is_there_is_left_alone(tmp_path: Path, specimen: PlannedS
 
 def test_a_missing_file_concerns_its_specimen(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     gone = PlannedSpecimen(name="B", files=(str(tmp_path / "gone.tif"),))
-    found = do(opened(book(tmp_path, specimen, gone), gone))
+    found = jobs.do(opened(book(tmp_path, specimen, gone), gone))
     assert found.state == "refused"
     assert "gone.tif" in found.message
 
 
 def test_a_job_never_raises(tmp_path: Path, specimen: PlannedSpecimen, monkeypatch: pytest.MonkeyPatch) -> None:
     job = opened(book(tmp_path, specimen), specimen)
-    assert do(job).state == "refused"  # eight pixels are no sheet
+    assert jobs.do(job).state == "refused"  # eight pixels are no sheet
     for error, words in ((MemoryError(), "memory"), (ZeroDivisionError("x"), "fault of planish: ZeroDivisionError")):
 
         def fails(*_: object, error: Exception = error, **__: object) -> None:
             raise error
 
         monkeypatch.setattr("planish.series.jobs.run_study", fails)
-        found = do(job)
+        found = jobs.do(job)
         assert found.state == "damaged"
         assert words in found.message
 
@@ -127,4 +128,4 @@ def test_a_job_never_raises(tmp_path: Path, specimen: PlannedSpecimen, monkeypat
     ],
 )  # fmt: skip
 def test_exit_codes(states: list[MemberState], code: int) -> None:
-    assert code_of([Member(name=str(k), state=state) for k, state in enumerate(states)]) == code
+    assert series.code_of([Member(name=str(k), state=state) for k, state in enumerate(states)]) == code

@@ -11,11 +11,10 @@ import xarray as xr
 import planish as pl
 from planish.core.errors import FileError
 from planish.core.series_results import Member, SeriesResults
-from planish.io.run_folder import write_tree
+from planish.io import write_tree
 from planish.report import series_page, small_map
 from planish.report.series import natural
-from planish.series import Declared, gather, write_series
-from planish.series.pages import figures_table, parquet_bytes
+from planish.series import Declared, gather, pages, write_series
 from report.pages import Page
 from series.runs import results_of, series, two_volumes
 
@@ -199,7 +198,7 @@ def test_parquet_holds_what_the_table_holds(written):
 
     _, members, home, _ = written
     rows = gather(members, home).rows
-    table = pq.read_table(io.BytesIO(parquet_bytes(*figures_table(rows, ["paper", "sheet"]))))
+    table = pq.read_table(io.BytesIO(pages.parquet_bytes(*pages.figures_table(rows, ["paper", "sheet"]))))
     assert (table.num_rows, table.column("value").to_pylist()) == (len(rows), [row.value for row in rows])
     assert table.column("paper").to_pylist() == [row.factors["paper"] for row in rows]
 

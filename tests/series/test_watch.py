@@ -9,8 +9,8 @@ import pytest
 import tifffile
 
 from planish.core.errors import InputError
-from planish.series import Plan, PlannedSpecimen
-from planish.series.watch import watch_params, watched
+from planish.series import Plan, PlannedSpecimen, watched
+from planish.series.watch import watch_params
 
 
 class Clock:

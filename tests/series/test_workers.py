@@ -6,10 +6,8 @@ from pathlib import Path
 
 import pytest
 
-from planish.run.compute import Compute
-from planish.run.study import Study
-from planish.series import run
-from planish.series.jobs import Job, JobOutcome, Note
+from planish.run import Compute, Study
+from planish.series import jobs, run
 
 
 class Death(Exception):
@@ -25,31 +23,31 @@ class Workers:
     def __init__(self, at_once: int, **doomed: int) -> None:
         self.at_once, self.doomed, self.begun = at_once, doomed, list[str]()
 
-    def start(self, job: Job) -> Future[JobOutcome]:
+    def start(self, job: jobs.Job) -> Future[jobs.JobOutcome]:
         self.begun.append(job.name)
-        future: Future[JobOutcome] = Future()
+        future: Future[jobs.JobOutcome] = Future()
         if self.doomed.get(job.name, 0):
             self.doomed[job.name] -= 1
             future.set_exception(Death())
         else:
-            future.set_result(JobOutcome(state="whole", seconds=1.0))
+            future.set_result(jobs.JobOutcome(state="whole", seconds=1.0))
         return future
 
-    def forget(self, future: Future[JobOutcome]) -> None:
+    def forget(self, future: Future[jobs.JobOutcome]) -> None:
         assert future.exception() is not None
 
 
 STUDY = Study.model_validate({"layers": [{"name": "sheet", "volume": {"path": "v.tif"}}]})
 
 
-def job(name: str) -> Job:
-    return Job(name=name, study=STUDY, folder=Path(name), compute=Compute(), note=Note(key=name))
+def job(name: str) -> jobs.Job:
+    return jobs.Job(name=name, study=STUDY, folder=Path(name), compute=Compute(), note=jobs.Note(key=name))
 
 
 @pytest.mark.parametrize("at_once", [1, 2, 5])
 def test_every_job_has_one_outcome(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run, "_PAUSE", 0.001)
-    slow: Iterator[Job | None] = iter([job("a"), None, job("b"), None, None, job("c"), job("d")])
+    slow: Iterator[jobs.Job | None] = iter([job("a"), None, job("b"), None, None, job("c"), job("d")])
     pool = Workers(at_once, b=1, d=5)
     found = [(one.name, outcome.state) for one, outcome in run._run_jobs(slow, pool)]  # type: ignore[arg-type]
     assert sorted(found) == [("a", "whole"), ("b", "whole"), ("c", "whole"), ("d", "damaged")]
@@ -59,7 +57,7 @@ def test_every_job_has_one_outcome(at_once: int, monkeypatch: pytest.MonkeyPatch
 def test_jobs_are_taken_as_there_is_room() -> None:
     taken: list[str] = []
 
-    def coming() -> Iterator[Job]:
+    def coming() -> Iterator[jobs.Job]:
         for name in "abc":
             taken.append(name)
             yield job(name)

@@ -7,8 +7,7 @@ import pytest
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
-from planish.surface import SurfaceParams, find_surfaces
-from planish.surface.sample import most_cost
+from planish.surface import SurfaceParams, find_surfaces, sample
 from surface.sheets import Sheet
 
 PLAIN = Sheet(lateral=(48, 52), margin=20.0, thickness=60.0)
@@ -60,9 +59,9 @@ def test_a_volume_without_noise_is_measured_no_worse_than_a_noisy_one(dtype):
 
 def test_a_cost_that_most_columns_exceed_is_no_bound():
     """Blurs whose costs are all cut at one number could not be told apart."""
-    assert most_cost(np.array([1.0, 2.0, 3.0, 1e6, np.nan])) == 400.0
-    assert most_cost(np.array([5e3, 6e3, 7e3, np.nan])) > 7e3
-    assert most_cost(np.array([np.nan])) == 400.0
+    assert sample.most_cost(np.array([1.0, 2.0, 3.0, 1e6, np.nan])) == 400.0
+    assert sample.most_cost(np.array([5e3, 6e3, 7e3, np.nan])) > 7e3
+    assert sample.most_cost(np.array([np.nan])) == 400.0
 
 
 @pytest.mark.parametrize("coats", [(3.0, 3.0), (4.0, 15.0)])

@@ -5,8 +5,7 @@ from scipy import ndimage
 
 from naive import twice_smoothed
 from planish.checks import CHECKS, MeasuredSheet
-from planish.surface import SurfaceParams
-from planish.surface.assemble import centre_surface
+from planish.surface import SurfaceParams, assemble
 from planish.surface.centre import gaussian_regression
 
 
@@ -69,7 +68,7 @@ def test_the_surface_is_that_of_the_cutoff_that_is_stated():
     middle = 20 * np.sin(x / 90) + ndimage.gaussian_filter(rng.normal(0, 40, x.shape), 6)
     whole = gaussian_regression(middle, pitch, cutoff_um=cutoff)
     middle[(np.hypot(y - 400, x - 480) < 1.1 * cutoff) & (np.hypot(y - 400, x - 480) > 25)] = np.nan
-    centre, used = centre_surface(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
+    centre, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
     assert np.isfinite(centre).all()
     data = np.isfinite(middle)
     wider = used > cutoff
@@ -97,7 +96,7 @@ def test_data_with_poor_neighbours_never_blanks_a_field(cutoff):
             middle[np.hypot(y - at[0], x - at[1]) < 80] = np.nan
         middle[rng.random(middle.shape) < 1e-3] = 3.0
         data = np.isfinite(middle)
-        _, used = centre_surface(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
+        _, used = assemble.centre_surface(middle, np.ones(middle.shape, bool), pitch, SurfaceParams(cutoff_um=cutoff))
         # a block that is hardly known counts as a gap
         assert not ((used > cutoff) & ndimage.binary_erosion(data, iterations=3, border_value=1)).any()
 

@@ -17,11 +17,11 @@ from planish.surface import (
     Stretch,
     SurfaceParams,
     correct_surfaces,
+    draw,
     find_surfaces,
     read_corrections,
     uncorrected,
 )  # fmt: skip
-from planish.surface.draw import distance_to_line, krige, variogram_slope
 from planish.surface.params import FACES
 
 VOXEL, SHAPE, RADIUS = 3.0, (84, 120, 126), 36.0
@@ -108,7 +108,7 @@ def test_columns_beyond_the_reach_keep_their_bytes_and_what_was_found_comes_back
     asked = clicks(truth, frame)
     corrected = correct_surfaces(found(), volume, asked)
     line = np.array([[point.y, point.x] for point in asked.stretches[0].points])
-    beyond = distance_to_line(places(), line) > asked.stretches[0].reach_um
+    beyond = draw.distance_to_line(places(), line) > asked.stretches[0].reach_um
     for name in (*FACES, "interface_top", "interface_bottom", "status"):
         assert corrected[name].values[beyond].tobytes() == found()[name].values[beyond].tobytes(), name
     assert corrected["interface_bottom"].equals(found()["interface_bottom"])
@@ -225,12 +225,12 @@ def test_kriging_meets_its_points_and_is_as_wrong_as_it_says():
     off, errors = [], None
     for walk in walks:
         kriging = {"places": at[known], "heights": walk[known], "variances": np.zeros(2), "slope": 0.5}
-        height, errors = krige(at[between], **kriging)
+        height, errors = draw.krige(at[between], **kriging)
         off.append(height - walk[between])
         if len(off) == 1:
-            np.testing.assert_allclose(krige(at[known], **kriging)[0], walk[known], atol=1e-9)
+            np.testing.assert_allclose(draw.krige(at[known], **kriging)[0], walk[known], atol=1e-9)
     # A bridge of length 40 has the variance t (40 - t) / 40.
     np.testing.assert_allclose(errors, np.sqrt([10 * 30 / 40, 20 * 20 / 40]), rtol=1e-9)
     np.testing.assert_allclose(np.std(off, axis=0), errors, rtol=0.04)  # three standard errors of 4000 draws
-    slope = variogram_slope(walks, (1.0, 1.0), 4.0, least=0.0)
+    slope = draw.variogram_slope(walks, (1.0, 1.0), 4.0, least=0.0)
     assert slope > 0

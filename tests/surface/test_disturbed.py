@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from planish.core._envelope_kernels import rolled
-from planish.surface import SurfaceParams, find_surfaces
-from planish.surface.regions import all_holes, half_closed
+from planish.surface import SurfaceParams, find_surfaces, regions
 from surface.sheets import Sheet
 
 SHEET = Sheet(lateral=(100, 110), thickness=60.0, margin=30.0)
@@ -71,18 +70,18 @@ def holes(fill):
 
 def test_open_holes_have_the_area_of_their_ellipse():
     sheet = holes(lambda y, _x: y > 1000)
-    found = all_holes(sheet, (2.0, 2.0))
+    found = regions.all_holes(sheet, (2.0, 2.0))
     assert len(found) == 4
     for hole in found:
         assert hole.open_um2 == pytest.approx(np.pi * 60**2, rel=0.02)
         assert hole.ellipse_um2 == pytest.approx(np.pi * 60**2, rel=0.06)
-    assert half_closed(sheet, ~sheet & False, (2.0, 2.0)) == []
+    assert regions.half_closed(sheet, ~sheet & False, (2.0, 2.0)) == []
 
 
 @pytest.mark.parametrize("fill", [lambda y, _x: y > 5, lambda y, x: (np.abs(x) < 12) & (y < 200) | (y > 25)])
 def test_a_hole_that_is_half_closed_is_named(fill):
     sheet = holes(fill)
-    closed = half_closed(sheet, ~sheet & False, (2.0, 2.0))
+    closed = regions.half_closed(sheet, ~sheet & False, (2.0, 2.0))
     assert len(closed) >= 1
     assert all(abs(h.row - 150) < 40 and abs(h.col - 150) < 40 for h in closed)
 

@@ -9,8 +9,7 @@ from pydantic import ValidationError
 from planish.core.errors import InputError, VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface import LabelParams, SurfaceParams, find_surfaces
-from planish.surface.boundaries import otsu
+from planish.surface import LabelParams, SurfaceParams, boundaries, find_surfaces
 from surface.sheets import Sheet
 
 
@@ -77,10 +76,10 @@ def test_tiles_change_nothing(kind):
 def test_thresholds_of_a_mixture():
     rng = np.random.default_rng(0)
     values = np.concatenate([rng.normal(m, 3, 4000) for m in (0.0, 50.0, 160.0)])
-    first, second = otsu(values, 3)
+    first, second = boundaries.otsu(values, 3)
     assert 8 < first < 42
     assert 58 < second < 152
-    assert 8 < otsu(values[:8000], 2)[0] < 42
+    assert 8 < boundaries.otsu(values[:8000], 2)[0] < 42
 
 
 def test_the_published_method_fits_an_uncoated_sheet_and_thickens_a_thin_coating():

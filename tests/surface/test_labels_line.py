@@ -6,8 +6,7 @@ import tifffile
 from scipy import ndimage
 
 from planish.core.errors import InputError
-from planish.run import open_run, run_study
-from planish.run.study import as_study
+from planish.run import as_study, open_run, run_study
 from planish.surface import LabelParams, SurfaceParams
 
 

@@ -6,9 +6,7 @@ from scipy import ndimage
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface import LabelParams, SurfaceParams, find_surfaces
-from planish.surface.assemble import LAYERS, find_presence
-from planish.surface.columns import Columns
+from planish.surface import LabelParams, SurfaceParams, assemble, columns, find_surfaces
 from surface.sheets import VOXEL, Sheet, slab, volume
 from surface.test_tiles import lazy
 
@@ -43,7 +41,9 @@ def along_normals(grey, centre, places):
 
 def presence(data, centre, *, frame=None, up=1.0, threads=1, memory=2**31):
     engine = Engine(threads=threads, memory_bytes=memory)
-    return find_presence(Columns(volume=data, frame=frame or Frame()), centre, THICKNESS, up, (AIR, BASE), engine)
+    return assemble.find_presence(
+        columns.Columns(volume=data, frame=frame or Frame()), centre, THICKNESS, up, (AIR, BASE), engine
+    )
 
 
 @pytest.mark.parametrize("slope", [(0.0, 0.0), (0.1, -0.2), (0.4, 0.9)])
@@ -58,7 +58,7 @@ def test_the_layers_are_means_along_the_normals(slope):
         "presence_bottom": -0.1 - step * np.arange(7),
     }
     for name, at in places.items():
-        assert (min(at), max(at)) == pytest.approx(LAYERS[name])
+        assert (min(at), max(at)) == pytest.approx(assemble.LAYERS[name])
         np.testing.assert_allclose(found[name], along_normals(grey, centre, at), atol=1e-9)
 
 
@@ -68,9 +68,9 @@ def test_neither_tiles_nor_threads_change_a_byte(through):
     data, frame = volume(np.moveaxis(grey, 0, "zyx".index(through))), Frame(through=through)
     one = presence(data, centre, frame=frame)
     for threads, memory in ((2, 2**20), (3, 2**16)):
-        assert len(Columns(volume=data, frame=frame).tiles(Engine(threads=threads, memory_bytes=memory))) > 1
+        assert len(columns.Columns(volume=data, frame=frame).tiles(Engine(threads=threads, memory_bytes=memory))) > 1
         other = presence(data, centre, frame=frame, threads=threads, memory=memory)
-        for name in LAYERS:
+        for name in assemble.LAYERS:
             assert one[name].tobytes() == other[name].tobytes(), name
 
 
@@ -105,7 +105,7 @@ def test_the_volume_is_read_once_for_all_layers():
     reach = 2 * 0.42 * THICKNESS / VOXEL + 3
     assert sum(sizes) < 1.2 * reach / 60 * grey.size
     whole = presence(volume(grey), centre)
-    assert all(found[name].tobytes() == whole[name].tobytes() for name in LAYERS)
+    assert all(found[name].tobytes() == whole[name].tobytes() for name in assemble.LAYERS)
 
 
 def blind_hole(shape=(70, 120, 120)):
@@ -128,8 +128,8 @@ def test_the_surfaces_carry_all_three(top):
         print(f"{name}: {seen}")
         np.testing.assert_allclose(seen, values, atol=0.1)
         assert (found[name].dtype, found[name].attrs["units"]) == (found["presence"].dtype, "1")
-        assert found[name].attrs["layer"] == list(LAYERS[name])
-    assert len({found[name].attrs["long_name"] for name in LAYERS}) == 3
+        assert found[name].attrs["layer"] == list(assemble.LAYERS[name])
+    assert len({found[name].attrs["long_name"] for name in assemble.LAYERS}) == 3
 
 
 def test_labels_carry_all_three():
@@ -137,5 +137,5 @@ def test_labels_carry_all_three():
     labels = sheet.labels()
     labels.values[:, 20:30, 20:30] = 0
     found = find_surfaces(labels, params=SurfaceParams(rim_um=5.0, labels=LabelParams()))
-    for name in LAYERS:
+    for name in assemble.LAYERS:
         assert (found[name].values[25, 25], found[name].values[5, 5]) == (0.0, 1.0)

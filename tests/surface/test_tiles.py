@@ -7,8 +7,7 @@ from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexed
 
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
-from planish.surface import find_surfaces
-from planish.surface.columns import Columns
+from planish.surface import columns, find_surfaces
 from surface.sheets import VOXEL, slab, volume
 
 NAMES = (
@@ -46,7 +45,7 @@ def test_neither_threads_nor_memory_change_a_byte(through):
     one = find_surfaces(data, frame=frame, engine=Engine(threads=1))
     for threads, memory in ((2, 2**22), (3, 2**20)):
         engine = Engine(threads=threads, memory_bytes=memory)
-        assert len(Columns(volume=data, frame=frame).tiles(engine)) > 1
+        assert len(columns.Columns(volume=data, frame=frame).tiles(engine)) > 1
         other = find_surfaces(data, frame=frame, engine=engine)
         for name in NAMES:
             assert one[name].values.tobytes() == other[name].values.tobytes(), name

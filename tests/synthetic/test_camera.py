@@ -8,10 +8,10 @@ from scipy import fft, ndimage
 
 from planish.core.area import area_mean
 from planish.core.transform import Similarity
+from planish.synthetic import CameraParams, PaperParams, PrintParams, Sheet
 from planish.synthetic.camera import image_material, photograph
-from planish.synthetic.params import CameraParams, PaperParams, PrintParams
 from planish.synthetic.pose import CameraPose, draw_pose
-from planish.synthetic.sheet import PITCH_UM, Sheet, noise
+from planish.synthetic.sheet import PITCH_UM, noise
 
 SIZE = (2400.0, 1800.0)  # um that the images show
 SEED = np.random.SeedSequence(11)

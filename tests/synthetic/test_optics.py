@@ -9,9 +9,7 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from planish.core.light import layer_over
-from planish.synthetic.camera import pile_reflectance, sheet_reflectance
-from planish.synthetic.params import PaperParams
-from planish.synthetic.presets import PRESETS
+from planish.synthetic import PRESETS, PaperParams, camera
 
 share = st.floats(0.0, 1.0)
 
@@ -82,18 +80,18 @@ def test_brightness_over_coat_weight_and_piles_are_as_computed_elsewhere():
     got = layer_over(infinite_stack(45.0, 1.2), 150.0, 0.3, np.array([0.0, 5.0, 10.0, 20.0, 30.0]) * 1e-3)
     np.testing.assert_allclose(got, [0.794, 0.820, 0.839, 0.866, 0.884], atol=6e-4)
     for paper in (PaperParams(), PRESETS["board"][1], PRESETS["sc50"][1]):
-        one_more = sheet_reflectance(
+        one_more = camera.sheet_reflectance(
             paper, "pile", coating_top_um=paper.coating_top_um, coating_bottom_um=paper.coating_bottom_um
         )
-        assert one_more == pytest.approx(pile_reflectance(paper), abs=1e-12)
-    assert pile_reflectance(PRESETS["sc50"][1]) == pytest.approx(infinite_stack(45.0, 1.2), abs=1e-12)
+        assert one_more == pytest.approx(camera.pile_reflectance(paper), abs=1e-12)
+    assert camera.pile_reflectance(PRESETS["sc50"][1]) == pytest.approx(infinite_stack(45.0, 1.2), abs=1e-12)
 
 
 def test_each_map_and_a_coating_act_on_the_brightness_in_their_own_sense():
     coating = np.linspace(0.0, 40.0, 81)
     paper = PaperParams()
     pile, black = (
-        sheet_reflectance(paper, backing, coating_top_um=coating, coating_bottom_um=17.4)
+        camera.sheet_reflectance(paper, backing, coating_top_um=coating, coating_bottom_um=17.4)
         for backing in ("pile", "black")
     )
     assert (np.diff(pile) > 0).all()
@@ -105,10 +103,10 @@ def test_each_map_and_a_coating_act_on_the_brightness_in_their_own_sense():
     assert (pile < 0.93).all()
     paper = PaperParams()
     usual = {"coating_top_um": 17.4, "coating_bottom_um": 17.4}
-    at = sheet_reflectance(paper, "black", **usual)
+    at = camera.sheet_reflectance(paper, "black", **usual)
     for more in ({"coating_density": 1.1}, {"base_mass": 1.1}, {"base_s_m2_per_kg": 50.0}, {"coating_bottom_um": 20.0}):
-        assert sheet_reflectance(paper, "black", **{**usual, **more}) > at
+        assert camera.sheet_reflectance(paper, "black", **{**usual, **more}) > at
     heavy = replace(paper, base_um=paper.base_um * 2)
-    assert sheet_reflectance(heavy, "black", **usual) == pytest.approx(
-        sheet_reflectance(paper, "black", base_mass=2.0, **usual), abs=1e-14
+    assert camera.sheet_reflectance(heavy, "black", **usual) == pytest.approx(
+        camera.sheet_reflectance(paper, "black", base_mass=2.0, **usual), abs=1e-14
     )

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.core.transform import Similarity
-from planish.synthetic.params import CameraParams
+from planish.synthetic import CameraParams
 from planish.synthetic.pose import CameraPose, draw_pose
 
 SPREAD = (200.0, -300.0, 3200.0, 1700.0)

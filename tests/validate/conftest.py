@@ -6,10 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from planish.report.draw import HALF, Canvas
+from planish.report import HALF, Canvas
 from planish.run import run_study
 from planish.synthetic import make_specimen, write_instruments
-from planish.validate.certify import Certificate, Entry, run_scenario
+from planish.validate import certify
 from planish.validate.scenario import in_order, read_scenario
 
 
@@ -23,18 +23,18 @@ def certificate(small):
     """A certificate of three specimens with the recorded figures, and made-up pictures."""
     recorded = tomllib.loads(Path(__file__).with_name("recorded.toml").read_text())["figures"]
     entries = [
-        Entry(seed=seed, values=in_order({k: f["mean"] + off * f["sd"] for k, f in recorded.items()}))
+        certify.Entry(seed=seed, values=in_order({k: f["mean"] + off * f["sd"] for k, f in recorded.items()}))
         for seed, off in enumerate((0.0, -1.0, 1.0))
     ]
     canvas = Canvas(HALF, 300)
     pictures = tuple(canvas.picture(title=f"Map {k}", caption="") for k in range(4))
-    return Certificate(scenario=small, entries=(replace(entries[0], pictures=pictures), *entries[1:]))
+    return certify.Certificate(scenario=small, entries=(replace(entries[0], pictures=pictures), *entries[1:]))
 
 
 @pytest.fixture(scope="session")
 def whole_certificate(small):
     """The small scenario run with the seeds of its record."""
-    return run_scenario(small)
+    return certify.run_scenario(small)
 
 
 @pytest.fixture(scope="session")

@@ -11,11 +11,10 @@ import pytest
 
 import record
 from planish.core.errors import CannotRegister, InputError
-from planish.validate import certify
+from planish.validate import certify, table
 from planish.validate.certify import Certificate, Entry, run_scenario
 from planish.validate.page import dots, render_page
 from planish.validate.scenario import STAGES, Limit, read_scenario
-from planish.validate.table import as_json, markdown, summary, terminal_rows, verdict
 
 RECORDED = Path(__file__).with_name("recorded.toml")
 
@@ -28,7 +27,7 @@ def test_no_figure_is_worse_than_recorded(whole_certificate):
 
 @pytest.mark.study
 def test_the_small_scenario_meets_its_limits(whole_certificate):
-    assert whole_certificate.passed, summary(whole_certificate)
+    assert whole_certificate.passed, table.summary(whole_certificate)
     assert (len(whole_certificate.entries), len(whole_certificate.entries[0].pictures)) == (3, 4)
 
 
@@ -51,7 +50,7 @@ def test_the_spread_over_seeds_and_the_worst_one_decide():
         "thin_dice": False,  # what could not be measured is not met
     }
     assert not found.passed
-    assert "2 of 3 limits are missed" in summary(found)
+    assert "2 of 3 limits are missed" in table.summary(found)
 
 
 @pytest.fixture
@@ -97,15 +96,15 @@ def test_a_refusal_is_an_outcome(monkeypatch, small):
     found = run_scenario(small, 1)
     assert (found.entries[0].refusal, found.entries[0].values) == ("Only 2 holes were found in the volume.", {})
     assert not found.passed
-    assert "no result" in verdict(found)
+    assert "no result" in table.verdict(found)
     assert "Only 2 holes" in render_page(found)
-    assert "Only 2 holes" in markdown(found)
+    assert "Only 2 holes" in table.markdown(found)
 
 
 def test_failed_checks_and_notes_stand_on_the_page_with_a_row_of_dots():
     found = made_up([{"tre_p95": 1.0}], failed=("marks: 7 marks agree to 33.1 um only.",))
     assert not found.passed
-    assert "a check of the run failed" in summary(found)
+    assert "a check of the run failed" in table.summary(found)
     assert "33.1" in render_page(found)
     found = replace(made_up([{"tre_p95": 1.0}]), notes=("Taken: voxels of 3 um.",))
     assert "voxels of 3 um" in render_page(found)
@@ -119,15 +118,15 @@ def test_failed_checks_and_notes_stand_on_the_page_with_a_row_of_dots():
 
 
 def test_table_of_a_certificate(certificate):
-    rows = terminal_rows(certificate)
+    rows = table.terminal_rows(certificate)
     assert all(len(row) == 7 for row in rows)
     assert [row[0] for row in rows if not row[0].startswith(" ")] == [
         STAGES[s] for s in STAGES if s not in ("mesh", "sections", "pair")
     ]
     assert sum(row[-1] == "met" for row in rows) == len(certificate.scenario.limits)
-    text = markdown(certificate)
+    text = table.markdown(certificate)
     assert text.count("\n| ") >= len(certificate.lines())
-    data = json.loads(json.dumps(as_json(certificate), allow_nan=False))
+    data = json.loads(json.dumps(table.as_json(certificate), allow_nan=False))
     assert data["passed"] is True
     assert data["figures"]["tre_median"]["n"] == 3
     # where it is run leaves no trace: it can be compared with another machine's
@@ -153,7 +152,7 @@ def test_the_page_needs_nothing_else(certificate):
     assert "script" not in page.tags
     assert all(source.startswith(("data:", "#")) for source in page.sources)
     assert (page.tags.count("figure"), text) == (5, render_page(certificate))
-    assert verdict(certificate).replace("'", "&#39;") in text
+    assert table.verdict(certificate).replace("'", "&#39;") in text
     assert "{{" not in text
 
 

@@ -9,10 +9,8 @@ import xarray as xr
 
 from planish.core.transform import Similarity
 from planish.register import fit_transform
+from planish.validate import errors, page, scenario
 from planish.validate.certify import make_ledger as ledger_of
-from planish.validate.errors import contour_points, dice, outline_lag
-from planish.validate.page import draw_example
-from planish.validate.scenario import FIGURES, KEYS, STAGES, in_order
 from planish.validate.truth import FACES, Comparison
 
 ROWS, COLS, PITCH = 150, 200, 5.0  # columns of the volume
@@ -190,7 +188,7 @@ def test_a_false_and_a_missed_hole_and_pictures_of_errors():
     assert (found["recall_image"], found["false_image"], found["recall_volume"]) == (0.75, 1.0, 0.75)
     assert found["false_volume"] == 1.0
     specimen, files, run = exact_run(shift=(3.0, 0.0), thicker=-0.4)
-    pictures = draw_example(Comparison(specimen, files, run), 7)
+    pictures = page.draw_example(Comparison(specimen, files, run), 7)
     assert [picture.title for picture in pictures] == [
         "The image of one specimen", "Measured coating thickness", "Error of place", "Error of the coating thickness"
     ]  # fmt: skip
@@ -328,7 +326,7 @@ def test_runs_without_an_image_or_any_value_have_no_figures_of_them():
     del run.groups["linked"]
     found = make_ledger(specimen, files, run)
     assert found["top_rmse"] < 1e-6
-    assert not any(FIGURES[name].stage == "registration" for name in found)
+    assert not any(scenario.FIGURES[name].stage == "registration" for name in found)
     run.groups["surfaces"]["status"] += 3
     run.groups["linked"]["valid"][:] = False
     found = make_ledger(specimen, files, run)
@@ -336,16 +334,22 @@ def test_runs_without_an_image_or_any_value_have_no_figures_of_them():
 
 
 def test_figures_are_named_once_and_outlines_of_discs_are_as_far_apart_as_their_radii():
-    assert all(figure.stage in STAGES and figure.sentence and figure.title for figure in FIGURES.values())
-    assert all(name in FIGURES and FIGURES[name].stage == stage for stage, names in KEYS.items() for name in names)
-    assert next(iter(in_order({"tre_rms": 1.0, "top_bias": 2.0}))) == "top_bias"
+    assert all(
+        figure.stage in scenario.STAGES and figure.sentence and figure.title for figure in scenario.FIGURES.values()
+    )
+    assert all(
+        name in scenario.FIGURES and scenario.FIGURES[name].stage == stage
+        for stage, names in scenario.KEYS.items()
+        for name in names
+    )
+    assert next(iter(scenario.in_order({"tre_rms": 1.0, "top_bias": 2.0}))) == "top_bias"
     y, x = np.mgrid[:120, :120] * 2.0
     one, two = (np.hypot(x - 120, y - 118) - r for r in (60.0, 67.0))
-    assert outline_lag(one, two, 0.0, (2.0, 2.0)) == pytest.approx(7.0, abs=0.05)
-    points = contour_points(one, 0.0) * 2.0
+    assert errors.outline_lag(one, two, 0.0, (2.0, 2.0)) == pytest.approx(7.0, abs=0.05)
+    points = errors.contour_points(one, 0.0) * 2.0
     np.testing.assert_allclose(np.hypot(points[:, 1] - 120, points[:, 0] - 118), 60.0, atol=0.02)
-    assert dice(one < 0, two < 0) == pytest.approx(2 * 60**2 / (60**2 + 67**2), rel=0.01)
-    assert (outline_lag(one, two + 1e3, 0.0, (2.0, 2.0)), dice(one > 1e9, one > 1e9)) == (None, None)
+    assert errors.dice(one < 0, two < 0) == pytest.approx(2 * 60**2 / (60**2 + 67**2), rel=0.01)
+    assert (errors.outline_lag(one, two + 1e3, 0.0, (2.0, 2.0)), errors.dice(one > 1e9, one > 1e9)) == (None, None)
 
 
 @pytest.mark.study

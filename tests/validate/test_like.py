@@ -6,12 +6,12 @@ import shutil
 import pytest
 
 from planish.core.errors import FileError, InputError, PlanishError
-from planish.validate.like import like_run
+from planish.validate import like
 from planish.validate.scenario import read_scenario
 
 
 def test_a_run_of_a_known_specimen(specimen, linked_run):
-    true, found = specimen.params, like_run(linked_run).params
+    true, found = specimen.params, like.like_run(linked_run).params
     assert found.scanner.voxel_um == pytest.approx(true.scanner.voxel_um)
     assert found.camera.pixel_um == pytest.approx(true.camera.pixel_um, rel=1e-4)
     assert found.paper.coating_top_um == pytest.approx(true.paper.coating_top_um, rel=0.1)
@@ -29,7 +29,7 @@ def test_a_run_of_a_known_specimen(specimen, linked_run):
 
 
 def test_the_template_states_its_sources_and_takes_the_place_of_paper_and_instruments(linked_run):
-    found = like_run(linked_run)
+    found = like.like_run(linked_run)
     assert "Taken: Voxels of 4 um." in found.notes
     assert any(note.startswith("Assumed: Fringe") for note in found.notes)
     assert all(note.endswith(".") for note in found.notes)
@@ -49,7 +49,7 @@ def test_a_folder_that_is_no_run(linked_run, tmp_path, missing):
     else:
         (part / missing).unlink()
     with pytest.raises(FileError, match=r"results\.json|is no run"):
-        like_run(part)
+        like.like_run(part)
 
 
 @pytest.mark.parametrize("text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}'])
@@ -58,5 +58,5 @@ def test_damaged_results(linked_run, tmp_path, text):
     shutil.copytree(linked_run, part)
     (part / "results.json").write_text(text)
     with pytest.raises(PlanishError, match=r"results\.json") as error:
-        like_run(part)
+        like.like_run(part)
     assert isinstance(error.value, InputError)

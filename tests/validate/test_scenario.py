@@ -7,7 +7,7 @@ import pytest
 
 from folders import refused
 from planish.core.errors import FileError, InputError
-from planish.synthetic.presets import NUISANCES
+from planish.synthetic import NUISANCES
 from planish.validate.scenario import FIGURES, Limit, read_scenario, scenario_names
 
 

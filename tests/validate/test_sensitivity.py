@@ -4,34 +4,32 @@ import numpy as np
 import pytest
 
 from planish.core.errors import InputError
+from planish.validate import certify, scenario, table
 from planish.validate import certify as module
-from planish.validate.certify import Entry, added_error, make_row, sensitivity
 from planish.validate.page import render_page
-from planish.validate.scenario import read_scenario
-from planish.validate.table import as_json, markdown, row_sentence, sensitivity_rows, sum_sentence
 
 BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "tre_rms": 0.6}
 
 
 def test_errors_are_taken_apart_as_squares():
-    assert (added_error(0.5, 0.4), added_error(0.3, 0.4)) == (pytest.approx(0.3), 0.0)
-    assert added_error(None, 0.4) is None
+    assert (certify.added_error(0.5, 0.4), certify.added_error(0.3, 0.4)) == (pytest.approx(0.3), 0.0)
+    assert certify.added_error(None, 0.4) is None
 
 
 def test_the_first_stage_of_those_that_grow_alike_suffers():
     keys = {"surfaces": "surfaces_rmse", "thickness": "column_coating_top_rmse", "registration": "tre_rms"}
     quiet = {"surfaces": 0.4, "thickness": 0.5, "registration": 0.6}
-    row = make_row(
+    row = certify.make_row(
         "scan_blur", keys, quiet, {"surfaces_rmse": 0.8, "column_coating_top_rmse": 1.2, "tre_rms": 0.6}, None
     )
     assert row.suffers == "surfaces"
-    row = make_row("stretch", keys, quiet, BASE | {"tre_rms": 3.0}, None)
+    row = certify.make_row("stretch", keys, quiet, BASE | {"tre_rms": 3.0}, None)
     assert row.suffers == "registration"
-    row = make_row("lens", keys, quiet, BASE | {"tre_rms": 0.601}, None)
+    row = certify.make_row("lens", keys, quiet, BASE | {"tre_rms": 0.601}, None)
     assert row.suffers is None
-    assert "no stage notices" in row_sentence(row)
+    assert "no stage notices" in table.row_sentence(row)
     # against a baseline of next to nothing, 0.01 um are no growth to speak of
-    row = make_row("lens", {"registration": "tre_rms"}, {"registration": 1e-6}, {"tre_rms": 0.01}, None)
+    row = certify.make_row("lens", {"registration": "tre_rms"}, {"registration": 1e-6}, {"tre_rms": 0.01}, None)
     assert row.suffers is None
 
 
@@ -40,11 +38,11 @@ def fake(monkeypatch, effect):
     calls = []
 
     def run(_scenario, params, seed, **_):
-        from planish.synthetic.presets import nuisances_of
+        from planish.synthetic import nuisances_of
 
         on = frozenset(nuisances_of(params, "scanner"))
         calls.append(on)
-        return Entry(seed=seed, **effect(on))
+        return certify.Entry(seed=seed, **effect(on))
 
     monkeypatch.setattr(module, "run_specimen", run)
     return calls
@@ -61,15 +59,15 @@ def test_independent_nuisances_sum_up(monkeypatch, small):
         return {"values": {k: float(np.sqrt(v)) for k, v in values.items()}}
 
     calls = fake(monkeypatch, effect)
-    found = sensitivity(small)
+    found = certify.sensitivity(small)
     assert (len(calls), calls[0]) == (2 + len(small.active), frozenset())
     suffering = {row.nuisance: row.suffers for row in found.rows}
     assert {k: v for k, v in suffering.items() if v} == {
         "char": "holes", "stage": "registration", "scan_noise": "surfaces"
     }  # fmt: skip
     assert (found.ratio["holes"], found.ratio["thickness"], found.together) == (pytest.approx(1.0), None, {})
-    assert "act independently" in sum_sentence("holes", found)
-    head, rows = sensitivity_rows(found)
+    assert "act independently" in table.sum_sentence("holes", found)
+    head, rows = table.sensitivity_rows(found)
     assert all(len(row) == len(head) for row in rows)
 
 
@@ -79,10 +77,10 @@ def test_an_interaction_is_named(monkeypatch, small):
         return {"values": BASE | {"fle_pair": 3.0 if both else 0.3}}
 
     calls = fake(monkeypatch, effect)
-    found = sensitivity(small)
+    found = certify.sensitivity(small)
     assert (len(calls), found.ratio["holes"]) == (2 + 2 * len(small.active), pytest.approx(0.0))
     assert set(found.together["holes"]) == {"char", "scan_blur"}
-    assert "burnt rims" in sum_sentence("holes", found)
+    assert "burnt rims" in table.sum_sentence("holes", found)
 
 
 def test_nuisances_that_cancel_or_are_missing_have_a_sentence(monkeypatch, small):
@@ -90,16 +88,16 @@ def test_nuisances_that_cancel_or_are_missing_have_a_sentence(monkeypatch, small
         return {"values": BASE | {"fle_pair": 3.0 if on == {"char"} else 0.3}}
 
     fake(monkeypatch, effect)
-    found = sensitivity(small)
+    found = certify.sensitivity(small)
     assert found.ratio["holes"] == float("inf")
-    assert "add nothing, although single ones do" in sum_sentence("holes", found)
+    assert "add nothing, although single ones do" in table.sum_sentence("holes", found)
     with pytest.raises(InputError, match="no nuisances"):
-        sensitivity(read_scenario("as-1"))
+        certify.sensitivity(scenario.read_scenario("as-1"))
     with pytest.raises(InputError, match="No nuisance"):
-        sensitivity(read_scenario("quiet"))
+        certify.sensitivity(scenario.read_scenario("quiet"))
     fake(monkeypatch, lambda _on: {"values": {}, "refusal": "No sheet."})
     with pytest.raises(InputError, match="No sheet"):
-        sensitivity(small)
+        certify.sensitivity(small)
 
 
 def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):
@@ -109,11 +107,11 @@ def test_a_nuisance_that_stops_the_program(monkeypatch, small, certificate):
         return {"values": BASE}
 
     fake(monkeypatch, effect)
-    found = sensitivity(small)
+    found = certify.sensitivity(small)
     row = next(row for row in found.rows if row.nuisance == "half_closed")
     assert (row.refusal, row.suffers) == ("Only 2 holes found.", None)
     page = render_page(certificate, found)
     assert "no result" in page
     assert page.count('class="n') > 4 * len(found.rows)
-    assert "refused" in markdown(certificate, found)
-    assert len(as_json(certificate, found)["sensitivity"]["rows"]) == len(small.active)
+    assert "refused" in table.markdown(certificate, found)
+    assert len(table.as_json(certificate, found)["sensitivity"]["rows"]) == len(small.active)

@@ -12,6 +12,8 @@ from .between_sheets import paired_over_sheets as paired_over_sheets
 from .between_sheets import two_groups as two_groups
 from .ceiling import Ceiling as Ceiling
 from .ceiling import ceiling as ceiling
+from .compare import correlate_layers as correlate_layers
+from .compare import headline_of as headline_of
 from .correlation import Correlation as Correlation
 from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
@@ -33,6 +35,9 @@ from .design import expected_n_eff as expected_n_eff
 from .design import power_of_study as power_of_study
 from .design import sheets_needed as sheets_needed
 from .detrend import in_band as in_band
+from .diagnostics import PairWords as PairWords
+from .diagnostics import correlation_diagnostics as correlation_diagnostics
+from .diagnostics import sentences as sentences
 from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
@@ -40,6 +45,8 @@ from .differences import paired_difference as paired_difference
 from .image_values import SCREEN_REACH as SCREEN_REACH
 from .image_values import SCREEN_SIGMA as SCREEN_SIGMA
 from .image_values import SCREEN_SIGMA_UM as SCREEN_SIGMA_UM
+from .image_values import compared_image as compared_image
+from .image_values import image_facts as image_facts
 from .image_values import without_screen as without_screen
 from .kubelka_munk import KubelkaMunk as KubelkaMunk
 from .kubelka_munk import Layer as Layer
@@ -56,6 +63,7 @@ from .light_spread import LightSpread as LightSpread
 from .light_spread import spread_light as spread_light
 from .mottle import Mottle as Mottle
 from .mottle import MottleBand as MottleBand
+from .mottle import mottle_of as mottle_of
 from .mottle import print_mottle as print_mottle
 from .octaves import Band as Band
 from .octaves import Coherence as Coherence
@@ -94,8 +102,10 @@ from .sheets import variances_of as variances_of
 from .sides import SIDES as SIDES
 from .sides import SideFound as SideFound
 from .sides import image_of_sheet as image_of_sheet
+from .sides import texture_of as texture_of
 from .sides import two_images as two_images
 from .sides import two_sheets as two_sheets
+from .split_half import Columns as Columns
 from .split_half import Reliability as Reliability
 from .split_half import split_reliability as split_reliability
 from .texture import Textures as Textures

@@ -13,6 +13,7 @@ from .params import FlattenParams as FlattenParams
 from .relax import Relaxed as Relaxed
 from .relax import relax_grid as relax_grid
 from .relaxation import RelaxationParams as RelaxationParams
+from .relaxation import relax_dynamically as relax_dynamically
 from .sheet import Flattened as Flattened
 from .sheet import FlatteningQuality as FlatteningQuality
 from .sheet import flatten_sheet as flatten_sheet

@@ -1,4 +1,13 @@
+from .exchange import FORMATS as FORMATS
+from .exchange import LayerPixels as LayerPixels
+from .exchange import Places as Places
+from .exchange import holes_of as holes_of
+from .exchange import layer_names as layer_names
+from .exchange import make_marks as make_marks
+from .exchange import read_any as read_any
+from .exchange import write_any as write_any
 from .exchange.csv_marks import write_marks as write_marks
+from .find import REASONS as REASONS
 from .find import Polarity as Polarity
 from .find import find_holes as find_holes
 from .hole_files import holes_from_json as holes_from_json
@@ -9,6 +18,10 @@ from .mask import cut_holes as cut_holes
 from .mask import hole_mask as hole_mask
 from .mask import without_dots as without_dots
 from .params import HoleParams as HoleParams
+from .regions import Region as Region
+from .regions import Regions as Regions
+from .regions import geojson_text as geojson_text
+from .regions import read_regions as read_regions
 from .sheet_holes import Side as Side
 from .sheet_holes import find_sheet_holes as find_sheet_holes
 from .sheet_holes import hole_tilt as hole_tilt

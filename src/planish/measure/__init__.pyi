@@ -10,7 +10,9 @@ from .properties import measure_along_rays as measure_along_rays
 from .properties import measure_properties as measure_properties
 from .properties import surfaces_of as surfaces_of
 from .rays import Rays as Rays
+from .rays import directions as directions
 from .registry import PROPERTIES as PROPERTIES
+from .registry import Greys as Greys
 from .registry import Measured as Measured
 from .registry import Property as Property
 from .registry import Sheet as Sheet

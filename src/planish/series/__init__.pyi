@@ -5,9 +5,11 @@ from .gather import Gathered as Gathered
 from .gather import gather as gather
 from .gather import rows_of as rows_of
 from .jobs import SeriesState as SeriesState
+from .members import members_of as members_of
 from .open import open_study as open_study
 from .pages import write_series as write_series
 from .plan import Plan as Plan
 from .plan import PlannedSpecimen as PlannedSpecimen
 from .plan import read_plan as read_plan
 from .summary import summary_of as summary_of
+from .watch import watched as watched

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from planish.io.run_folder import write_tree
+from planish.io import write_tree
 from planish.results import Results
 
 VOID = {"meta", "link", "img", "br", "input"}

@@ -15,7 +15,7 @@ from app.exploring.made import Explored, put
 from planish.app.exploring import maps as maps_module
 from planish.app.exploring import slices as slices_module
 from planish.core.area import overviews
-from planish.io.run_folder import read_group, write_tree
+from planish.io import read_group, write_tree
 from planish.run import open_run
 from report.runs import a_run
 from report.test_layers import layers
