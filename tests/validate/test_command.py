@@ -58,10 +58,10 @@ def test_files_and_folders_of_scenarios(call, tmp_path):
     assert "certificate" in err
     with pytest.raises(FileError, match="exists already"):
         call("--out", tmp_path / "out")
-    code, out, _ = call("--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "out", "--json")
+    code, out, _ = call("--scenario", "small", "--scenario", "quiet", "--out", tmp_path / "both", "--json")
     assert code in (0, 4)
     assert [found["scenario"]["name"] for found in json.loads(out)] == ["small", "quiet"]
-    assert {p.name for p in (tmp_path / "out").iterdir()} == {"small", "quiet"}
+    assert {p.name for p in (tmp_path / "both").iterdir()} == {"small", "quiet"}
 
 
 def test_a_missed_limit_ends_with_4(call, monkeypatch, certificate):
