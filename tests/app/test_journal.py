@@ -41,9 +41,14 @@ def standing(session: Session) -> list[object]:
     return [now.marks, now.model, now.corrections, now.regions]
 
 
-def test_lines_are_written_from_the_first_change_on_and_come_back(path):
+def test_nothing_is_written_before_the_first_change(path):
+    with closing(Journal(path, of="a", write=True)):
+        assert not path.exists()
+    assert not path.parent.exists()
+
+
+def test_lines_come_back(path):
     with closing(Journal(path, of="a", write=True)) as made:
-        assert not path.parent.exists()
         made.append(b'{"do": 1}')
         made.append(b'{"do": 2}')
     assert Journal(path, of="a", write=False).lines == [b'{"do": 1}', b'{"do": 2}']

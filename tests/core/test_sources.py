@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 
-from planish import compute
+from planish.run import compute
 from planish.core import sources
 
 

@@ -189,7 +189,8 @@ def test_sheets_without_an_image_or_any_value(planish, tmp_path):
     assert page.data["grid"]["names"] == ["u", "v"]
     assert "No image was linked." in page.words
     assert page.data["groups"][0]["valid"] is None
-    page = explored(planish, put(tmp_path / "run", layers(blank=True)), tmp_path)
+    blank = tmp_path / "blank"
+    page = explored(planish, put(blank / "run", layers(blank=True)), blank)
     assert np.isnan(page.unpack(page.data["maps"][0])).all()
 
 
