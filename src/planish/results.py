@@ -19,7 +19,7 @@ from planish.analyze.mottle import LayerMottle
 from planish.analyze.refinement import RefinementFacts
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import Facts, HoleTiltFacts, InputFile, Number, Pair, SheetNumbers, Side, Trust
+from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust
 from planish.core.sources import is_this_code
 from planish.flatten import FlatteningQuality
 
@@ -30,7 +30,7 @@ FORMAT = 3
 # --- a sheet -------------------------------------------------------------------------------------------------------
 
 
-class SurfaceFacts(Facts):
+class SurfaceFacts(ResultModel):
     """What the surface search learnt, and how much of the sheet it measured."""
 
     through: Literal["z", "y", "x"] = Field(description="Axis through the sheet.")
@@ -61,7 +61,7 @@ class SurfaceFacts(Facts):
     shares: dict[str, float] = Field(description="Share of the columns with each status.")
 
 
-class PropertyFacts(Facts):
+class PropertyFacts(ResultModel):
     """Distribution of one property over the columns."""
 
     WITHHELD: ClassVar = ("mean", "sd", "p5", "median", "p95", "standard_error")
@@ -84,7 +84,7 @@ class PropertyFacts(Facts):
     support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
 
 
-class SectionFacts(Facts):
+class SectionFacts(ResultModel):
     """How serial sections were joined: what was taken off, and what is left of the quick errors."""
 
     kind: str = Field(description="Photographs of the block face, or of sections.")
@@ -106,7 +106,7 @@ class SectionFacts(Facts):
     jitter_left_col_um: Number = Field(description="The same along the columns' axis.")
 
 
-class SheetFacts(Facts):
+class SheetFacts(ResultModel):
     """A sheet that was measured and flattened."""
 
     surfaces: SurfaceFacts = Field(description="The surface search.")
@@ -119,7 +119,7 @@ class SheetFacts(Facts):
 # --- layers brought together -----------------------------------------------------------------------------------------
 
 
-class ErrorShares(Facts):
+class ErrorShares(ResultModel):
     """Where the expected error of the places comes from: root mean squares over the map, in um."""
 
     marks_um: Number = Field(default=None, description="Marks, and what the model of the registration leaves open.")
@@ -133,7 +133,7 @@ class ErrorShares(Facts):
     sentence: str = Field(description="The same in words, with what would lower it.")
 
 
-class ExpectedError(Facts):
+class ExpectedError(ResultModel):
     """How far a pixel may be off, rms, over the map."""
 
     WITHHELD: ClassVar = ("median_um", "largest_um")
@@ -144,7 +144,7 @@ class ExpectedError(Facts):
     shares: ErrorShares | None = Field(default=None, description="Where it comes from; of a sheet only.")
 
 
-class OrientationFacts(Facts):
+class OrientationFacts(ResultModel):
     """How two planes lie on each other: side, hand and machine direction, as given."""
 
     image_side: Side = Field(description="Side that the fixed layer shows.")
@@ -158,7 +158,7 @@ class OrientationFacts(Facts):
     sentence: str = Field(description="The same in words.")
 
 
-class RegistrationFacts(Facts):
+class RegistrationFacts(ResultModel):
     """How a layer was registered to another one."""
 
     to: str = Field(description="Layer that it was registered to.")
@@ -185,7 +185,7 @@ class RegistrationFacts(Facts):
     lag: LagNumbers | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
 
 
-class LayerFacts(Facts):
+class LayerFacts(ResultModel):
     """One layer: a sheet or an image."""
 
     name: str = Field(description="Name of the layer.")
@@ -198,7 +198,7 @@ class LayerFacts(Facts):
     image: ImageFacts | None = Field(default=None, description="None for a sheet.")
 
 
-class LinkedArea(Facts):
+class LinkedArea(ResultModel):
     """How much of the reference shows all layers, and how much of that is valid."""
 
     pixels: int = Field(description="Pixels of the reference.")
@@ -208,7 +208,7 @@ class LinkedArea(Facts):
     share_valid_away_from_holes: float = Field(description="The same away from holes and their rims.")
 
 
-class RegionFacts(Facts):
+class RegionFacts(ResultModel):
     """A region that was declared an artefact; its texts are empty where they are not given."""
 
     name: str = Field(description="Name of the region.")
@@ -217,7 +217,7 @@ class RegionFacts(Facts):
     share: float = Field(description="Share of the reference's pixels.")
 
 
-class RegionsFacts(Facts):
+class RegionsFacts(ResultModel):
     """Regions that were declared artefacts: their pixels are not valid and count in no correlation."""
 
     count: int = Field(description="Number of regions.")
@@ -225,7 +225,7 @@ class RegionsFacts(Facts):
     regions: tuple[RegionFacts, ...] = Field(description="Each of them.")
 
 
-class Results(Facts):
+class Results(ResultModel):
     """All numbers of a run: a map of one sheet, or layers linked onto the last one."""
 
     format: Literal[3] = Field(default=FORMAT, description="Version of this schema.")

@@ -6,10 +6,10 @@ import math
 import pytest
 from pydantic import Field, ValidationError
 
-from planish.core.facts import AtPoints, Facts, Interval, Unsaved, Value, is_known
+from planish.core.facts import AtPoints, Interval, ResultModel, Unsaved, Value, is_known
 
 
-class Slope(Facts):
+class Slope(ResultModel):
     """A statistic with a number that only its function gives."""
 
     slope: Value = Field(default=None)

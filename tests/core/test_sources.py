@@ -4,8 +4,8 @@ from pathlib import Path
 
 import pytest
 
-from planish.run import compute
 from planish.core import sources
+from planish.run import compute
 
 
 def test_names_and_bytes_of_the_sources_count_and_nothing_else(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -18,7 +18,7 @@ from planish.analyze.distributions import student_quantile
 from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Facts, Interval, Unsaved, Value, is_known
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known
 from planish.core.numbers import count, fixed, number, plain, unit
 from planish.core.typing import Bools, Floats
 
@@ -33,7 +33,7 @@ _LIMIT = 1.96  # standard deviations, as Bland and Altman write it
 _MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
 
 
-class Agreement(Facts):
+class Agreement(ResultModel):
     """Two measurements a and b of one quantity, pixel by pixel; differences are b less a.
 
     The line of a perfect relation lies between ``slope`` (b on a) and that of a on b.
@@ -231,7 +231,7 @@ def _directions(turn: float, area: float, spread_apart: float, n_eff: float, sca
     return math.tan(low) * scale, math.tan(high) * scale
 
 
-class _WithPoint(Facts):
+class _WithPoint(ResultModel):
     point_um: Value = Field(default=NULL, description="Edge of a point.")
 
 

@@ -18,7 +18,7 @@ from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import InputError, SizeError
-from planish.core.facts import NULL, Facts, Interval, Value
+from planish.core.facts import NULL, Interval, ResultModel, Value
 from planish.core.typing import Bools, Floats
 
 LEAST_CLAIMED = 10.0
@@ -35,7 +35,7 @@ _CHANCE = 0.95
 _UNEQUAL = 1.4  # standard error of the second opinion over that of the model
 
 
-class Correlation(Facts):
+class Correlation(ResultModel):
     """Correlation of b with a over points of one size, and how sure it is.
 
     r is NaN with fewer than 3 points or a constant map; p and interval are, where fewer than 10 points are independent.

@@ -17,7 +17,7 @@ from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import normal_tail
 from planish.analyze.ncc import MaskedNcc
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import Facts, Interval, Pair, Value, is_known
+from planish.core.facts import Interval, Pair, ResultModel, Value, is_known
 from planish.core.numbers import fixed, plain
 from planish.core.typing import Bools, Floats
 
@@ -35,7 +35,7 @@ _NODES = 65
 _MOST_LAGS = 40  # of a profile to either side
 
 
-class LagProfile(Facts):
+class LagProfile(ResultModel):
     """r of map a with map b moved along one axis, and what unrelated maps of this texture reach."""
 
     lags_um: tuple[float, ...] = Field(description="How far one map is shifted.")
@@ -44,7 +44,7 @@ class LagProfile(Facts):
     limit_of_any: tuple[Value, ...] = Field(description="|r| that they exceed at any of all lags with 1 %.")
 
 
-class CorrelogramProfiles(Facts):
+class CorrelogramProfiles(ResultModel):
     """Correlation of map a with map b, moved by every lag along both axes; lags are (y, x)."""
 
     cell_um: Pair = Field(description="Size of a cell along x and y.")

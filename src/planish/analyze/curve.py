@@ -19,7 +19,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, correlate, on_one_grid, v
 from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.distributions import student_quantile
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Facts, Interval, Unsaved, Value
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
 from planish.core.numbers import fixed, plain
 from planish.core.typing import Bools, Floats
 
@@ -89,7 +89,7 @@ def independent_points(
     return IndependentPoints(n_eff=slope, n_eff_square=square, n_eff_level=level)
 
 
-class Curvature(Facts):
+class Curvature(ResultModel):
     """A parabola through points, ``y = a + b (x - mean) + curvature (x - mean)^2``, beside the straight line.
 
     The slope changes by twice the curvature per x. r2 of the parabola is never smaller, and says nothing by that.
@@ -110,7 +110,7 @@ class Curvature(Facts):
     words: str = Field(description="The same in words.")
 
 
-class _OverPoints(Facts):
+class _OverPoints(ResultModel):
     point_um: float = Field(description="Edge of the points.")
 
 

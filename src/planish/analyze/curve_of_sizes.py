@@ -14,7 +14,7 @@ from pydantic import Field
 from planish.analyze.correlation import Correlation, correlate, on_one_grid, valid_in_both
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
-from planish.core.facts import NULL, Facts, Interval, Pair, Value
+from planish.core.facts import NULL, Interval, Pair, ResultModel, Value
 from planish.core.typing import Bools, Floats
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ _CHANCE = 0.95
 _TILES = 6  # along the shorter side, of which what the sizes share is told
 
 
-class SizeRow(Facts):
+class SizeRow(ResultModel):
     """Correlation over points of one size, as one of many."""
 
     point_um: float = Field(description="Edge of the points.")

@@ -43,12 +43,12 @@ from planish.analyze.variograms import MapVariogram, answer_variograms, say_vari
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Facts, Number
+from planish.core.facts import Number, ResultModel
 from planish.core.grid import Grid
 from planish.core.typing import Floats
 
 
-class EvidenceFacts(Facts):
+class EvidenceFacts(ResultModel):
     """What stands beside the correlation of the maps that stand for two layers."""
 
     a: str = Field(description="First layer.")

@@ -15,7 +15,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from planish.core.errors import CannotMeasure, InputError, SizeError
-from planish.core.facts import Facts, Number
+from planish.core.facts import Number, ResultModel
 from planish.core.typing import Bools
 from planish.io.params import ImageParams
 
@@ -34,7 +34,7 @@ REFLECTANCE = "Reflectance"
 _LEAST_SIGMA_PX = 0.75  # below, pixels are too coarse for a Gaussian
 
 
-class ImageFacts(Facts):
+class ImageFacts(ResultModel):
     """What the values of an image are that is compared."""
 
     quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")

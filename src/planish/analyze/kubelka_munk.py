@@ -20,7 +20,7 @@ from scipy import optimize
 from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import student_quantile
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, AtPoints, Facts, Interval, Pair, Value, is_known
+from planish.core.facts import NULL, AtPoints, Interval, Pair, ResultModel, Value, is_known
 from planish.core.light import layer_over
 from planish.core.numbers import number
 from planish.core.typing import Floats
@@ -145,7 +145,7 @@ def _furthest(values: Floats) -> float:
     return float(values.flat[int(np.nanargmax(np.abs(values - 0.5)))])
 
 
-class KubelkaMunk(Facts):
+class KubelkaMunk(ResultModel):
     """Kubelka and Munk's curve through points; called with x, it gives y."""
 
     ratio: float = Field(description="Absorption over scattering, as it was given.")

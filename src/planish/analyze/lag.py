@@ -18,7 +18,7 @@ from planish.analyze.ncc import MARGIN, find_peak, rival_r, within
 from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
-from planish.core.facts import NULL, Facts, Interval, Pair, Value
+from planish.core.facts import NULL, Interval, Pair, ResultModel, Value
 from planish.core.typing import Floats
 
 Silence = Literal["few", "texture", "border", "rival", "light"]
@@ -42,7 +42,7 @@ _SILENCE: dict[Silence, str] = {
 }
 
 
-class LagTile(Facts):
+class LagTile(ResultModel):
     """Lag of one part of the map."""
 
     x: float = Field(description="Middle of the tile, um.")
@@ -51,7 +51,7 @@ class LagTile(Facts):
     distinct: bool = Field(description="Whether its peak stands out from chance.")
 
 
-class LagNumbers(Facts):
+class LagNumbers(ResultModel):
     """What two maps say of their registration by their own texture; a check, and no gate."""
 
     property: str = Field(description="The map that was compared with the image.")

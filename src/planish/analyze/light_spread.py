@@ -15,7 +15,7 @@ from planish.analyze.correlation import correlate, on_one_grid
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import NULL, Facts, Interval, Value, is_known
+from planish.core.facts import NULL, Interval, ResultModel, Value, is_known
 from planish.core.numbers import count, fixed, plain
 from planish.core.typing import Bools, Floats
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 _FAR = 10.0  # widths by which the field is padded: what wraps around has fallen to 5e-5
 
 
-class LightSpread(Facts):
+class LightSpread(ResultModel):
     """The headline correlation with the coating blurred as light is that spreads in paper."""
 
     width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")

@@ -17,7 +17,7 @@ from planish.analyze.image_values import known_of, pixel_of, smooth
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import NULL, Facts, OfLayer, Value
+from planish.core.facts import NULL, OfLayer, ResultModel, Value
 from planish.core.grid import Grid
 from planish.core.typing import Bools
 
@@ -29,7 +29,7 @@ _CUT = 4.0
 _CELL_UM = 15.0  # means over up to so much keep 0.99 of the shortest waves of the mottle
 
 
-class MottleBand(Facts):
+class MottleBand(ResultModel):
     """How uneven an image is in one octave of wavelength."""
 
     shortest_um: float = Field(description="Shortest wave of the octave.")
@@ -37,7 +37,7 @@ class MottleBand(Facts):
     coefficient_of_variation: float = Field(description="Standard deviation of the octave over the mean.")
 
 
-class Mottle(Facts):
+class Mottle(ResultModel):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
     bands: tuple[MottleBand, ...] = Field(default=(), description="From the longest waves to the shortest.")

@@ -15,7 +15,7 @@ from scipy import fft, ndimage
 from planish.analyze.correlation import on_one_grid, valid_in_both
 from planish.analyze.detrend import without_trend
 from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, Facts, Unsaved, Value
+from planish.core.facts import NULL, ResultModel, Unsaved, Value
 from planish.core.typing import Bools, Floats
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ _LEAST_POWER = 1e-5  # of the strongest ring: what is weaker is what the window 
 _LONGEST = 0.25  # of the shorter side: of longer waves a field holds too few
 
 
-class Band(Facts):
+class Band(ResultModel):
     """What two maps have in common in one octave of wavelengths."""
 
     shortest_um: float = Field(description="Shortest wavelength of the octave.")

@@ -18,7 +18,7 @@ from planish.analyze.detrend import PhaseSurrogate, correlation_length_um, in_ba
 from planish.analyze.differences import Difference, paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, Facts, Interval, Pair, Value
+from planish.core.facts import NULL, Interval, Pair, ResultModel, Value
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats
@@ -52,7 +52,7 @@ class Registration(StrEnum):
         return f"registration: {self.value}"
 
 
-class RefinementR(Facts):
+class RefinementR(ResultModel):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
     r: Value = Field(description="Pearson's correlation.")
@@ -243,7 +243,7 @@ def _tile_numbers(
     return numbers[0][:, None], numbers[1]
 
 
-class RefinementFacts(Facts):
+class RefinementFacts(ResultModel):
     """A registration refined by the maps themselves."""
 
     model: str = Field(description="affine or bspline.")

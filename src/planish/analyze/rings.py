@@ -12,13 +12,13 @@ from pydantic import Field
 from planish.analyze.correlation import on_one_grid, valid_in_both
 from planish.analyze.octaves import frequencies, half_plane, spectrum_of, stands_out, window_of
 from planish.core.errors import CannotMeasure
-from planish.core.facts import Facts
+from planish.core.facts import ResultModel
 from planish.core.typing import Bools, Floats
 
 _LEAST_RINGS = 3
 
 
-class Ring(Facts):
+class Ring(ResultModel):
     """How far two measurements of one quantity agree in waves of one length."""
 
     wavelength_um: float = Field(description="Middle of the ring.")
@@ -32,7 +32,7 @@ class Ring(Facts):
         return 1 / self.wavelength_um
 
 
-class RingCorrelation(Facts):
+class RingCorrelation(ResultModel):
     """Rings of waves, and the wavelength at which their correlation first falls below the threshold.
 
     No wavelength where it never does, or where it is below from the longest waves on: the sentence says which.

@@ -19,7 +19,7 @@ from planish.analyze.texture import low_pass
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, InputError, PlanishError, SizeError
-from planish.core.facts import NULL, Facts, Interval, Value, is_known
+from planish.core.facts import NULL, Interval, ResultModel, Value, is_known
 from planish.core.numbers import count, decimals_of_r, fixed, plain
 from planish.core.typing import Bools, Floats
 
@@ -33,7 +33,7 @@ _MOST_PARTS = 4
 _LEAST = 3  # pixels
 
 
-class Partial(Facts):
+class Partial(ResultModel):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
     given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")

@@ -18,7 +18,7 @@ from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, correlate, on_
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import student_quantile
 from planish.core.area import area_mean
-from planish.core.facts import NULL, Facts, Interval, Unsaved, Value, is_known
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known
 from planish.core.numbers import decimals_of_r, fixed, plain
 from planish.core.typing import Bools
 
@@ -32,7 +32,7 @@ _UNEVEN = 1.4  # standard error over that of the covariances
 _MOST_CELLS = 400  # of a mask, from which its critical value is told
 
 
-class SecondOpinion(Facts):
+class SecondOpinion(ResultModel):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
 
     point_um: float = Field(description="Edge of a point.")

@@ -22,7 +22,7 @@ from planish.analyze.correlation import correlate
 from planish.core.area import area_mean
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import NULL, Facts, Interval, OfMap, Value, is_known
+from planish.core.facts import NULL, Interval, OfMap, ResultModel, Value, is_known
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.numbers import count, fixed, percent, plain
@@ -40,7 +40,7 @@ _ENDS = {
 """Of each map that is a distance of two surfaces, the upper and the lower."""
 
 
-class Reliability(Facts):
+class Reliability(ResultModel):
     """Share of the variance of a map that a second measurement would show again, at one size of points."""
 
     point_um: float = Field(description="Edge of a point.")

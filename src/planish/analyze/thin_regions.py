@@ -14,7 +14,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
 from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.distributions import student_quantile
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Facts, Interval, Value, is_known
+from planish.core.facts import Interval, ResultModel, Value, is_known
 from planish.core.numbers import number, percent, plain
 from planish.core.typing import Bools
 
@@ -26,7 +26,7 @@ _LEAST = 3
 _QUANTILE = 0.975
 
 
-class RegionDifference(Facts):
+class RegionDifference(ResultModel):
     """Mean of a map inside of regions minus that outside."""
 
     share: float = Field(description="Share of the pixels where it is thinner.")
@@ -98,7 +98,7 @@ def region_difference(
     )
 
 
-class _ThinnerThan(Facts):
+class _ThinnerThan(ResultModel):
     thinner_than_um: float = Field(description="Limit of the coating's thickness.")
 
 

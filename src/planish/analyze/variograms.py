@@ -15,7 +15,7 @@ from scipy import optimize
 from planish.analyze.correlation import on_one_grid
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import NULL, Facts, OfMap, Pair, Value, is_known
+from planish.core.facts import NULL, OfMap, Pair, ResultModel, Value, is_known
 from planish.core.numbers import in_words, number, percent, plain, unit
 from planish.core.typing import Bools, Floats
 
@@ -31,7 +31,7 @@ _MOST = 60  # distances of a curve
 _EXPONENTS = (1.0, 2.0)  # from the exponential to the Gaussian covariance
 
 
-class VariogramCurve(Facts):
+class VariogramCurve(ResultModel):
     """How a map varies with distance, at some distances."""
 
     units: str = Field(description="Of the values.")

@@ -19,7 +19,7 @@ from planish.app.apply import STAGED, OriginalRun, order_of, place_of
 from planish.app.apply_worker import TARGET
 from planish.app.session import Session
 from planish.core.errors import InputError
-from planish.core.facts import Facts
+from planish.core.facts import ResultModel
 from planish.io.run_folder import sweep
 
 Phase = Literal["idle", "working", "done", "failed", "cancelled"]
@@ -36,7 +36,7 @@ _LOST = (
 )
 
 
-class Progress(Facts):
+class Progress(ResultModel):
     """Progress of an Apply.
 
     Attributes

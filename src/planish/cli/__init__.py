@@ -1,4 +1,9 @@
-"""The command line: parse, call, show. Everything it does is a function of the package."""
+"""The command line: parse, call, show. Everything it does is a function of the package.
+
+``main`` is the group and turns errors into exit codes; ``options`` are made of the parameter models. ``runs``,
+``stages``, ``series``, ``files``, ``marks``, ``export``, ``validate`` and ``setup`` hold the commands; ``show`` and
+``console`` what a terminal shows; ``docs`` writes the pages made from the program.
+"""
 
 import os
 

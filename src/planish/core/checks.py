@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from planish.core.facts import Facts, Number, Trust
+from planish.core.facts import Number, ResultModel, Trust
 
 State = Literal["pass", "look", "fail", "unknown"]
 """``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing can be said."""
@@ -19,7 +19,7 @@ CORRELATION = "correlation"
 """Figures beside single maps: all maps of a sheet, the place of a pixel, all that is computed from linked layers."""
 
 
-class Check(Facts):
+class Check(ResultModel):
     """Result of one check.
 
     A stage that knows one layer only leaves ``layers`` empty.

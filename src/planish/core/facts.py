@@ -67,25 +67,25 @@ SIDES: tuple[Side, ...] = ("top", "bottom")
 Trust = Literal["ok", "doubtful", "withheld"]  # what the checks leave of a figure; numbers that are withheld are None
 
 
-class Facts(BaseModel):
+class ResultModel(BaseModel):
     """A frozen part of the results."""
 
     model_config = ConfigDict(extra="forbid", frozen=True, protected_namespaces=(), validate_default=True)
 
     @classmethod
-    def holding(cls, *parts: Facts, **more: Any) -> Self:
+    def holding(cls, *parts: ResultModel, **more: Any) -> Self:
         """Make a model of those that it extends, without what they do not save, and of what they lack."""
         saved = {k: v for part in parts for k, v in part if not type(part).model_fields[k].exclude}
         return cls(**saved, **more)
 
 
-class AtPoints(Facts):
+class AtPoints(ResultModel):
     """What is stated at points of one size. Fields of a base that stands last come first in the file."""
 
     point_um: float = Field(description="Edge of a point.")
 
 
-class OfLayer(Facts):
+class OfLayer(ResultModel):
     """What is stated of one layer."""
 
     layer: str = Field(description="Name of the layer.")
@@ -97,7 +97,7 @@ class OfMap(OfLayer):
     map: str = Field(description="Name of the map.")
 
 
-class InputFile(Facts):
+class InputFile(ResultModel):
     """A file that was read, and the hash that tells it from every other."""
 
     name: str = Field(description="Name of the file or folder.")
@@ -109,7 +109,7 @@ class InputFile(Facts):
     size_source: str = Field(description="Where the size was taken from, such as a log or an option.")
 
 
-class ThinFacts(Facts):
+class ThinFacts(ResultModel):
     """Shares of a coating that are thinner than some limits."""
 
     thinner_than_um: tuple[float, ...] = Field(description="Limits of the thickness.")
@@ -118,7 +118,7 @@ class ThinFacts(Facts):
     warning: str | None = Field(description="Set where the noise alone makes columns thin.")
 
 
-class RoughnessFacts(Facts):
+class RoughnessFacts(ResultModel):
     """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
 
     sa: Number = Field(default=None, description="Mean absolute height, um.")
@@ -133,7 +133,7 @@ class RoughnessFacts(Facts):
     reason: str | None = Field(default=None, description="Why there are no numbers; None where there are.")
 
 
-class TwoSidesFacts(Facts):
+class TwoSidesFacts(ResultModel):
     """Top against bottom."""
 
     coating_difference_um: Number = Field(default=None, description="Mean coating of the top less that of the bottom.")
@@ -152,14 +152,14 @@ class TwoSidesFacts(Facts):
     topography_n: int | None = Field(default=None, description="Columns with both topographies.")
 
 
-class ProfileFacts(Facts):
+class ProfileFacts(ResultModel):
     """Mean of some properties over the depth of the base, 0 at the bottom interface and 1 at the top one."""
 
     depth: tuple[float, ...] = Field(description="Middle of each layer of the base.")
     values: dict[str, tuple[Number, ...]] = Field(description="Mean of each property in each layer.")
 
 
-class SheetNumbers(Facts):
+class SheetNumbers(ResultModel):
     """What describes a sheet and is no map; keyed by side."""
 
     thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
@@ -170,7 +170,7 @@ class SheetNumbers(Facts):
     )
 
 
-class HoleTiltFacts(Facts):
+class HoleTiltFacts(ResultModel):
     """What the holes of a sheet look like through its thickness."""
 
     through: int = Field(description="Holes that are seen on both sides.")

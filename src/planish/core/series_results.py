@@ -12,7 +12,7 @@ from pydantic import Field, ValidationError
 
 from planish.core.checks import State
 from planish.core.errors import FileError
-from planish.core.facts import Facts, KnownPair, Number, Trust
+from planish.core.facts import KnownPair, Number, ResultModel, Trust
 from planish.core.tables import read_text
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
@@ -23,7 +23,7 @@ MemberState = Literal["whole", "withheld", "refused", "damaged", "open"]
 FACTORS = ("paper", "sheet", "field", "treatment", "side")
 
 
-class Member(Facts):
+class Member(ResultModel):
     """One specimen of a series."""
 
     name: str = Field(description="Name of the specimen; its run has this name, too.")
@@ -46,7 +46,7 @@ What = Literal["mean", "sd", "thin_share", "r"]  # statistics that are compared 
 RunKind = Literal["map", "sheet on image", "two volumes", "layers"]
 
 
-class Quantity(Facts):
+class Quantity(ResultModel):
     """One figure that every specimen has: a statistic of a map, or r of two maps."""
 
     layer: str = Field(default="", description="Layer of the map; empty where each specimen has one sheet.")
@@ -60,7 +60,7 @@ class Quantity(Facts):
     map_title: str = Field(description="Title of the map.")
 
 
-class Cell(Facts):
+class Cell(ResultModel):
     """A quantity of one specimen."""
 
     value: Number = Field(default=None, description="None where it was not measured, or is withheld.")
@@ -73,7 +73,7 @@ class Cell(Facts):
     why_not: str = Field(default="", description="Why it does not; empty where it does.")
 
 
-class Specimen(Facts):
+class Specimen(ResultModel):
     """One specimen: what it is, what was found, and what its checks say."""
 
     member: Member = Field(description="Name, factors, state and run.")
@@ -102,7 +102,7 @@ class Specimen(Facts):
         return self.member.factors.get(name, "")
 
 
-class VarianceFacts(Facts):
+class VarianceFacts(ResultModel):
     """How much of the variance is between sheets."""
 
     sd_between: Number = Field(default=None, description="Standard deviation of sheets, beyond what fields add.")
@@ -113,7 +113,7 @@ class VarianceFacts(Facts):
     reason: str = Field(default="", description="Why a number is missing.")
 
 
-class HeterogeneityFacts(Facts):
+class HeterogeneityFacts(ResultModel):
     """Whether correlations differ by more than their own intervals say."""
 
     effects: int = Field(description="Sheets, or fields.")
@@ -123,7 +123,7 @@ class HeterogeneityFacts(Facts):
     p: Number = Field(description="Of the test that all are the same.")
 
 
-class GroupFacts(Facts):
+class GroupFacts(ResultModel):
     """One quantity over the sheets of one group."""
 
     quantity: int = Field(description="Number of the quantity, from 0.")
@@ -142,7 +142,7 @@ class GroupFacts(Facts):
     )
 
 
-class EquivalenceFacts(Facts):
+class EquivalenceFacts(ResultModel):
     """Whether a difference is smaller than a margin that was declared."""
 
     margin: float = Field(description="Largest difference that does not matter.")
@@ -153,7 +153,7 @@ class EquivalenceFacts(Facts):
     )
 
 
-class DifferenceFacts(Facts):
+class DifferenceFacts(ResultModel):
     """One quantity of two levels of a factor, the second minus the first."""
 
     quantity: int = Field(description="Number of the quantity, from 0.")
@@ -184,7 +184,7 @@ class DifferenceFacts(Facts):
         return "differ" if self.p_of_table < 0.05 else "not after Holm"
 
 
-class InstrumentFacts(Facts):
+class InstrumentFacts(ResultModel):
     """Two measurements of one sheet, b less a."""
 
     specimen: str = Field(description="Name of the specimen.")
@@ -206,7 +206,7 @@ class InstrumentFacts(Facts):
     trust: Trust = Field(default="ok", description="What the checks leave of it.")
 
 
-class SeriesResults(Facts):
+class SeriesResults(ResultModel):
     """All numbers of a series of specimens."""
 
     format: Literal[1] = Field(default=FORMAT, description="Version of this schema.")

@@ -1,4 +1,7 @@
-"""Field size and hole size -> a pattern of laser holes, checked, drawn, and as a program for the stage."""
+"""Hole patterns: field and hole size -> a pattern of laser holes, checked, drawn, and as a program for the stage.
+
+``plan`` makes a ``pattern`` that keeps the ``rules``, ``draw`` its pages, ``gcode`` the program of the stage.
+"""
 
 import lazy_loader as lazy
 

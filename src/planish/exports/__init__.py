@@ -1,4 +1,8 @@
-"""A run as files of other programs: one table of formats, and the functions that write them."""
+"""A run as files of other programs: one table of formats, and the functions that write them.
+
+``exporting`` is the entry point, ``formats`` the table; ``source`` is what a run holds, read as it is asked for,
+``content`` its maps band by band.
+"""
 
 import lazy_loader as lazy
 

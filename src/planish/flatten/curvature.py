@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from planish.core.facts import Facts, Value
+from planish.core.facts import ResultModel, Value
 from planish.core.typing import Floats
 from planish.flatten.distortion import row_blocks
 
@@ -21,7 +21,7 @@ _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
 _LEAST = 0.5  # a patch counts where so much of its weight lies on the sheet
 
 
-class CurvatureVerdict(Facts):
+class CurvatureVerdict(ResultModel):
     """Whether the surface can be flat at all."""
 
     patch_um: float = Field(description="Half the side of the patch over which the curvature is averaged.")

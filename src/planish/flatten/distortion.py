@@ -10,7 +10,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.core.facts import Facts, Value
+from planish.core.facts import ResultModel, Value
 from planish.core.robust import percentiles
 from planish.core.typing import Bools, Floats
 
@@ -40,7 +40,7 @@ class MeshPoints:
         return np.einsum("nc,nck->nk", self.weights, corner_values)
 
 
-class GeodesicError(Facts):
+class GeodesicError(ResultModel):
     """Relative errors of long distances: flat against along the surface."""
 
     p50: Value = Field(description="Median relative error.")
@@ -184,7 +184,7 @@ def _leave_triangles(
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
 
 
-class Spread(Facts):
+class Spread(ResultModel):
     """Distribution of one strain over the mesh."""
 
     median: Value = Field(description="Median over the cells.")
@@ -194,7 +194,7 @@ class Spread(Facts):
     max_abs: Value = Field(description="Largest absolute value.")
 
 
-class Distortion(Facts):
+class Distortion(ResultModel):
     """How much the flattening strained the sheet."""
 
     area: Spread = Field(description="Area strain: ratio of areas less 1.")

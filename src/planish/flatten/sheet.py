@@ -13,7 +13,7 @@ from scipy import ndimage
 
 from planish.core.arrays import check_dataset
 from planish.core.errors import CannotFlatten
-from planish.core.facts import Facts, Value
+from planish.core.facts import ResultModel, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
@@ -32,7 +32,7 @@ _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
 _BRIDGED_WEIGHT = 0.2
 
 
-class FlatteningQuality(Facts):
+class FlatteningQuality(ResultModel):
     """How the flattening ended."""
 
     outcome: str = Field(description="RESTED, HELD_OPEN and so on: how the solver ended.")

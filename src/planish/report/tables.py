@@ -13,7 +13,7 @@ from planish.report.summary import Titles, by_pair, headline_pair, titles_of
 from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
 from planish.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 
-Facts = list[tuple[str, str]]
+ResultModel = list[tuple[str, str]]
 
 
 class PairLine(NamedTuple):
@@ -121,10 +121,10 @@ def _sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[float]:
     return sorted({round(float(row.point_um), 4) for row in rows})
 
 
-def parameters(values: Mapping[str, Any]) -> list[tuple[str, Facts]]:
+def parameters(values: Mapping[str, Any]) -> list[tuple[str, ResultModel]]:
     """Return every parameter, by section; sections of a list are named by their ``name``."""
-    sections: list[tuple[str, Facts]] = []
-    loose: Facts = []
+    sections: list[tuple[str, ResultModel]] = []
+    loose: ResultModel = []
     for section, value in values.items():
         if isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
             tables = cast("Sequence[Mapping[str, Any]]", value)
@@ -136,9 +136,9 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, Facts]]:
     return [(name, rows) for name, rows in [*sections, ("others", loose)] if rows]
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Facts:
+def _flat(values: Mapping[str, Any], before: str = "") -> ResultModel:
     """Write a section of parameters; what lies in a section of its own has that one's name before it."""
-    rows: Facts = []
+    rows: ResultModel = []
     for key, value in values.items():
         if isinstance(value, Mapping):
             rows += _flat(cast("Mapping[str, Any]", value), f"{before}{key}.")

@@ -1,4 +1,8 @@
-"""From values on the flattened mesh to any regular grid, and from image to image."""
+"""From values on the flattened mesh to any regular grid, and from image to image.
+
+``maps`` is the entry point: one interpolation from the column to the pixel, through the quads that ``places`` finds;
+``warp`` brings an image to another grid.
+"""
 
 import lazy_loader as lazy
 

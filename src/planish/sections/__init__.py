@@ -1,4 +1,8 @@
-"""Photographs of serial sections -> one volume: neighbours aligned, grey levels made equal, gaps bridged."""
+"""Photographs of serial sections -> one volume: neighbours aligned, grey levels made equal, gaps bridged.
+
+``band`` finds the sheet in the stack, ``pairs`` the offsets between two sections, ``network`` one place for every
+section, ``align`` the whole alignment, ``volume`` the volume.
+"""
 
 import lazy_loader as lazy
 

@@ -15,7 +15,7 @@ from statistics import median
 from pydantic import Field, ValidationError
 
 from planish.core.errors import FileError, PlanishError, ResourceError
-from planish.core.facts import Facts
+from planish.core.facts import ResultModel
 from planish.core.files import write_whole, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold
 from planish.core.series_results import Member, MemberState
@@ -41,7 +41,7 @@ _START_S, _PER_VOXEL_S, _PER_PIXEL_S = 4.0, 0.2e-6, 2.5e-6
 _PER_COLUMN, _PER_PIXEL = 150, 110  # bytes
 
 
-class JobOutcome(Facts):
+class JobOutcome(ResultModel):
     """What became of a job."""
 
     state: MemberState
@@ -49,7 +49,7 @@ class JobOutcome(Facts):
     seconds: float | None = None
 
 
-class Note(Facts):
+class Note(ResultModel):
     """What is remembered of a specimen beside its run: what was asked for, and why there is no run."""
 
     key: str

@@ -1,7 +1,8 @@
 """A specimen whose every answer is known: it feeds the demo, the tests, the benchmarks and the calibration.
 
-Everything is defined in material coordinates ``(u, v, s)`` of the flat sheet and carried into space by an
-exact map, so the truth at any pixel or voxel is a formula and not a measurement.
+``params`` and ``presets`` say what is ordered; ``sheet`` makes it; ``instruments``, ``camera`` and ``pose`` look at
+it; ``specimen`` puts it together with its truth, ``files`` writes what an instrument would write. It needs nothing
+that measures.
 """
 
 import lazy_loader as lazy
