@@ -28,7 +28,7 @@ from planish.io.map_store import StoredMaps, map_tiles
 from planish.io.run_folder import write_tree
 from planish.register.params import RegistrationParams
 from planish.run import link
-from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
+from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
 FORMATS = ("tiff", "ome-tiff", "ome-zarr", "netcdf", "mat")
 MEMORY, SPEED = 2**30, 0.5
@@ -153,7 +153,7 @@ def small_run(folder: Path, name: str = "small", holes: int = 5, **sections: Reg
     if not run.exists():
         made = make_specimen(
             SpecimenParams(
-                size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=holes), seed=5,
+                size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=holes), seed=5,
                 scanner=ScannerParams(voxel_um=4.0), camera=CameraParams(pixel_um=5.0),
             )
         )  # fmt: skip

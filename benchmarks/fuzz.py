@@ -39,8 +39,8 @@ from tests.marks import files_by_hand as by_hand
 
 from planish.cli import main as planish
 from planish.synthetic import (
+    BurnParams,
     CameraParams,
-    HoleParams,
     ScannerParams,
     SpecimenParams,
     Warp,
@@ -346,7 +346,7 @@ def made(folder: Path) -> Ground:
     """Link a small specimen, and write all that is damaged later."""
     specimen = make_specimen(
         SpecimenParams(
-            size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5),
+            size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5),
             warp=Warp(slope=0.35, wavelength_um=1800.0), scanner=ScannerParams(voxel_um=_VOXEL_UM),
             camera=CameraParams(pixel_um=_PIXEL_UM, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004), seed=5,
         )

@@ -19,7 +19,7 @@ from pathlib import Path
 import tifffile
 
 from benchmarks.size import folder_for, timed
-from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
+from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
 PIXEL_UM, VOXEL_UM = 1.37, 5.0
 _FIELD = 1.2  # image over sheet: it reaches beyond it and is turned against it
@@ -71,7 +71,7 @@ def specimen(rows: int, cols: int, folder: Path) -> tuple[Path, Path]:
     while True:
         made = make_specimen(
             SpecimenParams(
-                size_um=(width, height), holes=HoleParams(count=21), camera=CameraParams(pixel_um=PIXEL_UM), seed=3,
+                size_um=(width, height), holes=BurnParams(count=21), camera=CameraParams(pixel_um=PIXEL_UM), seed=3,
                 scanner=ScannerParams(voxel_um=VOXEL_UM, fwhm_um=8.0),
             )
         )  # fmt: skip

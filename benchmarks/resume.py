@@ -25,11 +25,11 @@ import numpy as np
 import tifffile
 
 from benchmarks.size import DEPTH, VOXEL_UM, volume
-from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
+from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, make_specimen, write_instruments
 
 SEED = 5
 SPECIMEN = SpecimenParams(
-    size_um=(2600.0, 2000.0), holes=HoleParams(pattern="irregular", count=7), scanner=ScannerParams(voxel_um=4.0),
+    size_um=(2600.0, 2000.0), holes=BurnParams(pattern="irregular", count=7), scanner=ScannerParams(voxel_um=4.0),
     camera=CameraParams(pixel_um=5.0), seed=5,
 )  # fmt: skip
 _ENOUGH_S = 900

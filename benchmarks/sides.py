@@ -28,7 +28,7 @@ from planish.core.checks import Check
 from planish.core.errors import PlanishError
 from planish.core.facts import is_known
 from planish.run.build import link
-from planish.synthetic import PRESETS, HoleParams, SpecimenParams, Warp, draw_params
+from planish.synthetic import PRESETS, BurnParams, SpecimenParams, Warp, draw_params
 
 Array = NDArray[np.float64]
 
@@ -146,7 +146,7 @@ def our_sheets(count: int) -> Iterator[Drawn]:
     """Small specimens of planish.synthetic, drawn, through the whole line."""
     for seed in range(count):
         params = SpecimenParams(
-            size_um=(1100.0, 900.0), holes=HoleParams(pattern="irregular", count=5), seed=seed,
+            size_um=(1100.0, 900.0), holes=BurnParams(pattern="irregular", count=5), seed=seed,
             warp=Warp(slope=0.2, wavelength_um=2000.0),
         )  # fmt: skip
         params = draw_params(params)

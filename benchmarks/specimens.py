@@ -15,8 +15,8 @@ from PIL import Image
 from planish.synthetic import (
     MICRO_CT,
     PRESETS,
+    BurnParams,
     CameraParams,
-    HoleParams,
     SectionsParams,
     SpecimenParams,
     Warp,
@@ -44,7 +44,7 @@ def draw(name: str, seed: int, path: Path) -> None:
     params = SpecimenParams(
         size_um=_SIZE_UM,
         paper=PRESETS[name][1],
-        holes=HoleParams(pattern="irregular", count=3),
+        holes=BurnParams(pattern="irregular", count=3),
         warp=Warp(slope=0.25, wavelength_um=1800.0),
         scanner=replace(MICRO_CT, voxel_um=1.37),
         sections=SectionsParams(colour=True),

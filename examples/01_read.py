@@ -12,14 +12,14 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import planish as pl
-from planish.synthetic import HoleParams, ScannerParams, SpecimenParams
+from planish.synthetic import BurnParams, ScannerParams, SpecimenParams
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
 # A synthetic sheet of paper takes the place of your files.
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0)
+    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0)
 )
 with tempfile.TemporaryDirectory() as folder:
     files = pl.make_specimen(params, Path(folder) / "sheet").files

@@ -12,12 +12,12 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import planish as pl
-from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams
+from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0),
+    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0),
     camera=CameraParams(pixel_um=5.0, shading=0.003, nuisance_sd=0.004),
 )  # fmt: skip
 with tempfile.TemporaryDirectory() as folder:

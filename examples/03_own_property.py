@@ -14,7 +14,7 @@ import xarray as xr
 
 import planish as pl
 from planish.measure import Rays, measure_along_rays, ray_property
-from planish.synthetic import HoleParams, ScannerParams, SpecimenParams, Warp
+from planish.synthetic import BurnParams, ScannerParams, SpecimenParams, Warp
 
 
 # All that a new property needs. `rays.core` is the base without its blurred ends; `rays.mean` is the mean grey above
@@ -31,7 +31,7 @@ def skin(rays: Rays) -> np.ndarray:
 def main(out: Path) -> xr.Dataset:
     """Measure it on a small synthetic sheet, beside a property that is built in."""
     params = SpecimenParams(
-        size_um=(700.0, 500.0), holes=HoleParams(pattern="irregular", count=1), warp=Warp(slope=0.3),
+        size_um=(700.0, 500.0), holes=BurnParams(pattern="irregular", count=1), warp=Warp(slope=0.3),
         scanner=ScannerParams(voxel_um=4.0), seed=2,
     )  # fmt: skip
     volume = pl.make_specimen(params).volume

@@ -17,7 +17,7 @@ import numpy as np
 import xarray as xr
 
 import planish as pl
-from planish.synthetic import HoleParams, ScannerParams, SpecimenParams
+from planish.synthetic import BurnParams, ScannerParams, SpecimenParams
 
 
 def read_npz(path: Path) -> xr.DataArray:
@@ -35,7 +35,7 @@ def volume_of(grey: np.ndarray, voxel_um: float) -> xr.DataArray:
 def main(out: Path) -> xr.Dataset:
     """Write such an archive, read it, and measure the sheet in it."""
     params = SpecimenParams(
-        size_um=(700.0, 500.0), holes=HoleParams(pattern="irregular", count=1), scanner=ScannerParams(voxel_um=4.0)
+        size_um=(700.0, 500.0), holes=BurnParams(pattern="irregular", count=1), scanner=ScannerParams(voxel_um=4.0)
     )
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "sheet.npz"

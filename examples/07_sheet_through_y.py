@@ -14,12 +14,12 @@ import numpy as np
 import xarray as xr
 
 import planish as pl
-from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams
+from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0),
+    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0),
     camera=CameraParams(pixel_um=5.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004), seed=5,
 )  # fmt: skip
 specimen = pl.make_specimen(params)

@@ -15,14 +15,14 @@ import matplotlib.pyplot as plt
 import planish as pl
 from planish.run import run_study
 from planish.run.study import as_study
-from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, write_instruments
+from planish.synthetic import BurnParams, SectionsParams, SpecimenParams, write_instruments
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
 # The microtome cuts across the sheet every 4 um; each photograph is shifted, turned, and exposed a little differently.
 params = SpecimenParams(
-    size_um=(800.0, 600.0), holes=HoleParams(pattern="irregular", count=1),
+    size_um=(800.0, 600.0), holes=BurnParams(pattern="irregular", count=1),
     sections=SectionsParams(pixel_um=3.0, section_um=4.0), seed=3,
 )  # fmt: skip
 with tempfile.TemporaryDirectory() as folder:

@@ -14,7 +14,7 @@ from pathlib import Path
 import matplotlib.pyplot as plt
 
 import planish as pl
-from planish.synthetic import CameraParams, HoleParams, ScannerParams, SpecimenParams, write_instruments
+from planish.synthetic import BurnParams, CameraParams, ScannerParams, SpecimenParams, write_instruments
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
@@ -24,7 +24,7 @@ shutil.rmtree(out / "09_run", ignore_errors=True)
 def params(voxel_um: float, noise: float) -> SpecimenParams:
     """The same sheet under two scanners: same seed, same paper."""
     return SpecimenParams(
-        size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5), seed=5,
+        size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), seed=5,
         scanner=ScannerParams(voxel_um=voxel_um, noise=noise), camera=CameraParams(pixel_um=5.0, nuisance_sd=0.004),
     )  # fmt: skip
 

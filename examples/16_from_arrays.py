@@ -14,14 +14,14 @@ import numpy as np
 import zarr
 
 import planish as pl
-from planish.synthetic import HoleParams, ScannerParams, SpecimenParams
+from planish.synthetic import BurnParams, ScannerParams, SpecimenParams
 
 out = Path(sys.argv[1] if len(sys.argv) > 1 else "examples/out")
 out.mkdir(parents=True, exist_ok=True)
 
 # A synthetic sheet of paper takes the place of your arrays.
 params = SpecimenParams(
-    size_um=(1300.0, 1000.0), holes=HoleParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0)
+    size_um=(1300.0, 1000.0), holes=BurnParams(pattern="irregular", count=5), scanner=ScannerParams(voxel_um=4.0)
 )
 specimen = pl.make_specimen(params)
 stack, picture = specimen.volume.values, specimen.image.values

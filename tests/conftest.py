@@ -24,8 +24,8 @@ from numba.core.dispatcher import Dispatcher
 from planish.cli import main
 from planish.run import link, open_run
 from planish.synthetic import (
+    BurnParams,
     CameraParams,
-    HoleParams,
     ScannerParams,
     SpecimenParams,
     Warp,
@@ -189,7 +189,7 @@ def specimen():
     return make_specimen(
         SpecimenParams(
             size_um=(1300.0, 1000.0),
-            holes=HoleParams(pattern="irregular", count=5),
+            holes=BurnParams(pattern="irregular", count=5),
             warp=Warp(slope=0.35, wavelength_um=1800.0),
             scanner=ScannerParams(voxel_um=4.0),
             camera=CameraParams(pixel_um=5.0, radial=0.0, stretch=0.0, shading=0.0, nuisance_sd=0.004),

@@ -22,7 +22,7 @@ from planish.core.tiles import tiles_of
 from planish.io import VolumeParams, describe, read_volume, write_store
 from planish.run import Compute, as_study, engine, map_sheet, read_whole, run_study
 from planish.run.compute import column_step
-from planish.synthetic import HoleParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
+from planish.synthetic import BurnParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 
 
@@ -30,7 +30,7 @@ from surface.sheets import slab, volume
 def store(tmp_path_factory):
     """A small specimen in a working store."""
     folder = tmp_path_factory.mktemp("store")
-    params = SpecimenParams(size_um=(900.0, 700.0), holes=HoleParams(pattern="irregular", count=4), seed=3)
+    params = SpecimenParams(size_um=(900.0, 700.0), holes=BurnParams(pattern="irregular", count=4), seed=3)
     files = write_instruments(make_specimen(params), folder / "specimen")
     write_store(read_volume(files.volume), folder / "sheet.zarr")
     return folder / "sheet.zarr"
@@ -248,7 +248,7 @@ def test_the_memory_that_info_states_holds_a_volume_that_is_decoded_as_a_whole(t
 
 def test_sections_that_do_not_fit_are_imported_in_parts(tmp_path):
     sections = SectionsParams(pixel_um=2.5, section_um=4.0)
-    params = SpecimenParams(size_um=(400.0, 240.0), holes=HoleParams(count=0), sections=sections, seed=3)
+    params = SpecimenParams(size_um=(400.0, 240.0), holes=BurnParams(count=0), sections=sections, seed=3)
     files = write_instruments(make_specimen(params), tmp_path / "specimen", volume="sections")
     section = VolumeParams(path=str(files.volume), through="y")
     silent = lambda _stage, _detail: None  # noqa: E731

@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from analyze.fields import compared, gaussian_maps, lags_of
-from planish.analyze import Columns, CorrelateParams, ceiling, split_half
+from planish.analyze import CorrelateParams, SheetColumns, ceiling, split_half
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 
@@ -31,7 +31,7 @@ def columns(seed=0, *, noise=0.0, shape=(160, 200), length=20.0, similarity=None
         {k: (("y", "x"), v) for k, v in maps.items()}, {"y": y, "x": x}, {"through": "z", "top_side": "high"} | attrs
     )
     flat = xr.Dataset({"u": (("y", "x"), x + 0 * y[:, None]), "v": (("y", "x"), y[:, None] + 0 * x)}, {"y": y, "x": x})
-    found = Columns(measured=measured, flat=flat, similarity=similarity or Similarity())
+    found = SheetColumns(measured=measured, flat=flat, similarity=similarity or Similarity())
     return found, texture
 
 

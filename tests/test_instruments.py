@@ -8,8 +8,8 @@ import pytest
 from planish.core.errors import VolumeError
 from planish.run import as_study, run_study
 from planish.synthetic import (
+    BurnParams,
     CameraParams,
-    HoleParams,
     ScannerParams,
     SectionsParams,
     SpecimenParams,
@@ -21,7 +21,7 @@ from planish.validate import certify, truth
 
 PARAMS = SpecimenParams(
     size_um=(1000.0, 760.0),
-    holes=HoleParams(pattern="irregular", count=5),
+    holes=BurnParams(pattern="irregular", count=5),
     warp=Warp(slope=0.35, wavelength_um=1800.0),
     scanner=ScannerParams(voxel_um=4.0),
     sections=SectionsParams(pixel_um=3.0, section_um=4.0, missing=0.03),
@@ -68,7 +68,7 @@ def test_sections_are_aligned_and_joined(tmp_path):
 
 
 def test_sections_cannot_be_looked_at_from_above(tmp_path):
-    small = replace(PARAMS, size_um=(600.0, 500.0), holes=HoleParams(count=0))
+    small = replace(PARAMS, size_um=(600.0, 500.0), holes=BurnParams(count=0))
     files = write_instruments(make_specimen(small), tmp_path / "files", volume="sections", image=False)
     study = as_study({"volume": {"path": str(files.volume)}})
     with pytest.raises(VolumeError, match='through="y"'):

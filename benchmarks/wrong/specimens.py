@@ -14,8 +14,8 @@ from benchmarks.wrong import maker
 from planish.synthetic import (
     MICRO_CT,
     PRESETS,
+    BurnParams,
     CameraParams,
-    HoleParams,
     SectionsParams,
     SpecimenParams,
     Warp,
@@ -111,7 +111,7 @@ def _ours(order: Draw) -> Right:
     params = SpecimenParams(
         size_um=size, paper=paper, seed=order.seed, scanner=scanner,
         sections=SectionsParams(pixel_um=2.5, section_um=4.0),
-        holes=HoleParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
+        holes=BurnParams(pattern="irregular", count=count, diameter_um=float(rng.uniform(115, 140)), char_um=20.0),
         warp=Warp(
             slope=float(slope), wavelength_um=float(rng.uniform(1800, 4000)), phase_rad=float(rng.uniform(0, 6.28)),
             ruling_deg=float(rng.uniform(-90, 90)), tilt_deg=float(rng.uniform(-4, 4)),

@@ -26,7 +26,7 @@ from planish.flatten import relax_grid
 from planish.marks import hole_mask
 from planish.register import fit_transform
 from planish.resample import Mesh, resample
-from planish.synthetic import SIZES_UM, HoleParams, Specimen, Warp, make_specimen
+from planish.synthetic import SIZES_UM, BurnParams, Specimen, Warp, make_specimen
 
 Array = NDArray[np.float64]
 
@@ -88,7 +88,7 @@ def specimen_of(field_um: tuple[float, float]) -> Specimen:
     """The sheet, its image and its holes; it bends and is not dented."""
     params = specimens.base("wfc118", SEED, "full", field_um)
     camera = replace(params.camera, oracle_r2=R2, pixel_um=PIXEL_UM)
-    return make_specimen(replace(params, holes=HoleParams(count=HOLES), warp=Warp(bump_um=0.0), camera=camera))
+    return make_specimen(replace(params, holes=BurnParams(count=HOLES), warp=Warp(bump_um=0.0), camera=camera))
 
 
 def sheet_of(made: Specimen) -> Sheet:

@@ -15,8 +15,8 @@ from planish.synthetic import (
     MICRO_CT,
     PRESETS,
     SIZES_UM,
+    BurnParams,
     CameraParams,
-    HoleParams,
     PrintParams,
     SectionsParams,
     SpecimenParams,
@@ -64,9 +64,9 @@ def base(paper: str, seed: int, size: Size, full_um: tuple[float, float], voxel_
     """A paper in diffuse light; small: 1.5 x 1.1 mm with seven holes, for a first look and for tests."""
     if size == "small":
         camera, scanner = replace(DIFFUSE, pixel_um=6.0), replace(MICRO_CT, voxel_um=8.0, noise_px=0.7)
-        field_um, holes = (1500.0, 1100.0), HoleParams(pattern="irregular", count=7)
+        field_um, holes = (1500.0, 1100.0), BurnParams(pattern="irregular", count=7)
     else:
-        camera, scanner, field_um, holes = DIFFUSE, replace(MICRO_CT, voxel_um=voxel_um), full_um, HoleParams()
+        camera, scanner, field_um, holes = DIFFUSE, replace(MICRO_CT, voxel_um=voxel_um), full_um, BurnParams()
     return SpecimenParams(
         size_um=field_um, paper=PRESETS[paper][1], holes=holes, camera=camera, scanner=scanner, seed=seed
     )
@@ -94,7 +94,7 @@ def fig_09(size: Size) -> list[Made]:
     """One field of an offset print: 40 % black at 60 lines per cm, lighter where the coating is thicker."""
     params = base("wfc118", 9, size, (5000.0, 4000.0))
     if size == "small":  # around holes, 310 um are left out where a screen was taken off
-        params = replace(params, size_um=(2300.0, 1700.0), holes=HoleParams(pattern="irregular", count=5))
+        params = replace(params, size_um=(2300.0, 1700.0), holes=BurnParams(pattern="irregular", count=5))
     camera = replace(DIFFUSE, screen=PrintParams(gain_sd=0.04))
     return [Made(name="print", params=replace(params, camera=camera), instruments="print")]
 
@@ -103,7 +103,7 @@ def fig_11(size: Size) -> list[Made]:
     """One field, first scanned, then cut and photographed."""
     params = base("wfc90", 11, size, (1800.0, 1300.0), voxel_um=3.0)
     sections = SectionsParams(pixel_um=4.0, section_um=8.0) if size == "small" else SectionsParams(pixel_um=1.62)
-    params = replace(params, sections=sections, holes=HoleParams(pattern="irregular", count=7))
+    params = replace(params, sections=sections, holes=BurnParams(pattern="irregular", count=7))
     return [Made(name="field", params=params, instruments="two volumes")]
 
 

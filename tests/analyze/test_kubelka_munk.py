@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from planish.analyze import Layer, pile, reflectance, stack
+from planish.analyze import ScatteringLayer, pile, reflectance, stack
 from planish.core.errors import InputError
 
 
@@ -51,17 +51,22 @@ def test_without_absorption_there_is_no_step():
 
 
 def test_layers_are_put_on_from_the_bottom_up_to_a_pile():
-    pre, top = Layer(weight=0.010, scattering=90.0, absorption=0.3), Layer(weight=0.008, scattering=150.0)
+    pre, top = (
+        ScatteringLayer(weight=0.010, scattering=90.0, absorption=0.3),
+        ScatteringLayer(weight=0.008, scattering=150.0),
+    )
     over = reflectance(0.010, scattering=90.0, absorption=0.3, backing=0.5)
     assert stack([pre, top], 0.5) == reflectance(0.008, scattering=150.0, backing=over)
     assert stack([pre, top], 0.5) != pytest.approx(stack([top, pre], 0.5), abs=1e-4)
-    halves = [Layer(weight=0.005, scattering=90.0, absorption=0.3)] * 2
+    halves = [ScatteringLayer(weight=0.005, scattering=90.0, absorption=0.3)] * 2
     assert (stack(halves, 0.5), stack([], 0.5)) == (pytest.approx(over, abs=1e-14), 0.5)
     known = pile(scattering=45.0, absorption=1.2)
     q = 1.2 / 45
     assert known == pytest.approx(1 + q - np.sqrt(q * q + 2 * q), abs=1e-14)
     assert reflectance(0.02, scattering=45.0, absorption=1.2, backing=known) == pytest.approx(known, abs=1e-14)
-    assert stack([Layer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0) == pytest.approx(known, abs=1e-12)
+    assert stack([ScatteringLayer(weight=0.1, scattering=45.0, absorption=1.2)] * 40, 0.0) == pytest.approx(
+        known, abs=1e-12
+    )
     assert (pile(scattering=45.0, absorption=0.0), pile(scattering=0.0, absorption=1.0)) == (1, 0)
 
 
@@ -79,7 +84,7 @@ def test_maps_broadcast_and_what_is_missing_stays_so():
         (lambda: reflectance(-0.01, scattering=150.0, backing=0.8), "weight has 1 of 1 values that are negative"),
         (lambda: reflectance([1.0, np.inf], scattering=-1.0, backing=0.8), r"weight has 1 of 2 values; scattering has"),
         (lambda: reflectance(0.01, scattering=150.0, backing=[0.2, 131.0]), "backing is 131; .* white reference"),
-        (lambda: stack([Layer(weight=0.01, scattering=1.0)], -0.1), "backing is -0.1"),
+        (lambda: stack([ScatteringLayer(weight=0.01, scattering=1.0)], -0.1), "backing is -0.1"),
         (lambda: pile(scattering=0.0, absorption=0.0), "Give a scattering above 0"),
     ],
 )

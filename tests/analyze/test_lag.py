@@ -6,7 +6,7 @@ from scipy import fft, ndimage
 
 from analyze.fields import by_shift
 from folders import refused
-from planish.analyze import Registration, cross_fitted, in_band, ncc, searched_null, texture_lag, textures
+from planish.analyze import RegistrationBasis, cross_fitted, in_band, ncc, searched_null, texture_lag, textures
 from planish.core.errors import CannotMeasure, SizeError
 
 PAD = 16
@@ -224,7 +224,7 @@ def test_a_cross_fitted_correlation_of_related_maps_is_theirs():
     assert found.r == pytest.approx(0.6, abs=0.06)
     assert 0.2 < found.share < 0.6
     assert found.guard_um >= found.length_um
-    assert found.registration is Registration.CROSS_FITTED
+    assert found.registration is RegistrationBasis.CROSS_FITTED
     assert found.sentence.endswith("registration: refined (cross-fitted)")
     assert found.interval[0] < 0.6 < found.interval[1]
     assert found.r_of_marks < found.interval[0]
@@ -234,4 +234,4 @@ def test_a_cross_fitted_correlation_of_related_maps_is_theirs():
     assert null.null_95 < abs(null.r)
     assert null.p < 0.01
     assert null.sentence.endswith("registration: refined (searched null)")
-    assert Registration.MARKS.sentence == "registration: marks only"
+    assert RegistrationBasis.MARKS.sentence == "registration: marks only"

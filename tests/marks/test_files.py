@@ -29,7 +29,7 @@ from marks.files_by_hand import (
 from planish.marks import (
     FORMATS,
     LayerPixels,
-    Places,
+    MarkPlaces,
     exchange,
     holes_of,
     layer_names,
@@ -233,7 +233,7 @@ def test_holes_of_one_layer_marks_of_three_and_marks_of_a_run_come_back(tmp_path
         np.testing.assert_array_equal(back[name], holes[name])
     (table,) = write_any(one, tmp_path / "holes.csv")
     assert read_holes(table).x.values.tolist() == [100.1, 300.1]
-    places = Places(um=np.array([[1.0, 2.0], [np.nan, np.nan], [5.0, 6.5]]), source="clicked")
+    places = MarkPlaces(um=np.array([[1.0, 2.0], [np.nan, np.nan], [5.0, 6.5]]), source="clicked")
     three = make_marks(["a", "b", "c"], dict.fromkeys(("map", "unprinted", "printed"), places))
     (path,) = write_any(three, tmp_path / "three.json")
     assert layer_names(read_any(path)) == ["map", "unprinted", "printed"]
@@ -258,7 +258,7 @@ def some_marks(flat=True, origin=(0.0, 0.0)):
     }
     side = "moving" if flat else "volume"
     about[side] = about.pop("moving")
-    places = {side: Places(um=moving), "fixed": Places(um=fixed)}
+    places = {side: MarkPlaces(um=moving), "fixed": MarkPlaces(um=fixed)}
     return make_marks([f"hole {k}" for k in range(9)], places, about=about)
 
 

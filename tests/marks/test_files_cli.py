@@ -9,7 +9,7 @@ from marks.files_by_hand import FIXED, MOVING, bigwarp_2d, elastix
 from marks.test_files import mat_v5, same
 from planish.core.errors import PlanishError
 from planish.core.grid import Grid
-from planish.marks import LayerPixels, Places, make_marks, read_any, write_any
+from planish.marks import LayerPixels, MarkPlaces, make_marks, read_any, write_any
 from planish.run import registration
 
 
@@ -62,7 +62,7 @@ POINTS = np.array([[111.1, 222.2], [903.3, 148.4], [505.5, 706.6], [730.1, 655.2
 
 
 def some_pairs(fixed):
-    return make_marks(list("abcd"), {"moving": Places(um=POINTS), "fixed": Places(um=fixed)})
+    return make_marks(list("abcd"), {"moving": MarkPlaces(um=POINTS), "fixed": MarkPlaces(um=fixed)})
 
 
 def test_a_link_takes_marks_of_other_programs_and_refuses_what_it_cannot_use(tmp_path):

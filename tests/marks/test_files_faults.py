@@ -21,7 +21,7 @@ from marks.files_by_hand import (
 )
 from marks.test_files import mat_v5, mat_v73
 from planish.core.errors import FileError, MarkError, PlanishError, SizeError
-from planish.marks import LayerPixels, Places, exchange, make_marks, read_any, write_any
+from planish.marks import LayerPixels, MarkPlaces, exchange, make_marks, read_any, write_any
 
 
 def lines_with(text, k, new):
@@ -183,7 +183,7 @@ def test_units_and_sizes_that_contradict(put):
 def test_too_few_marks(put):
     with pytest.raises(MarkError, match=r"holds 3 marks, of which 1 are used and lie in both .*\. At least 3"):
         exchange.used_pairs(read_any(put(native())))
-    three = make_marks(["a"], dict.fromkeys("klm", Places(um=np.array([[1.0, 2.0]]))))
+    three = make_marks(["a"], dict.fromkeys("klm", MarkPlaces(um=np.array([[1.0, 2.0]]))))
     refused(MarkError, "3 layers: k, l, m", exchange.used_pairs, three)
     refused(MarkError, "no layer 'n'; they have k, l, m", exchange.used_pairs, three, moving="n", fixed="k")
 
@@ -259,7 +259,7 @@ def test_nothing_is_overwritten_and_every_need_is_told(put, tmp_path):
     off = marks.assign(used=("mark", [False] * 4))
     refused(MarkError, "No mark is used", write_any, off, tmp_path / "x.txt")
     with pytest.raises(MarkError, match="name of a layer"):
-        make_marks(["a"], {"My map": Places(um=np.zeros((1, 2)))})
+        make_marks(["a"], {"My map": MarkPlaces(um=np.zeros((1, 2)))})
 
 
 # --- damage

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.analyze import LagNumbers, Registration
+from planish.analyze import LagNumbers, RegistrationBasis
 from planish.report import HALF, draw, registration, summary
 from planish.report.text import REGISTERED, capital, typeset
 from planish.results import RegistrationFacts
@@ -49,7 +49,7 @@ def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], st
 
 
 def test_words_units_and_levels_are_the_same_everywhere() -> None:
-    assert Registration.MARKS.sentence == REGISTERED
+    assert RegistrationBasis.MARKS.sentence == REGISTERED
     assert typeset("lag 2 um, 3 deg; a column") == f"lag 2{MICRO}, 3°; a column"
     assert (typeset("an umbrella of degrees"), capital("maps of A")) == ("an umbrella of degrees", "Maps of A")
     levels, step = draw.levels_between(0.93, 2.17, steps=5)

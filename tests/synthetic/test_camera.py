@@ -8,7 +8,7 @@ from scipy import fft, ndimage
 
 from planish.core.area import area_mean
 from planish.core.transform import Similarity
-from planish.synthetic import CameraParams, PaperParams, PrintParams, Sheet
+from planish.synthetic import CameraParams, DrawnSheet, PaperParams, PrintParams
 from planish.synthetic.camera import image_material, photograph
 from planish.synthetic.pose import CameraPose, draw_pose
 from planish.synthetic.sheet import PITCH_UM, noise
@@ -44,7 +44,7 @@ def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
         "holes": holes,
     }
     given = {k: value.astype(np.float32) if isinstance(value, np.ndarray) else value for k, value in given.items()}
-    return Sheet(**{f.name: given[f.name] for f in fields(Sheet)})
+    return DrawnSheet(**{f.name: given[f.name] for f in fields(DrawnSheet)})
 
 
 @pytest.fixture(scope="module")

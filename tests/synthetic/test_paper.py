@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import fft, ndimage, special, stats
 
-from planish.synthetic import PRESETS, HoleParams, PaperParams, SpecimenParams, make_specimen
+from planish.synthetic import PRESETS, BurnParams, PaperParams, SpecimenParams, make_specimen
 from planish.synthetic.params import generator
 from planish.synthetic.sheet import PITCH_UM, fibres, hole_pattern, lowpass, make_sheet, neutral_height, noise, streaks
 
@@ -18,7 +18,7 @@ NO_HOLES = np.zeros((0, 2))
 
 
 def _sheet(paper, seed=0, high=HIGH):
-    return make_sheet(paper, HoleParams(), low=LOW, high=high, centres=NO_HOLES, seed=seed)
+    return make_sheet(paper, BurnParams(), low=LOW, high=high, centres=NO_HOLES, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -151,7 +151,7 @@ def test_every_preset_is_a_sheet(name):
 
 
 def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
-    params = HoleParams(stage_um=0.0)
+    params = BurnParams(stage_um=0.0)
     holes = hole_pattern(params, np.zeros(2), np.array([8200.0, 6100.0]), 0)
     assert len(holes) == 21
     lines = [holes[:7], holes[7:14], holes[14:]]
@@ -159,9 +159,9 @@ def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
     assert pitches.min() >= 500 - 1e-6
     assert pitches.max() <= 950 + 1e-6
     assert len(np.unique(np.round(pitches, 3))) == len(pitches)
-    designed = hole_pattern(HoleParams(stage_um=0.0), np.zeros(2), np.array([8200.0, 6100.0]), 0)
+    designed = hole_pattern(BurnParams(stage_um=0.0), np.zeros(2), np.array([8200.0, 6100.0]), 0)
     errors = [
-        hole_pattern(HoleParams(stage_um=4.0), np.zeros(2), np.array([8200.0, 6100.0]), seed) - designed
+        hole_pattern(BurnParams(stage_um=4.0), np.zeros(2), np.array([8200.0, 6100.0]), seed) - designed
         for seed in range(12)
     ]
     assert np.std(errors) == pytest.approx(4.0, rel=0.12)
@@ -169,7 +169,7 @@ def test_the_coded_pattern_has_no_two_equal_pitches_and_the_stage_its_error():
 
 @pytest.mark.study
 def test_holes_have_the_size_that_was_ordered():
-    holes = HoleParams(
+    holes = BurnParams(
         pattern="irregular", count=6, rim_um=0.0, axis_ratio=1.0, diameter_sd_um=0.0, tilt_deg=0.0, half_closed=0.0
     )
     params = replace(SpecimenParams(size_um=(2500.0, 2000.0)), holes=holes)
@@ -181,7 +181,7 @@ def test_holes_have_the_size_that_was_ordered():
 
 @pytest.mark.study
 def test_half_closed_holes_are_half_open_at_the_bottom():
-    holes = HoleParams(pattern="irregular", count=6, half_closed=1.0, taper=0.0, tilt_deg=0.0)
+    holes = BurnParams(pattern="irregular", count=6, half_closed=1.0, taper=0.0, tilt_deg=0.0)
     sheet = make_specimen(replace(SpecimenParams(size_um=(2500.0, 2000.0)), holes=holes)).sheet
     top, bottom = (np.count_nonzero(rim < 0) for rim in sheet.rim_um)
     assert bottom / top == pytest.approx(0.5, abs=0.05)
@@ -197,7 +197,7 @@ def test_the_unstrained_surface_of_a_bent_laminate():
         assert neutral_height(base, top, bottom, ratio) == pytest.approx(expected, abs=1e-3)
     assert neutral_height(base, top, bottom, 1.0) == pytest.approx((top - bottom) / 2)
     soft, stiff = (
-        make_sheet(PaperParams(coating_bottom_um=5.0), HoleParams(), low=LOW, high=LOW + 3000, centres=NO_HOLES, seed=0,
+        make_sheet(PaperParams(coating_bottom_um=5.0), BurnParams(), low=LOW, high=LOW + 3000, centres=NO_HOLES, seed=0,
                    stiffness=ratio)
         for ratio in (0.0, 2.0)
     )  # fmt: skip

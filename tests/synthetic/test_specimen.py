@@ -13,7 +13,7 @@ from scipy import ndimage
 from planish.core.errors import FileError
 from planish.core.threads import limit_threads
 from planish.synthetic import (
-    HoleParams,
+    BurnParams,
     PaperParams,
     ScannerParams,
     SectionsParams,
@@ -25,7 +25,7 @@ from planish.synthetic import (
 )
 
 module = importlib.import_module("planish.synthetic.specimen")
-SMALL = SpecimenParams(size_um=(700.0, 600.0), holes=HoleParams(pattern="irregular", count=1))
+SMALL = SpecimenParams(size_um=(700.0, 600.0), holes=BurnParams(pattern="irregular", count=1))
 EVERYTHING = ScannerParams(voxel_um=8.0, noise_px=2.0, fringe=0.12, cupping=0.04, rings=2, streak=0.03)
 
 
@@ -223,7 +223,7 @@ def test_holes_that_do_not_fit_are_refused():
     with pytest.raises(ValueError, match="coded holes fit"):
         make_specimen(SpecimenParams(size_um=(700.0, 600.0)))
     with pytest.raises(ValueError, match="do not fit"):
-        make_specimen(SpecimenParams(size_um=(700.0, 600.0), holes=HoleParams(pattern="irregular", count=9)))
+        make_specimen(SpecimenParams(size_um=(700.0, 600.0), holes=BurnParams(pattern="irregular", count=9)))
 
 
 def test_uncoated_paper_has_no_coating():

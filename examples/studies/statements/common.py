@@ -13,7 +13,7 @@ from matplotlib.axes import Axes
 import planish as pl
 from planish.analyze import Fields
 from planish.core.area import area_mean
-from planish.core.series_results import SeriesResults, Specimen
+from planish.core.series_results import SeriesResults, SeriesSpecimen
 from planish.results import CorrelationRow
 
 MISSING = "#d4d6d8"
@@ -42,7 +42,7 @@ def one_run(folder: Path) -> pl.Run:
     return next(iter(runs.values()))
 
 
-def fields_of(series: SeriesResults, wanted: Callable[[Specimen], bool]) -> tuple[Fields, list[float]]:
+def fields_of(series: SeriesResults, wanted: Callable[[SeriesSpecimen], bool]) -> tuple[Fields, list[float]]:
     """R of the fields that are wanted, and the independent points behind their intervals."""
     at = next(k for k, q in enumerate(series.quantities) if q.what == "r")
     found = [one for one in series.specimens if wanted(one)]

@@ -49,7 +49,7 @@ from .image_values import compared_image as compared_image
 from .image_values import image_facts as image_facts
 from .image_values import without_screen as without_screen
 from .kubelka_munk import KubelkaMunk as KubelkaMunk
-from .kubelka_munk import Layer as Layer
+from .kubelka_munk import ScatteringLayer as ScatteringLayer
 from .kubelka_munk import fit_kubelka_munk as fit_kubelka_munk
 from .kubelka_munk import pile as pile
 from .kubelka_munk import reflectance as reflectance
@@ -76,7 +76,7 @@ from .pooled import pooled_r as pooled_r
 from .pooled import random_effects as random_effects
 from .refinement import CrossFitted as CrossFitted
 from .refinement import RefinementR as RefinementR
-from .refinement import Registration as Registration
+from .refinement import RegistrationBasis as RegistrationBasis
 from .refinement import SearchedNull as SearchedNull
 from .refinement import Tune as Tune
 from .refinement import cross_fitted as cross_fitted
@@ -105,8 +105,8 @@ from .sides import image_of_sheet as image_of_sheet
 from .sides import texture_of as texture_of
 from .sides import two_images as two_images
 from .sides import two_sheets as two_sheets
-from .split_half import Columns as Columns
 from .split_half import Reliability as Reliability
+from .split_half import SheetColumns as SheetColumns
 from .split_half import split_reliability as split_reliability
 from .texture import Textures as Textures
 from .texture import textures as textures

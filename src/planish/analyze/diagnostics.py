@@ -37,7 +37,7 @@ from planish.analyze.robustness import (
     say_short_waves,
 )
 from planish.analyze.second_opinion import SecondOpinion, answer_second_opinion, say_second_opinion
-from planish.analyze.split_half import Columns, MapReliability
+from planish.analyze.split_half import MapReliability, SheetColumns
 from planish.analyze.thin_regions import ThinRegion, answer_thin, say_thin
 from planish.analyze.variograms import MapVariogram, answer_variograms, say_variograms
 from planish.core.area import area_mean
@@ -115,7 +115,7 @@ class ComparedMaps:
     params : CorrelateParams
     layers : (Dataset, Dataset)
         All maps of both layers, on the pixels of ``grid``.
-    columns : mapping of str to Columns
+    columns : mapping of str to SheetColumns
         Those of each sheet.
     md_deg : float or None
         Machine direction on the reference.
@@ -132,7 +132,7 @@ class ComparedMaps:
     params: CorrelateParams
     layers: tuple[xr.Dataset, xr.Dataset]
     grid: Grid
-    columns: Mapping[str, Columns] = field(default_factory=dict[str, Columns])
+    columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
     md_deg: float | None = None
     repeated: tuple[Floats, Floats] | None = None
 
@@ -224,7 +224,7 @@ QUESTIONS = (
 
 def correlation_diagnostics(
     maps: Mapping[str, xr.Dataset], a: tuple[str, str], b: tuple[str, str], *, params: CorrelateParams | None = None,
-    columns: Mapping[str, Columns] | None = None, md_deg: float | None = None,
+    columns: Mapping[str, SheetColumns] | None = None, md_deg: float | None = None,
 ) -> EvidenceFacts | None:  # fmt: skip
     """Answer every question of two maps; None where they share fewer than 3 cells, or one of them is constant.
 
@@ -235,7 +235,7 @@ def correlation_diagnostics(
     a, b : (str, str)
         Layer and map.
     params : CorrelateParams, optional
-    columns : mapping of str to Columns, optional
+    columns : mapping of str to SheetColumns, optional
         Those of each sheet, for its reliability.
     md_deg : float, optional
         Machine direction on the reference.

@@ -37,7 +37,7 @@ _KG_PER_G, _G_PER_KG = 1e-3, 1000.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Layer:
+class ScatteringLayer:
     """One layer of a stack.
 
     Attributes
@@ -101,7 +101,7 @@ def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLi
     return layer_over(below, values["scattering"], values["absorption"], values["weight"])
 
 
-def stack(layers: Sequence[Layer], backing: ArrayLike) -> Floats:
+def stack(layers: Sequence[ScatteringLayer], backing: ArrayLike) -> Floats:
     """Reflectance of layers over a backing, from the bottom to the top; without layers that of the backing.
 
     Raises

@@ -39,7 +39,7 @@ _LEAST_PIXELS = 100
 _COUNTED = 199  # unrelated maps, from which on a chance is counted
 
 
-class Registration(StrEnum):
+class RegistrationBasis(StrEnum):
     """How the maps of a correlation were registered; stands beside every r."""
 
     MARKS = "marks only"
@@ -73,7 +73,7 @@ class RefinementR(ResultModel):
 class CrossFitted(RefinementR):
     """Correlation of tiles that the registration was not tuned on: both halves together, each about its own means."""
 
-    registration: Registration = Registration.CROSS_FITTED  # type: ignore[reportIncompatibleVariableOverride]
+    registration: RegistrationBasis = RegistrationBasis.CROSS_FITTED  # type: ignore[reportIncompatibleVariableOverride]
     r_of_halves: Pair = Field(description="Of either colour of the checkerboard, registered on the other.")
     share: float = Field(description="Pixels that are reported on over all that are known in both.")
     length_um: float = Field(description="Correlation length of the coarser map.")
@@ -87,7 +87,7 @@ class SearchedNull(RefinementR):
     squared.
     """
 
-    registration: Registration = Registration.SEARCHED_NULL  # type: ignore[reportIncompatibleVariableOverride]
+    registration: RegistrationBasis = RegistrationBasis.SEARCHED_NULL  # type: ignore[reportIncompatibleVariableOverride]
 
 
 def cross_fitted(
@@ -162,7 +162,7 @@ def _sentence_of(row: Correlation, gain: Difference) -> str:
         else f", from which it differs by {low:.3f} to {high:.3f}"
     )  # fmt: skip
     marks = f"the marks alone give {gain.r[0]:.2f} there{change}"
-    return f"r = {row.r:.2f}{limits}; {marks}; {Registration.CROSS_FITTED.sentence}"
+    return f"r = {row.r:.2f}{limits}; {marks}; {RegistrationBasis.CROSS_FITTED.sentence}"
 
 
 def _checkerboard(
@@ -228,7 +228,7 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
     return SearchedNull(
         r=r, null_95=null_95, p=p, surrogates=surrogates,
         sentence=f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p = {p:.2g}); "
-        f"{Registration.SEARCHED_NULL.sentence}",
+        f"{RegistrationBasis.SEARCHED_NULL.sentence}",
     )  # fmt: skip
 
 

@@ -119,7 +119,7 @@ def _of_both(r: float) -> float:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Columns:
+class SheetColumns:
     """The columns of a sheet and where they lie on a reference.
 
     ``measured`` and ``flat`` (y, x) are those of the sheet. ``similarity`` leads from the flat sheet to the reference:
@@ -131,7 +131,7 @@ class Columns:
     similarity: Similarity
     interpolated: bool = False
 
-    def part(self, rows: slice) -> Columns:
+    def part(self, rows: slice) -> SheetColumns:
         """Some rows of columns."""
         return replace(self, measured=self.measured.isel(y=rows), flat=self.flat.isel(y=rows))
 
@@ -166,14 +166,14 @@ class Columns:
 
 
 def half_points(
-    columns: Columns, name: str, is_valid: Bools, *, origin_um: tuple[float, float], cell_um: tuple[float, float],
+    columns: SheetColumns, name: str, is_valid: Bools, *, origin_um: tuple[float, float], cell_um: tuple[float, float],
     point_um: float,
 ) -> tuple[Floats, Floats, bool]:  # fmt: skip
     """Means of a map over the points of a reference, of the odd and of the even rows of its columns.
 
     Parameters
     ----------
-    columns : Columns
+    columns : SheetColumns
     name : str
         A map of the sheet.
     is_valid : ndarray of bool, shape (rows, cols)

@@ -16,7 +16,7 @@ from planish.app.picture import PLANES
 from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
 from planish.core.typing import Bools
-from planish.marks.exchange import Places, make_marks, marks_text
+from planish.marks.exchange import MarkPlaces, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
 from planish.run.cached_maps import noted_study
@@ -63,7 +63,7 @@ class OriginalRun:
             "fixed": np.append(rows["moving"] * 0 - 1, rows["fixed"]),
         }
         labels = [f"{side} {k + 1}" for side in PLANES for k in rows[side]]
-        marks = make_marks(labels, {side: Places.of_holes(holes[side], unpaired_rows[side]) for side in PLANES})
+        marks = make_marks(labels, {side: MarkPlaces.of_holes(holes[side], unpaired_rows[side]) for side in PLANES})
         return cls(
             study=study.model_copy(update={"layers": (sheet, image)}), state=session.first, marks={sheet.name: marks}
         )

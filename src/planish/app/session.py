@@ -34,7 +34,7 @@ from planish.core.typing import Floats
 from planish.io import fingerprint, read_image
 from planish.io.params import ImageParams
 from planish.io.run_folder import read_group
-from planish.marks.exchange import Places
+from planish.marks.exchange import MarkPlaces
 from planish.marks.exchange.model import EXTRAS
 from planish.marks.regions import read_regions
 from planish.results import Results
@@ -371,14 +371,14 @@ def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     return ends
 
 
-def places_of(ends: Sequence[End | None]) -> Places:
+def places_of(ends: Sequence[End | None]) -> MarkPlaces:
     """Ends as files of marks have them."""
 
     def column(name: str) -> Floats:
         values = [None if end is None else getattr(end, name) for end in ends]
         return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
 
-    return Places(
+    return MarkPlaces(
         um=np.stack([column("x"), column("y")], axis=1),
         source=["imported" if end is None else end.source for end in ends],
         extras={name: column(name) for name in EXTRAS},

@@ -73,7 +73,7 @@ class Cell(ResultModel):
     why_not: str = Field(default="", description="Why it does not; empty where it does.")
 
 
-class Specimen(ResultModel):
+class SeriesSpecimen(ResultModel):
     """One specimen: what it is, what was found, and what its checks say."""
 
     member: Member = Field(description="Name, factors, state and run.")
@@ -218,7 +218,7 @@ class SeriesResults(ResultModel):
     grouped_by: tuple[str, ...] = Field(default=(), description="Factors that make the groups.")
     compared_by: str | None = Field(default=None, description="Factor that is compared; None where there is none.")
     sheets_given: bool = Field(description="Whether the table names the sheet of every specimen.")
-    specimens: tuple[Specimen, ...] = Field(description="In the order of the table.")
+    specimens: tuple[SeriesSpecimen, ...] = Field(description="In the order of the table.")
     groups: tuple[GroupFacts, ...] = Field(default=(), description="By group and quantity.")
     differences: tuple[DifferenceFacts, ...] = Field(default=(), description="By quantity and pair of levels.")
     instruments: tuple[InstrumentFacts, ...] = Field(default=(), description="Specimens measured by two instruments.")

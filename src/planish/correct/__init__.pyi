@@ -1,7 +1,7 @@
-from .params import Corrections as Corrections
+from .params import CorrectionRecord as CorrectionRecord
 from .params import CorrectParams as CorrectParams
 from .params import Cupping as Cupping
-from .params import Ring as Ring
+from .params import RingArtefact as RingArtefact
 from .params import Trend as Trend
 from .picture import write_picture as write_picture
 from .volume import Corrected as Corrected

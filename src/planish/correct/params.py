@@ -41,7 +41,7 @@ class CorrectParams(Params):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Ring:
+class RingArtefact:
     """One ring that was found.
 
     Attributes
@@ -109,7 +109,7 @@ class Cupping:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Corrections:
+class CorrectionRecord:
     """What was found, and what was changed.
 
     Attributes
@@ -122,7 +122,7 @@ class Corrections:
         ``rings``, ``cupping``.
     air, sheet : float or None
         Greys; None where no sheet stands out.
-    rings : tuple of Ring
+    rings : tuple of RingArtefact
         Those that were corrected.
     ring_limit : float or None
         Median over the radii of the height that would have been found, as a share of the contrast.
@@ -143,7 +143,7 @@ class Corrections:
     asked: tuple[str, ...]
     air: float | None = None
     sheet: float | None = None
-    rings: tuple[Ring, ...] = ()
+    rings: tuple[RingArtefact, ...] = ()
     ring_limit: float | None = None
     cupping: Cupping | None = None
     trends: tuple[Trend, ...] = ()

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.typing import Floats
-from planish.correct.params import Ring
+from planish.correct.params import RingArtefact
 from planish.correct.sums import UNIT, Sums, Turning
 
 _WINDOW, _AFTERWARDS = 49, 13  # bins of half a voxel: the running median, and the mean over it
@@ -34,7 +34,7 @@ _MOST_BINS = 40  # width of a ring; what is wider is left alone
 class RingFit:
     """Rings and how their heights vary along the axis."""
 
-    rings: tuple[Ring, ...]
+    rings: tuple[RingArtefact, ...]
     shapes: Floats  # (ring, bin): height at each radius, as a share of the contrast
     factors: Floats  # (ring, block): on the height, at the middle of each block
     profile: Floats  # (bin,): mean over all parts, NaN where it is not known
@@ -63,7 +63,7 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     blocks, bins = len(residual), profile.size
     shapes: list[Floats] = []
     factors: list[Floats] = []
-    rings: list[Ring] = []
+    rings: list[RingArtefact] = []
     parts: list[tuple[Floats, Floats]] = []
     materials: list[tuple[Floats, Floats]] = []
     if intervals:
@@ -83,7 +83,7 @@ def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
         width = np.count_nonzero(np.abs(profile[where]) >= 0.5 * abs(height)) * turning.step_um
         shapes.append(shape)
         factors.append(factor)
-        rings.append(Ring(
+        rings.append(RingArtefact(
             radius_um=(crest + 0.5) * turning.step_um, width_um=float(width), height=height * contrast, share=height,
             share_se=float(error[crest]), least=float(factor.min()), most=float(factor.max()),
         ))  # fmt: skip
@@ -113,9 +113,9 @@ def _find_intervals(sums: Sums) -> tuple[Floats, Floats, Floats, Floats, list[tu
     return residual, weight, profile, error, intervals
 
 
-def remaining_rings(before: RingFit, after: RingFit) -> tuple[Ring, ...]:
+def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]:
     """Give each ring with the share that the correction left of it; its crest is weighed with its own shape."""
-    remaining: list[Ring] = []
+    remaining: list[RingArtefact] = []
     for ring, shape in zip(before.rings, before.shapes, strict=True):
         inside = (shape != 0) & np.isfinite(after.profile)
         power = float(np.sum(shape[inside] ** 2))

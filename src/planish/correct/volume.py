@@ -16,7 +16,7 @@ from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.threads import count_threads
 from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
-from planish.correct.params import Corrections, CorrectParams, Cupping
+from planish.correct.params import CorrectionRecord, CorrectParams, Cupping
 from planish.correct.rings import RingFit, find_rings, remaining_rings
 from planish.correct.sums import Levels, Slice, Sums, Turning, find_levels, make_turning, slices_of, take_sums
 
@@ -96,7 +96,7 @@ class Corrected:
     volume : DataArray, dims (z, y, x)
         Of the same type; the one that was given where nothing had to be changed. Its attribute ``corrections`` holds
         the record.
-    record : Corrections
+    record : CorrectionRecord
     turning : Turning
     before, after : Sums or None
         For the figure; None where no sheet stands out.
@@ -104,7 +104,7 @@ class Corrected:
     """
 
     volume: xr.DataArray
-    record: Corrections
+    record: CorrectionRecord
     turning: Turning
     before: Sums | None = None
     after: Sums | None = None
@@ -158,7 +158,9 @@ def correct_volume(
         )
     turning = make_turning(volume, params.axis, params.centre_um)
     threads = count_threads(threads)
-    record = Corrections(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=turning.shape[0])
+    record = CorrectionRecord(
+        axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=turning.shape[0]
+    )
     rows, cols = np.arange(turning.shape[1]), np.arange(turning.shape[2])
     slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
     levels = find_levels([values for _, values in slices(most=_LOOK)], turning.radius_um(rows, cols))
@@ -199,11 +201,13 @@ def correct_volume(
     return Corrected(volume=corrected, record=record, turning=turning, before=before, after=after, change=change)
 
 
-def _with_record(volume: xr.DataArray, record: Corrections) -> xr.DataArray:
+def _with_record(volume: xr.DataArray, record: CorrectionRecord) -> xr.DataArray:
     return volume.assign_attrs(corrections=record.to_json())
 
 
-def _find_change(before: Sums, turning: Turning, levels: Levels, record: Corrections) -> tuple[Change, Corrections]:
+def _find_change(
+    before: Sums, turning: Turning, levels: Levels, record: CorrectionRecord
+) -> tuple[Change, CorrectionRecord]:
     """Find the change that the volume needs, and note it with its reasons in the record."""
     sentences: list[str] = []
     fit = find_rings(before, turning, levels.contrast)

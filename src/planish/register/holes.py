@@ -29,7 +29,7 @@ class DesignedHoles:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Registration:
+class HoleRegistration:
     """The transformation between two layers, and the holes that support it.
 
     Attributes
@@ -64,7 +64,7 @@ def register_marks(
     pattern: DesignedHoles | None = None,
     pairs: Ints | None = None,
     hole_um: Pair = (100.0, 300.0),
-) -> Registration:
+) -> HoleRegistration:
     """Match the holes of two layers and fit the transformation from one to the other.
 
     Parameters
@@ -84,7 +84,7 @@ def register_marks(
 
     Returns
     -------
-    Registration
+    HoleRegistration
         Each pair is weighted by the covariances of its two holes where both are known.
 
     Raises
@@ -130,7 +130,7 @@ def register_marks(
             f"{100 * params.scale_tolerance:.2g} % are allowed. Check --voxel-um and --pixel-um, and the marks; if a "
             "calibration is that uncertain, allow more with --scale-tolerance."
         )
-    return Registration(fit=fit, pairs=pairs, **identity)
+    return HoleRegistration(fit=fit, pairs=pairs, **identity)
 
 
 def _match(

@@ -15,7 +15,7 @@ from urllib.parse import quote
 import numpy as np
 import xarray as xr
 
-from planish.core.series_results import SeriesResults, Specimen
+from planish.core.series_results import SeriesResults, SeriesSpecimen
 from planish.report import series_words as words
 from planish.report import statement, text
 from planish.report.colours import Array, image_uri, limits
@@ -55,7 +55,7 @@ class SpecimenOrder(NamedTuple):
 class SpecimenLine(NamedTuple):
     """One specimen as the table shows it."""
 
-    specimen: Specimen
+    specimen: SeriesSpecimen
     link: str
     factors: list[str]
     cells: list[tuple[str, str]]  # text, and a word of doubt
@@ -89,7 +89,9 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     return f"{page}\n"
 
 
-def _line(specimen: Specimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults) -> SpecimenLine:
+def _line(
+    specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
+) -> SpecimenLine:
     cells = [(text.NONE, "")] * len(columns)
     for k in columns if specimen.cells else ():
         cell = specimen.cells[k]
@@ -106,12 +108,12 @@ def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrde
     specimens = results.specimens
     orders = [SpecimenOrder("as listed", list(range(len(specimens))))]
 
-    def by(name: str, key: Callable[[Specimen], tuple[object, ...]]) -> None:
+    def by(name: str, key: Callable[[SeriesSpecimen], tuple[object, ...]]) -> None:
         numbers = sorted(range(len(specimens)), key=lambda k: key(specimens[k]))  # pyright: ignore
         if len(orders) < _MOST_ORDERS and all(numbers != order.numbers for order in orders):
             orders.append(SpecimenOrder(name, numbers))
 
-    def figure(specimen: Specimen, k: int) -> tuple[bool, float]:
+    def figure(specimen: SeriesSpecimen, k: int) -> tuple[bool, float]:
         v = specimen.cells[k].value if specimen.cells else None
         return (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
 

@@ -16,7 +16,7 @@ from planish.analyze.diagnostics import EvidenceFacts, correlation_diagnostics
 from planish.analyze.mottle import mottle_of
 from planish.analyze.refinement import refine_link
 from planish.analyze.sides import TextureFound, texture_of
-from planish.analyze.split_half import Columns
+from planish.analyze.split_half import SheetColumns
 from planish.checks import (
     DetectedHoles,
     HolesOnSheet,
@@ -144,7 +144,7 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
     """What stands beside the correlation of each layer with the reference; not where they share too little."""
     wanted, reference = linked.study.correlate, linked.reference
     columns = {
-        layer.name: Columns(
+        layer.name: SheetColumns(
             measured=layer.groups["surfaces"], flat=layer.groups["flat"],
             similarity=linked.links[layer.name].chain.similarity if layer.name in linked.links else Similarity(),
             interpolated="sections" in layer.groups and bool(layer.groups["sections"].attrs["missing"]),

@@ -19,7 +19,7 @@ from planish.core.options import params_of
 from planish.core.typing import Bools, Floats
 from planish.design import Pattern, read_pattern
 from planish.marks import hole_tilt
-from planish.marks.exchange import LayerPixels, Places, make_marks, pair_of_layers, read_any, write_any
+from planish.marks.exchange import LayerPixels, MarkPlaces, make_marks, pair_of_layers, read_any, write_any
 from planish.marks.exchange.model import RESULTS
 from planish.register import (
     Chain,
@@ -190,7 +190,7 @@ def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], l
     }
     names = [*labels, *(f"moving {k + 1}" for k in alone[0]), *(f"fixed {k + 1}" for k in alone[1])]
     sides = (("moving", moving), ("fixed", fixed))
-    layers = {side: Places.of_holes(h, rows[side], h.attrs.get("source", "detected")) for side, h in sides}
+    layers = {side: MarkPlaces.of_holes(h, rows[side], h.attrs.get("source", "detected")) for side, h in sides}
     about = {
         side: {k: h.attrs[name] for k, name in (("title", "layer"), ("side", "seen_from")) if name in h.attrs}
         for side, h in sides

@@ -29,7 +29,7 @@ Stack = NDArray[Any] | LazyArray
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Band:
+class SheetBand:
     """Course of the sheet.
 
     Attributes
@@ -115,7 +115,7 @@ class SectionSeries:
         return float(np.median(np.diff(self.away_um)))
 
     @cached_property
-    def band(self) -> Band:
+    def band(self) -> SheetBand:
         """Course of the sheet."""
         # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to
         # the section's background; the largest connected part is the sheet.
@@ -148,7 +148,7 @@ class SectionSeries:
         typical = float(np.nanmedian(contrast))
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
         is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
-        return Band(
+        return SheetBand(
             row=smooth, at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1), jump=jump,
             half_um=0.5 * usual * tall * self.pixel_um[0],
             background=np.where(np.isfinite(background), background, np.nanmedian(background)),

@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections._kernels import pair_sums, smooth, straighten
-from planish.sections.band import Band, Stack
+from planish.sections.band import SheetBand, Stack
 from planish.sections.network import Index
 
 Samples = NDArray[np.float32]
@@ -73,7 +73,7 @@ class Bands:
     """
 
     stack: Stack
-    band: Band
+    band: SheetBand
     pixel_um: tuple[float, float]
     fine: bool = False
 

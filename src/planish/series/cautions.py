@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
-from planish.core.series_results import FACTORS, Cell, Quantity, Specimen
+from planish.core.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 from planish.series.gather import Gathered
 
 NEST = ("sheet", "field")
@@ -16,7 +16,7 @@ _UNLIKE = 1.05  # ratio of supports, from which on standard deviations are of di
 
 
 def cautions_of(
-    gathered: Gathered, specimens: Sequence[Specimen], quantities: Sequence[Quantity], grouped_by: Sequence[str],
+    gathered: Gathered, specimens: Sequence[SeriesSpecimen], quantities: Sequence[Quantity], grouped_by: Sequence[str],
     compared_by: str | None, most_levels: int,
 ) -> Iterator[str]:  # fmt: skip
     """Give one sentence for each thing to be careful about, what changes a figure first."""
@@ -38,7 +38,7 @@ def cautions_of(
         )
 
 
-def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> Iterator[str]:
+def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity]) -> Iterator[str]:
     def named(is_meant: Callable[[Cell], bool]) -> list[str]:
         return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
@@ -62,7 +62,7 @@ def _left_out(counted: Sequence[Specimen], quantities: Sequence[Quantity]) -> It
         )
 
 
-def _sheets(gathered: Gathered, counted: Sequence[Specimen]) -> Iterator[str]:
+def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
     without = _without("sheet", counted)
     if without and len(counted) > 1:
         is_all = len(without) == len(counted)
@@ -71,7 +71,7 @@ def _sheets(gathered: Gathered, counted: Sequence[Specimen]) -> Iterator[str]:
             f"{which}: each specimen counts as a sheet of its own. If some are fields of one sheet, the intervals are "
             "too narrow; if sheets were measured before and after, they do not pair. Add a column sheet."
         )
-    shared: dict[tuple[str, ...], list[Specimen]] = {}
+    shared: dict[tuple[str, ...], list[SeriesSpecimen]] = {}
     for specimen in counted:
         shared.setdefault(gathered.runs[specimen.name].volumes, []).append(specimen)
     for same in shared.values():
@@ -93,7 +93,7 @@ def _sheets(gathered: Gathered, counted: Sequence[Specimen]) -> Iterator[str]:
 
 
 def _factors(
-    counted: Sequence[Specimen], grouped_by: Sequence[str], compared_by: str | None, most_levels: int
+    counted: Sequence[SeriesSpecimen], grouped_by: Sequence[str], compared_by: str | None, most_levels: int
 ) -> Iterator[str]:
     factors = dict.fromkeys(name for specimen in counted for name in specimen.member.factors)
     levels = {f: dict.fromkeys(v for s in counted if (v := s.factor(f))) for f in factors}
@@ -132,7 +132,7 @@ def _factors(
         )
 
 
-def _without(factor: str, counted: Sequence[Specimen]) -> list[str]:
+def _without(factor: str, counted: Sequence[SeriesSpecimen]) -> list[str]:
     return [specimen.name for specimen in counted if not specimen.factor(factor)]
 
 

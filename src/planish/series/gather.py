@@ -14,7 +14,7 @@ from planish.analyze.agreement import Twice
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError
 from planish.core.facts import SIDES, Trust, is_known
-from planish.core.series_results import InstrumentFacts, Member, Specimen
+from planish.core.series_results import InstrumentFacts, Member, SeriesSpecimen
 from planish.report.summary import key_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 from planish.run.run import open_results
@@ -72,7 +72,7 @@ class FigureRow:
 class RunSummary:
     """What a series keeps of a run beside its rows."""
 
-    specimen: Specimen  # as the page names it, without sheet and figures
+    specimen: SeriesSpecimen  # as the page names it, without sheet and figures
     sheets: tuple[str, ...]  # names of the layers of either kind
     images: tuple[str, ...]
     headlines: tuple[str, ...]  # maps that stand for its sheets
@@ -162,7 +162,7 @@ def _summary(member: Member, results: Results) -> RunSummary:
         kind = "two volumes" if len(sheets) == 2 else "sheet on image"
     instruments = (_instruments(member, results, e, e.twice) for e in results.evidence if e.twice is not None)
     return RunSummary(
-        specimen=Specimen(
+        specimen=SeriesSpecimen(
             member=member, kind=kind, light=results.state,
             spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.checks_in(s))},
             marks_used=min((r.matched for r in registered), default=None),

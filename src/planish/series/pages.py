@@ -15,7 +15,7 @@ import xarray as xr
 
 from planish.core.errors import PlanishError
 from planish.core.files import delete, write_whole
-from planish.core.series_results import Cell, Member, Quantity, RunKind, SeriesResults, Specimen
+from planish.core.series_results import Cell, Member, Quantity, RunKind, SeriesResults, SeriesSpecimen
 from planish.core.tables import table_text
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
@@ -79,7 +79,7 @@ def write_series(
     gathered = gather(members, home)
     results = summary_of(gathered, declared_of(declared))
     maps = _small_maps(results, home)
-    specimens: list[Specimen] = []
+    specimens: list[SeriesSpecimen] = []
     for specimen in results.specimens:
         folder = specimen.member.folder(home)
         run = None if folder is None else relative_path(folder.resolve(), out.resolve())

@@ -30,7 +30,7 @@ from planish.core.series_results import (
     HeterogeneityFacts,
     Quantity,
     SeriesResults,
-    Specimen,
+    SeriesSpecimen,
     VarianceFacts,
 )
 from planish.core.text import likely
@@ -129,16 +129,16 @@ def _in_order(levels: Iterable[str]) -> list[str]:
 
 def _specimens(
     gathered: Gathered, rows: Sequence[FigureRow], quantities: Sequence[Quantity], declared: Declared
-) -> list[Specimen]:
+) -> list[SeriesSpecimen]:
     """Specimens with their sheets and figures."""
     of_specimens, of_volumes = dict[str, list[FigureRow]](), dict[tuple[str, ...], str]()
     for row in rows:
         of_specimens.setdefault(row.specimen, []).append(row)
-    specimens: list[Specimen] = []
+    specimens: list[SeriesSpecimen] = []
     for member in gathered.members:
         run = gathered.runs.get(member.name)
         if run is None:
-            specimens.append(Specimen(member=member))
+            specimens.append(SeriesSpecimen(member=member))
             continue
         # Without a sheet's name, the same volume is the same sheet for certain.
         of_volume = f"specimen {of_volumes.setdefault(run.volumes, member.name)}"
@@ -152,11 +152,11 @@ def _specimens(
     return specimens
 
 
-def _levels_of(specimen: Specimen, factors: Sequence[str]) -> tuple[str, ...]:
+def _levels_of(specimen: SeriesSpecimen, factors: Sequence[str]) -> tuple[str, ...]:
     return tuple(specimen.factor(name) for name in factors)
 
 
-def _fields(specimens: Sequence[Specimen], k: int, *, with_names: bool = False) -> Fields:
+def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False) -> Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
     values = [_nan(cell.value) if cell.counts else math.nan for cell in cells]
@@ -164,7 +164,7 @@ def _fields(specimens: Sequence[Specimen], k: int, *, with_names: bool = False) 
     return Fields(values, [specimen.sheet for specimen in specimens], names)
 
 
-def _group(specimens: Sequence[Specimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
+def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
     """State one quantity over the sheets of one group."""
     members = [specimen for specimen in specimens if _levels_of(specimen, [*group]) == tuple(group.values())]
     fields = _fields(members, k)
@@ -197,19 +197,19 @@ def _heterogeneity(effects: RandomEffects | None) -> HeterogeneityFacts | None:
     )
 
 
-def _left_out(specimens: Sequence[Specimen], k: int) -> tuple[str, ...]:
+def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
     return tuple(specimen.name for specimen in specimens if not specimen.cells[k].counts)
 
 
 def _pairs(
-    specimens: Sequence[Specimen], quantities: Sequence[Quantity], factor: str, grouped_by: Sequence[str]
+    specimens: Sequence[SeriesSpecimen], quantities: Sequence[Quantity], factor: str, grouped_by: Sequence[str]
 ) -> Iterator[tuple[dict[str, Any], SheetDifference]]:
     """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
     other_factors = [name for name in grouped_by if name != factor]
     levels = _in_order(specimen.factor(factor) for specimen in specimens)
     if not 2 <= len(levels) <= _MOST_LEVELS:
         return
-    strata = dict[tuple[str, ...], dict[str, list[Specimen]]]()
+    strata = dict[tuple[str, ...], dict[str, list[SeriesSpecimen]]]()
     for specimen in specimens:
         of_levels = strata.setdefault(_levels_of(specimen, other_factors), {})
         of_levels.setdefault(specimen.factor(factor), []).append(specimen)
@@ -223,7 +223,9 @@ def _pairs(
                 }, _compare(before, after, k, quantity)  # fmt: skip
 
 
-def _compare(first: Sequence[Specimen], second: Sequence[Specimen], k: int, quantity: Quantity) -> SheetDifference:
+def _compare(
+    first: Sequence[SeriesSpecimen], second: Sequence[SeriesSpecimen], k: int, quantity: Quantity
+) -> SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = bool({specimen.sheet for specimen in first} & {specimen.sheet for specimen in second})
     keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]

@@ -157,7 +157,7 @@ def make_guide(coarse: CoarseSheet, columns: Columns) -> Guide:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Scale:
+class GreyScale:
     """Scale of the grey that the fit sees."""
 
     air: float  # its level becomes 0
@@ -174,7 +174,7 @@ class Scale:
         return tile.grown(self.halo, self.halo, shape)
 
 
-def oriented(columns: Columns, tile: Tile, guide: Guide, scale: Scale) -> NDArray[np.float32]:
+def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> NDArray[np.float32]:
     """Grey above the air of the columns of a tile, (rows, cols, depth); ``guide`` is that of the grown tile."""
     outside = scale.grown(tile, columns.shape[:2])
     part = columns.grey(outside, (guide.slope_r, guide.slope_c))
@@ -235,7 +235,7 @@ Sides = dict[bool, Side]  # by whether they lie at the high end of the columns
 class Priors:
     """All that the fit of a column needs beside the column."""
 
-    scale: Scale
+    scale: GreyScale
     noise: float  # standard deviation of what the fit sees in the air
     single_noise: float  # that of a column that is not averaged with its neighbours
     scatter: float  # standard deviation by which the fit takes a sample to differ from its model: the noise or more

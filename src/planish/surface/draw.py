@@ -25,7 +25,7 @@ from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface import _draw_kernels
-from planish.surface.columns import FRINGE_PX, Columns, Guide, Scale, oriented, voxel_pitch
+from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented, voxel_pitch
 from planish.surface.params import FACES, Corrections, Face, Stretch
 
 UNCHANGED, IMAGE, INTERPOLATED = 0, 1, 2
@@ -59,7 +59,7 @@ class _Edges(NamedTuple):
     """Job of the search of edges in n columns; depths count from the outer end."""
 
     columns: Columns
-    scale: Scale
+    scale: GreyScale
     guide: Guide
     high: bool  # whether the outer end is the high one
     places: NDArray[np.intp]  # (2, n): rows and columns
@@ -217,7 +217,7 @@ class Drawing:
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
         attrs = self.attrs
         places = np.stack(np.nonzero(where)) + np.array([[window.r0], [window.c0]])
-        scale = Scale(
+        scale = GreyScale(
             air=attrs["grey_air"], polarity=attrs["polarity"], blend=float(attrs.get("averaged_columns", 0.0))
         )
         guide, blur = self._guide(), attrs["blur_um"] / self.voxel_um

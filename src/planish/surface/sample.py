@@ -13,7 +13,7 @@ from planish.core.robust import mad_sd
 from planish.core.tiles import Tile
 from planish.core.typing import Floats
 from planish.surface import _fit_kernels
-from planish.surface.columns import Columns, Edge, Guide, Scale, Side, oriented
+from planish.surface.columns import Columns, Edge, GreyScale, Guide, Side, oriented
 from planish.surface.survey import Survey
 
 _ROWS = 24  # rows that are read for it
@@ -50,7 +50,7 @@ class Sampler:
         self.embedded_level = survey.coarse.threshold if survey.surroundings != "air" else 0.0
         self.depth = columns.shape[2]
         self.pitch = columns.pitch
-        self.scale = Scale(air=survey.air, polarity=survey.polarity)
+        self.scale = GreyScale(air=survey.air, polarity=survey.polarity)
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
         self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)

@@ -5,8 +5,8 @@ from .files import write_nodes as write_nodes
 from .files import write_specimen as write_specimen
 from .files import write_truth as write_truth
 from .params import SIZES_UM as SIZES_UM
+from .params import BurnParams as BurnParams
 from .params import CameraParams as CameraParams
-from .params import HoleParams as HoleParams
 from .params import PaperParams as PaperParams
 from .params import PrintParams as PrintParams
 from .params import ScannerParams as ScannerParams
@@ -22,6 +22,6 @@ from .presets import SpecimenOptions as SpecimenOptions
 from .presets import nuisances_of as nuisances_of
 from .presets import with_only as with_only
 from .presets import without as without
-from .sheet import Sheet as Sheet
+from .sheet import DrawnSheet as DrawnSheet
 from .specimen import Specimen as Specimen
 from .specimen import make_specimen as make_specimen

@@ -17,7 +17,7 @@ from planish.core.light import layer_over
 from planish.core.typing import Floats
 from planish.synthetic.params import CameraParams, PaperParams, PrintParams
 from planish.synthetic.pose import CameraPose
-from planish.synthetic.sheet import PITCH_UM, Sheet, noise
+from planish.synthetic.sheet import PITCH_UM, DrawnSheet, noise
 
 BASE_S_M2_PER_KG = 45.0
 BASE_K_M2_PER_KG = 1.2
@@ -94,7 +94,7 @@ _CELL_SAMPLES = 7  # per side of a print's cell, for the coating under its dot
 
 
 def photograph(
-    sheet: Sheet,
+    sheet: DrawnSheet,
     pose: CameraPose,
     camera: CameraParams,
     *,
@@ -124,7 +124,7 @@ def photograph(
 
 
 def _bare_sheet(
-    sheet: Sheet, camera: CameraParams, u: Floats, v: Floats, rng: np.random.Generator
+    sheet: DrawnSheet, camera: CameraParams, u: Floats, v: Floats, rng: np.random.Generator
 ) -> tuple[Field, Field, Field, Field, Field]:
     """Top face, top coating and distance to a rim in um at each pixel; reflectances of a hole and of the sheet."""
     pixel = camera.pixel_um
@@ -151,8 +151,8 @@ def _bare_sheet(
 
 
 def _finish_paper(
-    image: Field, sheet: Sheet, u: Floats, v: Floats, *, nuisance: tuple[Floats, float], screen: PrintParams | None,
-    tone: Floats, pixel_um: float,
+    image: Field, sheet: DrawnSheet, u: Floats, v: Floats, *, nuisance: tuple[Floats, float],
+    screen: PrintParams | None, tone: Floats, pixel_um: float,
 ) -> None:  # fmt: skip
     """Add to a reflectance in place what is not due to the coating (field, gain), the print, and the burnt rims."""
     field, gain = nuisance
@@ -227,7 +227,7 @@ def _oracle_gain(maps: tuple[Field, Field, Floats], away: NDArray[np.bool_], pix
     return float(min(gains))
 
 
-def _dots(sheet: Sheet, screen: PrintParams, tone: Floats) -> tuple[tuple[int, int], Floats]:
+def _dots(sheet: DrawnSheet, screen: PrintParams, tone: Floats) -> tuple[tuple[int, int], Floats]:
     """Radii of the dots of the whole sheet, one to each cell of the turned screen, and the (row, col) of the first."""
     rows, cols = sheet.char.shape
     u = sheet.origin[0] + PITCH_UM * np.array([0, cols - 1, 0, cols - 1])
@@ -269,13 +269,13 @@ def _turned(u: Floats, v: Floats, screen: PrintParams) -> tuple[Floats, Floats]:
     return u * cos + v * sin, v * cos - u * sin
 
 
-def _coarse(sheet: Sheet, correlation_um: float, rng: np.random.Generator) -> Floats:
+def _coarse(sheet: DrawnSheet, correlation_um: float, rng: np.random.Generator) -> Floats:
     """Random field of unit standard deviation over the sheet, on every 4th node of its grid and a little beyond."""
     rows, cols = sheet.char.shape
     return noise((rows // _COARSE + 2, cols // _COARSE + 2), correlation_um / _COARSE, rng)
 
 
-def _sampled(sheet: Sheet, coarse: Floats, u: Floats, v: Floats) -> Floats:
+def _sampled(sheet: DrawnSheet, coarse: Floats, u: Floats, v: Floats) -> Floats:
     """Bilinear value of a coarse field at material coordinates."""
     step = PITCH_UM * _COARSE
     places = np.stack([(v - sheet.origin[1]) / step, (u - sheet.origin[0]) / step])

@@ -13,14 +13,14 @@ from planish.core.threads import count_threads, thread_pool
 from planish.core.typing import Floats
 from planish.synthetic import _kernels
 from planish.synthetic.params import ScannerParams, SectionsParams, Warp, generator
-from planish.synthetic.sheet import PITCH_UM, Sheet
+from planish.synthetic.sheet import PITCH_UM, DrawnSheet
 
 Slab = NDArray[np.float32]
 _BLOCK = 192  # columns painted together: the sheet then fills much of the box around it
 
 
 def painted(
-    sheet: Sheet, warp: Warp, ys_um: Floats, *, shape: tuple[int, int], step_um: float,
+    sheet: DrawnSheet, warp: Warp, ys_um: Floats, *, shape: tuple[int, int], step_um: float,
     grey: tuple[float, float, float], halo: int, moved: Floats,
 ) -> list[tuple[int, int, Slab]]:  # fmt: skip
     """Paint the planes at ``ys_um``, of ``shape`` (x, z) voxels of ``step_um``, in blocks as deep as the sheet is.
@@ -100,7 +100,7 @@ class Scanner:
     ``shape`` counts voxels along z, y, x. The axis of rotation stands along y, in the middle of x and z.
     """
 
-    sheet: Sheet
+    sheet: DrawnSheet
     warp: Warp
     params: ScannerParams
     shape: tuple[int, int, int]
@@ -284,7 +284,7 @@ def draw_poses(params: SectionsParams, length_um: float, seed: int) -> Poses:
 class Microtome:
     """Renders the picture of each section for itself; ``shape``: its rows along z, its columns along x."""
 
-    sheet: Sheet
+    sheet: DrawnSheet
     warp: Warp
     params: SectionsParams
     poses: Poses

@@ -193,7 +193,7 @@ class PaperParams(Strict):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class HoleParams(Strict):
+class BurnParams(Strict):
     """The laser's holes, section 2.1."""
 
     pattern: Literal["coded", "irregular"] = "coded"  # lines with coded pitches around the field, or scattered
@@ -288,7 +288,7 @@ class SpecimenParams(Strict):
 
     size_um: tuple[float, float] = SIZES_UM["T1"]
     paper: PaperParams = field(default_factory=PaperParams)
-    holes: HoleParams = field(default_factory=HoleParams)
+    holes: BurnParams = field(default_factory=BurnParams)
     warp: Warp = field(default_factory=Warp)
     scanner: ScannerParams = field(default_factory=ScannerParams)
     sections: SectionsParams = field(default_factory=SectionsParams)

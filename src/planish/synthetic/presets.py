@@ -14,8 +14,8 @@ from pydantic import ValidationInfo, field_validator
 from planish.core.options import Params, option
 from planish.synthetic.params import (
     SIZES_UM,
+    BurnParams,
     CameraParams,
-    HoleParams,
     PaperParams,
     ScannerParams,
     SpecimenParams,
@@ -62,7 +62,7 @@ MICRO_CT = ScannerParams(
 
 DEMO = SpecimenParams(
     size_um=(1800.0, 1300.0),
-    holes=HoleParams(pattern="irregular", count=6),
+    holes=BurnParams(pattern="irregular", count=6),
     warp=Warp(wavelength_um=2000.0),
     camera=CameraParams(shading=0.003, nuisance_sd=0.004),
 )
@@ -171,7 +171,7 @@ class SpecimenOptions(Params):
     def params(self) -> SpecimenParams:
         """Parameters of the specimen."""
         # A field of a millimetre has no room for the coded pattern.
-        holes = HoleParams(pattern="irregular", count=3) if self.size == "T0" else HoleParams()
+        holes = BurnParams(pattern="irregular", count=3) if self.size == "T0" else BurnParams()
         params = SpecimenParams(
             size_um=SIZES_UM[self.size], paper=PRESETS[self.preset][1], holes=holes,
             scanner=replace(MICRO_CT, voxel_um=self.voxel_um), seed=self.seed,

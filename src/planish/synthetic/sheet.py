@@ -17,7 +17,7 @@ from scipy import fft
 from planish.core.grid import bilinear
 from planish.core.typing import Floats
 from planish.synthetic import _kernels
-from planish.synthetic.params import HoleParams, PaperParams, generator
+from planish.synthetic.params import BurnParams, PaperParams, generator
 
 PITCH_UM = 3.0  # of the sheet's grid
 _FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))  # length, width of softwood and hardwood fibres together
@@ -96,7 +96,7 @@ _ROUGH_UM = 30.0  # correlation length along the rim
 _ORDERS = np.arange(2, 25)  # of the waves around the rim, one after the other; order 1 would move the centre
 
 
-def hole_pattern(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floats:
+def hole_pattern(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
     """Centres (n, 2) in um, in the flat rectangle from ``low`` to ``high`` (u, v), with the error of the laser's stage.
 
     ValueError if the field is too small for the pattern.
@@ -107,7 +107,7 @@ def hole_pattern(params: HoleParams, low: Floats, high: Floats, seed: int) -> Fl
     return designed + params.stage_um * generator(seed, "stage").standard_normal(designed.shape)
 
 
-def _coded(params: HoleParams, low: Floats, high: Floats) -> Floats:
+def _coded(params: BurnParams, low: Floats, high: Floats) -> Floats:
     """Three lines: along the lower edge, and up the left and the right one."""
     per_line = -(-params.count // 3)
     corner, rise = low + _BORDER_UM, low[1] + (_BORDER_UM + 520.0)  # from one line to the first hole of the next
@@ -127,7 +127,7 @@ def _coded(params: HoleParams, low: Floats, high: Floats) -> Floats:
     return holes
 
 
-def _scattered(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floats:
+def _scattered(params: BurnParams, low: Floats, high: Floats, seed: int) -> Floats:
     rng = generator(seed, "pattern")
     border = min(_BORDER_UM, 0.2 * float((high - low).min()))
     inner = np.maximum(high - low - 2 * border, 0.0)
@@ -145,9 +145,9 @@ def _scattered(params: HoleParams, low: Floats, high: Floats, seed: int) -> Floa
 
 
 def burn(
-    params: HoleParams, holes: Floats, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
+    params: BurnParams, holes: Floats, shape: tuple[int, int], low: tuple[float, float], depth_um: float, seed: int
 ) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
-    """Burn the holes into a sheet of the mean thickness ``depth_um``: ``rim_um`` and ``char`` of a :class:`Sheet`."""
+    """Burn the holes into a sheet of the mean thickness ``depth_um``: its ``rim_um`` and ``char``."""
     rim = np.full((2, *shape), 1e4, dtype=np.float32)
     char = np.ones(shape, dtype=np.float32)
     reach = 2.0 * params.diameter_um + 4 * params.char_um
@@ -168,7 +168,7 @@ def burn(
 
 
 def _hole(
-    params: HoleParams, x: Floats, y: Floats, depth_um: float, rng: np.random.Generator
+    params: BurnParams, x: Floats, y: Floats, depth_um: float, rng: np.random.Generator
 ) -> tuple[Floats, Floats, float]:
     """Distances to one hole's rim at both faces, around its centre at the top face; width of the burnt rim."""
     # Everything is drawn, also what is off: then one switch does not move the others.
@@ -208,7 +208,7 @@ _FILLER_CONTRAST = 2.2  # grey of the filler over that of fibres, less 1
 
 
 @dataclass(frozen=True, kw_only=True)
-class Sheet:
+class DrawnSheet:
     """Fields on nodes ``origin + pitch * (col, row)``, all (rows, cols) float32.
 
     Attributes
@@ -272,9 +272,9 @@ class Sheet:
 
 
 def make_sheet(
-    paper: PaperParams, holes: HoleParams, *, low: Floats, high: Floats, centres: Floats, seed: int,
+    paper: PaperParams, holes: BurnParams, *, low: Floats, high: Floats, centres: Floats, seed: int,
     stiffness: float = 0.0,
-) -> Sheet:  # fmt: skip
+) -> DrawnSheet:  # fmt: skip
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
     ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths.
@@ -296,7 +296,7 @@ def make_sheet(
     grain = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * noise(shape, 300.0, generator(seed, "grain"))
     top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
     above = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
-    return Sheet(
+    return DrawnSheet(
         params=paper,
         seed=seed,
         origin=(float(low[0]), float(low[1])),

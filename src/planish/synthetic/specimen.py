@@ -20,7 +20,7 @@ from planish.synthetic.instruments import Microtome, Poses, Scanner, draw_poses
 from planish.synthetic.params import SpecimenParams, Warp, generator, stream
 from planish.synthetic.pose import CameraPose, draw_pose
 from planish.synthetic.presets import DEMO
-from planish.synthetic.sheet import Sheet, hole_pattern, make_sheet
+from planish.synthetic.sheet import DrawnSheet, hole_pattern, make_sheet
 
 if TYPE_CHECKING:
     from planish.synthetic.files import InstrumentFiles
@@ -48,7 +48,7 @@ class Specimen:
 
     params: SpecimenParams
     warp: Warp
-    sheet: Sheet
+    sheet: DrawnSheet
     pose: CameraPose
     extent_um: tuple[float, float, float]
     image_shape: tuple[int, int]
@@ -172,7 +172,7 @@ def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
 
 def make_specimen(
     params: SpecimenParams | None = None, folder: str | Path | None = None, *,
-    sheet: Sheet | None = None,
+    sheet: DrawnSheet | None = None,
 ) -> Specimen:  # fmt: skip
     """Make a sheet of paper whose every property is known, as a scanner and a microscope show it.
 
@@ -183,7 +183,7 @@ def make_specimen(
         The same parameters give the same bytes on any number of threads.
     folder : path, optional
         Folder to make, for ``volume.tif``, ``image.tif`` and ``truth/``; nothing is written where not given.
-    sheet : Sheet, optional
+    sheet : DrawnSheet, optional
         That of another specimen: the same piece of paper, bent as ``params`` say.
 
     Returns

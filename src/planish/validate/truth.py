@@ -16,7 +16,7 @@ from planish.core.grid import pitch
 from planish.core.typing import Bools, Floats
 from planish.register import FittedTransform
 from planish.run import Run
-from planish.synthetic import InstrumentFiles, Sheet, Specimen
+from planish.synthetic import DrawnSheet, InstrumentFiles, Specimen
 from planish.validate.scenario import Values
 
 Index = NDArray[np.intp]
@@ -170,13 +170,13 @@ def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Float
     return mapped
 
 
-def true_thickness(sheet: Sheet, name: str, u: Floats, v: Floats) -> Floats:
+def true_thickness(sheet: DrawnSheet, name: str, u: Floats, v: Floats) -> Floats:
     """True thickness in um at material (u, v); ``name`` as the run calls it. NaN where (u, v) is."""
     outer, inner = THICKNESSES[name]
     return field_at(sheet, sheet.faces[outer] - sheet.faces[inner], u, v)
 
 
-def field_at(sheet: Sheet, field: NDArray[np.float32], u: Floats, v: Floats) -> Floats:
+def field_at(sheet: DrawnSheet, field: NDArray[np.float32], u: Floats, v: Floats) -> Floats:
     """Value of a field of the sheet at material (u, v); NaN where that is."""
     is_finite = np.isfinite(u) & np.isfinite(v)
     sampled = np.full(u.shape, np.nan)

@@ -149,7 +149,7 @@ _LEAST_STEPS = 100  # of the values between the limits of the colours
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class ShownMap:
+class PageMap:
     """One map of the page.
 
     Attributes
@@ -202,7 +202,7 @@ class Group:
 class MapsOfPage:
     """All maps, their common grid, and how often it was halved; ``headline`` are the values that lead, NaN outside."""
 
-    maps: tuple[ShownMap, ...]
+    maps: tuple[PageMap, ...]
     groups: tuple[Group, ...]
     grid: Grid
     halvings: int
@@ -258,7 +258,7 @@ def _map_names(source: ExportSource) -> list[tuple[str, list[str]]]:
 
 def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
     results = source.results
-    maps: list[ShownMap] = []
+    maps: list[PageMap] = []
     groups: list[Group] = []
     grid, headline = None, None
     for group, (name, names) in enumerate(wanted):
@@ -288,7 +288,7 @@ def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halv
     return MapsOfPage(maps=tuple(maps), groups=tuple(groups), grid=grid, halvings=halvings, headline=headline)
 
 
-def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Results, group: int) -> ShownMap:
+def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results: Results, group: int) -> PageMap:
     name = str(data.name)
     figure = POSITION if name == "expected_error" else name
     checks = concerned(results.checks, (layer.name,), (figure,))
@@ -298,7 +298,7 @@ def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results:
         pack = packed(data.values, bits=16)
     # Per cent of the values that the scatter spans.
     span = tuple(float(v) for v in np.percentile(counted, (0.05, 99.95))) if counted.size else (0.0, 1.0)
-    return ShownMap(
+    return PageMap(
         layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=pack, scale=scale,
         span=(span[0], span[-1]) if span[0] < span[-1] else (span[0] - 0.5, span[0] + 0.5),
         group=group, trust=trust_of(results.checks, (layer.name,), (figure,)),
@@ -329,7 +329,7 @@ def _layer_of(results: Results, group: str, name: str) -> LayerFacts:
     return next(layer for layer in results.layers if layer.kind == kind)
 
 
-def map_spec(shown: ShownMap) -> dict[str, Any]:
+def map_spec(shown: PageMap) -> dict[str, Any]:
     """Give what the script needs of a map, beside its values."""
     digits = max(0, min(6, math.ceil(-math.log10(shown.packed.step))))
     return {

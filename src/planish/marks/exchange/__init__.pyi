@@ -6,7 +6,7 @@ from .formats import FORMATS as FORMATS
 from .formats import target_of as target_of
 from .lists import LayerPixels as LayerPixels
 from .lists import Unit as Unit
-from .model import Places as Places
+from .model import MarkPlaces as MarkPlaces
 from .model import about_layer as about_layer
 from .model import holes_of as holes_of
 from .model import layer_names as layer_names

@@ -18,7 +18,7 @@ from planish.core.files import write_whole
 from planish.core.tables import CsvTable, parse_table, table_text
 from planish.core.typing import Floats
 from planish.marks.exchange.lists import Content, PointList
-from planish.marks.exchange.model import Places, holes_of, labels_of, layer_names, make_marks, used_pairs
+from planish.marks.exchange.model import MarkPlaces, holes_of, labels_of, layer_names, make_marks, used_pairs
 
 _SIDES = {
     "moving": ("moving_x_um", "moving_y_um"),
@@ -48,7 +48,7 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     if {"moving", "volume"} <= set(sides):
         table.faults.append("both moving and volume columns are there; keep one kind")
     table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
-    places = {side: Places(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
+    places = {side: MarkPlaces(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
     table.check()
     if not table.rows:
         raise MarkError(f"{content.name} has a header and no pair of marks. At least 3 rows are needed.")

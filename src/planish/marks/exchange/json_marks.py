@@ -18,7 +18,7 @@ from planish.core.tables import MOST_FAULTS, model_faults
 from planish.core.typing import Floats
 from planish.marks.exchange import model
 from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_text, refuse
-from planish.marks.exchange.model import RESIDUAL, RESULTS, Places, check_marks
+from planish.marks.exchange.model import RESIDUAL, RESULTS, MarkPlaces, check_marks
 
 FORMAT = "planish-marks"
 VERSION = 1
@@ -157,11 +157,11 @@ def _column(parts: Sequence[Part | None], key: str) -> Floats:
     return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64)
 
 
-def _places(parts: Sequence[_Place | None]) -> Places:
+def _places(parts: Sequence[_Place | None]) -> MarkPlaces:
     um = np.stack([_column(parts, axis) for axis in "xyz"], axis=1)
     unknown = [[np.nan, np.nan], [np.nan, np.nan]]
     spread = np.array([(place and place.covariance_um2) or unknown for place in parts]).reshape(-1, 2, 2)
-    return Places(
+    return MarkPlaces(
         um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
         source=["imported" if place is None else place.source for place in parts],
         extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
@@ -169,7 +169,7 @@ def _places(parts: Sequence[_Place | None]) -> Places:
     )
 
 
-def _place(places: Places, k: int) -> dict[str, Any]:
+def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
     row: dict[str, Any] = {axis: float(v) for axis, v in zip("xyz", places.um[k], strict=False)}
     extras = {name: float(values[k]) for name, values in places.extras.items() if np.isfinite(values[k])}
     if {"cov_xx", "cov_xy", "cov_yy"} <= set(extras):

@@ -17,7 +17,7 @@ from planish.core.errors import FileError, MarkError, SizeError
 from planish.core.tables import Rows, decode_text, raise_faults, read_bytes, split_rows
 from planish.core.typing import Floats
 from planish.marks.exchange.formats import Unit, known_formats
-from planish.marks.exchange.model import EXTRAS, Places, make_marks
+from planish.marks.exchange.model import EXTRAS, MarkPlaces, make_marks
 
 MOST_MARKS = 100_000
 _BINARY = (b"MATLAB", b"\x89HDF\r\n\x1a\n")
@@ -112,7 +112,7 @@ class PointList:
     ``points`` (n, 2) or (n, 3) are in ``unit``, which the file states (``stated``) or which is usual for it; pixels
     count from 0, and NaN is a point that is not set. No labels: they have numbers only; no ``used``: all are used.
     ``placed`` positions are those of the layer already; others count from the centre of its first pixel. ``extras``
-    and ``source`` are those of `Places`, ``about`` is that of `make_marks`.
+    and ``source`` are those of `MarkPlaces`, ``about`` is that of `make_marks`.
     """
 
     title: str
@@ -252,7 +252,7 @@ def join_lists(
     return make_marks(first.names, places, used=np.logical_and(*used).tolist(), about=about)
 
 
-def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> Places:
+def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> MarkPlaces:
     """Convert points to um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
     coordinates = np.asarray(point_list.points, dtype=np.float64)
     if coordinates.shape[1] == 3:
@@ -265,4 +265,4 @@ def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | N
     extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in point_list.extras.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
         um = (0.0 if point_list.placed else origin) + coordinates * factor
-        return Places(um=um, source=point_list.source, extras=extras)
+        return MarkPlaces(um=um, source=point_list.source, extras=extras)

@@ -36,7 +36,7 @@ _TITLES = {"moving": "on the flattened map", "volume": "in the volume", "fixed":
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Places:
+class MarkPlaces:
     """Places of the marks in one layer.
 
     Attributes
@@ -54,7 +54,7 @@ class Places:
     extras: Mapping[str, Floats] = field(default_factory=dict[str, Floats])
 
     @classmethod
-    def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> Places:
+    def of_holes(cls, holes: xr.Dataset, rows: Ints, source: str = "detected") -> MarkPlaces:
         """Give places of some holes of `find_holes`, ``x``, ``y`` and any of `EXTRAS`; NaN where the row is -1."""
         values = {name: np.append(holes[name].values, np.nan)[rows] for name in ("x", "y", *EXTRAS) if name in holes}
         return cls(um=np.stack([values.pop("x"), values.pop("y")], axis=1), source=source, extras=values)
@@ -62,7 +62,7 @@ class Places:
 
 def make_marks(
     labels: Sequence[str],
-    layers: Mapping[str, Places],
+    layers: Mapping[str, MarkPlaces],
     *,
     used: Sequence[bool] | None = None,
     about: Mapping[str, Mapping[str, Any]] | None = None,
@@ -73,7 +73,7 @@ def make_marks(
     Parameters
     ----------
     labels : sequence of str, length n
-    layers : mapping of str to Places
+    layers : mapping of str to MarkPlaces
         Names in small letters, digits and underscores, in the order in which they are kept.
     used : sequence of bool, length n, optional
         Whether a mark takes part in a fit; all where not given.
@@ -137,11 +137,11 @@ def points_of(marks: xr.Dataset, layer: str) -> Floats:
     return np.stack([np.asarray(marks[name].values, dtype=np.float64) for name in axes], axis=1)
 
 
-def places_of(marks: xr.Dataset, layer: str) -> Places:
+def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     """Return positions in one layer with all that is known of them."""
     extras = {name: np.asarray(marks[f"{layer}_{name}"].values) for name in EXTRAS if f"{layer}_{name}" in marks}
     source = [str(v) for v in marks[f"{layer}_source"].values] if f"{layer}_source" in marks else "imported"
-    return Places(um=points_of(marks, layer), source=source, extras=extras)
+    return MarkPlaces(um=points_of(marks, layer), source=source, extras=extras)
 
 
 def labels_of(marks: xr.Dataset) -> list[str]:
@@ -171,7 +171,7 @@ def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | 
     """
     rows = np.arange(holes.sizes["mark"])
     names = [f"hole {k + 1}" for k in rows]
-    return make_marks(names, {layer: Places.of_holes(holes, rows)}, about={layer: about or {}})
+    return make_marks(names, {layer: MarkPlaces.of_holes(holes, rows)}, about={layer: about or {}})
 
 
 def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
@@ -227,7 +227,7 @@ def used_pairs(
         )
     side = "volume" if a.shape[1] == 3 else "moving"
     labels = [label for label, keep in zip(labels_of(marks), in_use, strict=True) if keep]
-    pairs = make_marks(labels, {side: Places(um=a[in_use]), "fixed": Places(um=b[in_use])})
+    pairs = make_marks(labels, {side: MarkPlaces(um=a[in_use]), "fixed": MarkPlaces(um=b[in_use])})
     return pairs.drop_vars(["used", f"{side}_source", "fixed_source"]).drop_attrs(deep=False)
 
 
