@@ -1,6 +1,6 @@
 from .exchange import FORMATS as FORMATS
 from .exchange import LayerPixels as LayerPixels
-from .exchange import Places as Places
+from .exchange import MarkPlaces as MarkPlaces
 from .exchange import holes_of as holes_of
 from .exchange import layer_names as layer_names
 from .exchange import make_marks as make_marks
