@@ -6,8 +6,7 @@ import tifffile
 
 import planish as pl
 from planish.core.errors import FileError, StudyError
-from planish.run import Compute, build, read_study, study_of
-from planish.run.study import SECTIONS
+from planish.run import SECTIONS, Compute, build, read_study, study_of
 
 VOXEL_UM, PIXEL_UM = 4.0, 5.0  # of the small specimen
 

@@ -20,8 +20,7 @@ from planish.core.lazy import LazyArray, labelled
 from planish.core.memory import COLUMN_BYTES
 from planish.core.tiles import tiles_of
 from planish.io import VolumeParams, describe, read_volume, write_store
-from planish.run import Compute, as_study, engine, map_sheet, read_whole, run_study
-from planish.run.compute import column_step
+from planish.run import Compute, as_study, column_step, engine, map_sheet, read_whole, run_study
 from planish.synthetic import BurnParams, SectionsParams, SpecimenParams, make_specimen, write_instruments
 from surface.sheets import slab, volume
 

@@ -14,11 +14,9 @@ from planish.io import ImageParams, VolumeParams
 from planish.marks import HoleParams, cut_holes, find_holes, read_any, write_marks
 from planish.register import RegistrationParams, fit_transform
 from planish.resample.maps import _with_angles
-from planish.run import Layer, LayerParams, Study, link, map_sheet, open_run, read_study
-from planish.run.layers import LayerHoles
-from planish.run.study import write_study
+from planish.run import Layer, LayerHoles, LayerParams, Study, link, map_sheet, open_run, read_study, write_study
 from planish.synthetic import CameraParams, InstrumentFiles, ScannerParams, Warp, make_specimen, write_instruments
-from planish.validate.errors import pair_errors
+from planish.validate import pair_errors
 
 
 @pytest.fixture(scope="module")

@@ -15,8 +15,7 @@ import tifffile
 from folders import bytes_of, disc_image, write_image
 from planish.core.errors import InputError
 from planish.core.frame import likely_through
-from planish.run import open_run, read_study, with_values
-from planish.run.study import write_study
+from planish.run import open_run, read_study, with_values, write_study
 
 
 def image_with(path, holes):

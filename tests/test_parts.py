@@ -17,8 +17,7 @@ from planish.core.errors import FileError, StudyError
 from planish.exports import ExportSource
 from planish.io import VolumeParams, find_place, fingerprint, read_tree, refuse_inside, write_store, write_tree
 from planish.measure import surfaces_of
-from planish.run import LayerParams, Study, read_study, silent, study_of
-from planish.run.study import write_study
+from planish.run import LayerParams, Study, read_study, silent, study_of, write_study
 from planish.series import read_plan
 
 PART = "/entry/a"

@@ -20,9 +20,8 @@ from planish.io import ImageParams, VolumeParams
 from planish.marks import Region, Regions, geojson_text, read_regions
 from planish.marks.regions.model import nested
 from planish.results import Results
-from planish.run import LayerParams, Study, correlate_maps, link, open_run, read_study
+from planish.run import LayerParams, Study, correlate_maps, link, open_run, read_study, write_study
 from planish.run.regions import region_facts, regions_on
-from planish.run.study import write_study
 from report.runs import a_run, page_of
 
 SQUARE = [[10, 10], [30, 10], [30, 30], [10, 30], [10, 10]]

@@ -9,8 +9,7 @@ from planish.analyze import texture_lag, textures
 from planish.core.grid import Grid
 from planish.report import tables
 from planish.results import Results
-from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, make_specimen
-from planish.synthetic.camera import image_material
+from planish.synthetic import PRESETS, CameraParams, SpecimenParams, Warp, image_material, make_specimen
 from report.runs import a_run
 
 POINT_UM, PIXEL_UM, BORDER = 100.0, 6.0, 20

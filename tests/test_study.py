@@ -2,8 +2,7 @@ import pytest
 
 from planish.core.errors import FileError, InputError
 from planish.io import ImageParams, VolumeParams
-from planish.run import LayerParams, Study, as_study, read_study
-from planish.run.study import write_study
+from planish.run import LayerParams, Study, as_study, read_study, write_study
 
 
 def test_round_trip_keeps_everything_and_paths_are_relative(tmp_path):

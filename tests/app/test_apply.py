@@ -25,7 +25,7 @@ UNCHANGED = ("surfaces", "flat", "strain", "maps", "slices", "overviews/maps")
 def run(linked_run, tmp_path):
     """The small link beside its files, with a study that leads to them; to be worked on."""
     from planish import __version__
-    from planish.run.study import write_study
+    from planish.run import write_study
 
     folder = Path(shutil.copytree(linked_run, tmp_path / "made" / "run"))
     write_study(read_study(linked_run / "run.toml"), folder, home=folder, version=__version__)

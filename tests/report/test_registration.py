@@ -9,7 +9,7 @@ import pytest
 import xarray as xr
 
 from planish.analyze import LagNumbers, RegistrationBasis
-from planish.report import HALF, draw, registration, summary
+from planish.report import draw, registration, summary
 from planish.report.text import REGISTERED, capital, typeset
 from planish.results import RegistrationFacts
 from report.pages import Page
@@ -91,12 +91,14 @@ def test_expected_error_states_its_range_and_needs_values() -> None:
     # The line of 2 um stands upright in the middle.
     assert re.search(r">2</text>", drawn.svg)
     even = registration.draw_expected_error(
-        error * 0 + 1.5, None, hole_um=200.0, width=HALF, of="image", shown="volume"
+        error * 0 + 1.5, None, hole_um=200.0, width=draw.HALF, of="image", shown="volume"
     )
     assert even is not None
     assert "Contour" not in even.caption
     assert (
-        registration.draw_expected_error(error * np.nan, None, hole_um=200.0, width=HALF, of="image", shown="volume")
+        registration.draw_expected_error(
+            error * np.nan, None, hole_um=200.0, width=draw.HALF, of="image", shown="volume"
+        )
         is None
     )
 

@@ -8,9 +8,16 @@ from scipy import fft, ndimage
 
 from planish.core.area import area_mean
 from planish.core.transform import Similarity
-from planish.synthetic import CameraParams, DrawnSheet, PaperParams, PrintParams
-from planish.synthetic.camera import image_material, photograph
-from planish.synthetic.pose import CameraPose, draw_pose
+from planish.synthetic import (
+    CameraParams,
+    CameraPose,
+    DrawnSheet,
+    PaperParams,
+    PrintParams,
+    draw_pose,
+    image_material,
+    photograph,
+)
 from planish.synthetic.sheet import PITCH_UM, noise
 
 SIZE = (2400.0, 1800.0)  # um that the images show

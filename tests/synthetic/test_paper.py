@@ -6,9 +6,17 @@ import numpy as np
 import pytest
 from scipy import fft, ndimage, special, stats
 
-from planish.synthetic import PRESETS, BurnParams, PaperParams, SpecimenParams, make_specimen
+from planish.synthetic import (
+    PRESETS,
+    BurnParams,
+    PaperParams,
+    SpecimenParams,
+    make_sheet,
+    make_specimen,
+    neutral_height,
+)
 from planish.synthetic.params import generator
-from planish.synthetic.sheet import PITCH_UM, fibres, hole_pattern, lowpass, make_sheet, neutral_height, noise, streaks
+from planish.synthetic.sheet import PITCH_UM, fibres, hole_pattern, lowpass, noise, streaks
 
 pytestmark = pytest.mark.study
 

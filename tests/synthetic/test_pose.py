@@ -9,8 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from planish.core.transform import Similarity
-from planish.synthetic import CameraParams
-from planish.synthetic.pose import CameraPose, draw_pose
+from planish.synthetic import CameraParams, CameraPose, draw_pose
 
 SPREAD = (200.0, -300.0, 3200.0, 1700.0)
 ALL_OFF = CameraParams(turn_range_deg=0.0, shift_range_um=0.0, scale_range=0.0, radial=0.0, stretch=0.0)

@@ -6,11 +6,10 @@ from pathlib import Path
 
 import pytest
 
-from planish.report import HALF, Canvas
+from planish.report import Canvas, draw
 from planish.run import run_study
 from planish.synthetic import make_specimen, write_instruments
-from planish.validate import certify
-from planish.validate.scenario import in_order, read_scenario
+from planish.validate import certify, in_order, read_scenario
 
 
 @pytest.fixture(scope="session")
@@ -26,7 +25,7 @@ def certificate(small):
         certify.Entry(seed=seed, values=in_order({k: f["mean"] + off * f["sd"] for k, f in recorded.items()}))
         for seed, off in enumerate((0.0, -1.0, 1.0))
     ]
-    canvas = Canvas(HALF, 300)
+    canvas = Canvas(draw.HALF, 300)
     pictures = tuple(canvas.picture(title=f"Map {k}", caption="") for k in range(4))
     return certify.Certificate(scenario=small, entries=(replace(entries[0], pictures=pictures), *entries[1:]))
 

@@ -11,10 +11,8 @@ import pytest
 
 import record
 from planish.core.errors import CannotRegister, InputError
-from planish.validate import certify, table
-from planish.validate.certify import Certificate, Entry, run_scenario
-from planish.validate.page import dots, render_page
-from planish.validate.scenario import STAGES, Limit, read_scenario
+from planish.validate import STAGES, Certificate, Entry, Limit, certify, read_scenario, render_page, run_scenario, table
+from planish.validate.page import dots
 
 RECORDED = Path(__file__).with_name("recorded.toml")
 

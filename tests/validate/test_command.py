@@ -7,8 +7,7 @@ import pytest
 
 from planish.cli.validate import validate
 from planish.core.errors import FileError
-from planish.validate import certify
-from planish.validate.scenario import Limit
+from planish.validate import Limit, certify
 
 
 @pytest.fixture

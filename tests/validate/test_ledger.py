@@ -9,9 +9,9 @@ import xarray as xr
 
 from planish.core.transform import Similarity
 from planish.register import fit_transform
-from planish.validate import errors, page, scenario
-from planish.validate.certify import make_ledger as ledger_of
-from planish.validate.truth import FACES, Comparison
+from planish.validate import Comparison, errors, page, scenario
+from planish.validate import make_ledger as ledger_of
+from planish.validate.truth import FACES
 
 ROWS, COLS, PITCH = 150, 200, 5.0  # columns of the volume
 PIXEL = 4.0
@@ -295,7 +295,7 @@ def test_residual_poses_of_sections():
         return np.stack([points[:, 0], points[:, 2], points[:, 1]], axis=1) + left[k]
 
     files.to_physical = to_physical
-    from planish.validate.errors import section_errors
+    from planish.validate import section_errors
 
     found = section_errors(Comparison(None, files, run))
     # fitted straight lines take 2 of 150 degrees of freedom

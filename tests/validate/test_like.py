@@ -6,8 +6,7 @@ import shutil
 import pytest
 
 from planish.core.errors import FileError, InputError, PlanishError
-from planish.validate import like
-from planish.validate.scenario import read_scenario
+from planish.validate import like, read_scenario
 
 
 def test_a_run_of_a_known_specimen(specimen, linked_run):

@@ -8,7 +8,7 @@ import pytest
 from folders import refused
 from planish.core.errors import FileError, InputError
 from planish.synthetic import NUISANCES
-from planish.validate.scenario import FIGURES, Limit, read_scenario, scenario_names
+from planish.validate import FIGURES, Limit, read_scenario, scenario_names
 
 
 def test_the_scenarios_that_come_with_planish_have_limits_and_nuisances():

@@ -4,9 +4,8 @@ import numpy as np
 import pytest
 
 from planish.core.errors import InputError
-from planish.validate import certify, scenario, table
+from planish.validate import certify, render_page, scenario, table
 from planish.validate import certify as module
-from planish.validate.page import render_page
 
 BASE = {"surfaces_rmse": 0.4, "column_coating_top_rmse": 0.5, "fle_pair": 0.3, "tre_rms": 0.6}
 

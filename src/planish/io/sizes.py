@@ -63,6 +63,7 @@ class Asked:
 
 VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", usual_um=(0.01, 100.0))
 PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", usual_um=(0.01, 500.0))
+"""What is asked of the size of a pixel: axes, option, and what is usual."""
 
 
 def unit_um(unit: str) -> float | None:

@@ -18,7 +18,6 @@ from planish.marks import hole_criteria as criteria
 from planish.marks.candidates import FAINTEST, Image, Raster
 from planish.marks.hole_criteria import LEAST_CONTRAST, best_rims, overlaps_any
 
-# Reasons in the order of a sentence, and their words.
 REASONS = {
     "not_measured": "not measured",
     "cut": "cut by the border",
@@ -29,6 +28,7 @@ REASONS = {
     "no_rim": "without a sharp rim",
     "unlike": "unlike the other holes",
 }
+"""Reasons why a mark is no hole, in the order of a sentence, and their words."""
 
 
 def count_rejected(

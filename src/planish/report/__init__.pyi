@@ -1,9 +1,6 @@
-from .colours import GREYS as GREYS
-from .colours import MISSING as MISSING
 from .colours import Scale as Scale
 from .colours import image_uri as image_uri
 from .colours import limits as limits
-from .draw import HALF as HALF
 from .draw import Canvas as Canvas
 from .notebook import map_html as map_html
 from .notebook import results_html as results_html

@@ -3,9 +3,11 @@ from .build import map_sheet as map_sheet
 from .build import study_of as study_of
 from .compare import correlate_maps as correlate_maps
 from .compute import Compute as Compute
+from .compute import column_step as column_step
 from .compute import engine as engine
 from .compute import silent as silent
 from .layers import Layer as Layer
+from .layers import LayerHoles as LayerHoles
 from .layers import find_holes as find_holes
 from .overlay import resample_maps as resample_maps
 from .registration import Registration as Registration
@@ -16,6 +18,7 @@ from .run import open_results as open_results
 from .run import open_run as open_run
 from .save import run_study as run_study
 from .save import save_run as save_run
+from .study import SECTIONS as SECTIONS
 from .study import LayerParams as LayerParams
 from .study import Study as Study
 from .study import as_study as as_study
@@ -23,5 +26,6 @@ from .study import changed as changed
 from .study import in_study_words as in_study_words
 from .study import read_study as read_study
 from .study import with_values as with_values
+from .study import write_study as write_study
 from .study_template import draft_study as draft_study
 from .volume import read_whole as read_whole

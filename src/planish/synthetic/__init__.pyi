@@ -1,3 +1,5 @@
+from .camera import image_material as image_material
+from .camera import photograph as photograph
 from .files import InstrumentFiles as InstrumentFiles
 from .files import write_image as write_image
 from .files import write_instruments as write_instruments
@@ -14,6 +16,8 @@ from .params import SectionsParams as SectionsParams
 from .params import SpecimenParams as SpecimenParams
 from .params import Warp as Warp
 from .params import draw_params as draw_params
+from .pose import CameraPose as CameraPose
+from .pose import draw_pose as draw_pose
 from .presets import DEMO as DEMO
 from .presets import MICRO_CT as MICRO_CT
 from .presets import NUISANCES as NUISANCES
@@ -23,5 +27,7 @@ from .presets import nuisances_of as nuisances_of
 from .presets import with_only as with_only
 from .presets import without as without
 from .sheet import DrawnSheet as DrawnSheet
+from .sheet import make_sheet as make_sheet
+from .sheet import neutral_height as neutral_height
 from .specimen import Specimen as Specimen
 from .specimen import make_specimen as make_specimen

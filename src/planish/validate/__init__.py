@@ -3,3 +3,7 @@
 ``scenario`` says which specimens and figures, ``certify`` runs them, ``truth`` and ``errors`` compare, ``table`` and
 ``page`` write; ``like`` makes specimens like a real run.
 """
+
+import lazy_loader as lazy
+
+__getattr__, __dir__, __all__ = lazy.attach_stub(__name__, __file__)

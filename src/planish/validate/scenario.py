@@ -53,10 +53,12 @@ def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
 
 _TABLES = tomllib.loads(Path(__file__).with_name("figures.toml").read_text(encoding="utf-8"))
 STAGES: dict[str, str] = {stage: table["title"] for stage, table in _TABLES.items()}
+"""Stages of the ledger and their titles."""
 KEYS: dict[str, list[str]] = {stage: table["key"] for stage, table in _TABLES.items() if "key" in table}
 FIGURES: dict[str, Figure] = {
     figure.name: figure for stage, table in _TABLES.items() for figure in _figures(stage, table)
 }
+"""Figures of the ledger by name."""
 
 
 def in_order(values: Values) -> Values:

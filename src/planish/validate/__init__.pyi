@@ -1,0 +1,14 @@
+from .certify import Certificate as Certificate
+from .certify import Entry as Entry
+from .certify import make_ledger as make_ledger
+from .certify import run_scenario as run_scenario
+from .errors import pair_errors as pair_errors
+from .errors import section_errors as section_errors
+from .page import render_page as render_page
+from .scenario import FIGURES as FIGURES
+from .scenario import STAGES as STAGES
+from .scenario import Limit as Limit
+from .scenario import in_order as in_order
+from .scenario import read_scenario as read_scenario
+from .scenario import scenario_names as scenario_names
+from .truth import Comparison as Comparison
