@@ -7,8 +7,7 @@ import pytest
 import tifffile
 
 from app.marks_page import api, expect, settled
-from planish.app import Session, snap
-from planish.app.pictures import Pictures
+from planish.app import Pictures, Session, snap
 
 pytestmark = pytest.mark.study
 

@@ -8,9 +8,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planish.app import changes, fits, snap
+from planish.app import Pictures, changes, fits, snap
 from planish.app.live import Live
-from planish.app.pictures import Pictures
 from planish.register import RegistrationParams, fit_transform
 
 PARAMS = RegistrationParams()

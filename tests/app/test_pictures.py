@@ -8,10 +8,10 @@ import tifffile
 import xarray as xr
 from PIL import Image
 
+from planish.app import Pictures, Tiles, group_pictures, pictures, strain
 from planish.app import picture as computed_levels
-from planish.app import pictures, strain
 from planish.app.picture import Codes, ComputedLevels, trim
-from planish.app.pictures import TILE, Pictures, Tiles, group_pictures
+from planish.app.pictures import TILE
 from planish.core.area import overviews
 from planish.core.errors import InputError
 from planish.io import ImageParams, map_store, read_image, write_tree

@@ -1,4 +1,3 @@
-from .exchange import FORMATS as FORMATS
 from .exchange import LayerPixels as LayerPixels
 from .exchange import MarkPlaces as MarkPlaces
 from .exchange import holes_of as holes_of
@@ -7,6 +6,7 @@ from .exchange import make_marks as make_marks
 from .exchange import read_any as read_any
 from .exchange import write_any as write_any
 from .exchange.csv_marks import write_marks as write_marks
+from .exchange.formats import FORMATS as FORMATS
 from .find import REASONS as REASONS
 from .find import Polarity as Polarity
 from .find import find_holes as find_holes

@@ -89,7 +89,6 @@ FORMATS: dict[str, MarkFormat] = {
              "0", "", ""),
     ),
 }  # fmt: skip
-"""Formats of files of marks by name."""
 """Formats of marks by name, in the order in which a file is compared with them."""
 
 TARGETS = tuple(name for name, form in FORMATS.items() if form.writable)
