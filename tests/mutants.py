@@ -85,7 +85,7 @@ MUTANTS = [
     Mutant("marks/regions/_kernels.py", "if ya > yb:", "if ya > yb + 1e30:", "test_regions.py"),
     Mutant("marks/regions/_kernels.py", "np.searchsorted(x, at)", "np.searchsorted(x, at, 'right')", "test_regions.py"),
     Mutant("marks/regions/model.py", "(ring - 0.5) * size", "ring * size", "test_regions.py"),
-    Mutant("marks/regions/imagej.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
+    Mutant("marks/regions/files.py", "begin, kind = (_HEAD + 4 * count", "begin, kind = (_HEAD + 2 * count", "test_regions.py"),
     Mutant("run/overlay.py", "allowed & ~self.regions.inside(part)", "allowed", "test_regions.py"),
     # register
     Mutant("register/similarity.py", "angle, shift_um = float(np.angle(alpha))", "angle, shift_um = -float(np.angle(alpha))", "register/test_fit.py"),
@@ -103,8 +103,8 @@ MUTANTS = [
     Mutant("resample/maps.py", "c * cos2 - s * hand * sin2", "c * cos2 + s * hand * sin2", "resample/test_maps.py"),
     Mutant("resample/_kernels.py", "return (i + wb + wc, j + wb) if number & 1", "return (i + wb, j + wb + wc) if number & 1", "resample/test_quads.py"),
     # analyze
-    Mutant("analyze/correlation.py", "both = np.isfinite(x) & np.isfinite(y)\n    factor", "both = np.isfinite(x)\n    factor", "analyze/test_correlate.py"),
-    Mutant("analyze/correlation.py", "slope = sab / saa", "slope = sab / sbb", "analyze/test_correlate.py"),
+    Mutant("analyze/correlation.py", "        is_valid = np.isfinite(x) & np.isfinite(y)\n        n = ", "        is_valid = np.isfinite(x)\n        n = ", "analyze/test_correlate.py"),
+    Mutant("analyze/correlation.py", "slope = float(self._square[0, 1] / self._square[0, 0])", "slope = float(self._square[0, 1] / self._square[1, 1])", "analyze/test_correlate.py"),
     Mutant("analyze/ncc.py", "np.abs(r) if sign == 0 else sign * r", "np.abs(r)", "analyze/test_lag.py"),
     # sections, correct
     Mutant("sections/volume.py", "share = np.clip((planes - places[before]) / step, 0.0, 1.0)", "share = np.clip((places[after] - planes) / step, 0.0, 1.0)", "sections/test_volume.py"),
