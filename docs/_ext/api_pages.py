@@ -61,7 +61,7 @@ def code(value: Any) -> str:
 
 def _shown_elsewhere(package: str) -> dict[int, str]:
     """Where to find what planish itself, or a package inside this one, shows already."""
-    inner = [other for other in ("planish.design", "planish.marks.exchange") if other.startswith(f"{package}.")]
+    inner = [other for other in ("planish.marks.exchange", "planish.marks.regions") if other.startswith(f"{package}.")]
     others = ["planish", *inner, *(["planish.register"] if package == "planish.run" else [])]
     return {
         id(found): f"{other}.{name}" for other in others for name, found in objects(other) if not is_constant(found)

@@ -139,7 +139,8 @@ def refused(specimen_files, linked_run, tmp_path_factory) -> tuple[Path, Path]:
         around = grey[(away > 130) & (away < 220)]
         inside = away < 130
         grey[inside] = np.resize(around, int(inside.sum()))
-    tifffile.imwrite(folder / "image.tif", grey.astype(stored.dtype))
+    per_cm = (1e4 / float(pixel),) * 2
+    tifffile.imwrite(folder / "image.tif", grey.astype(stored.dtype), resolution=per_cm, resolutionunit="CENTIMETER")
     with pytest.raises(SystemExit):
         main(["map", str(volume), "--out", str(folder / "out-map")])
     return folder / "out-map", folder / "image.tif"

@@ -183,7 +183,7 @@ def test_marks_are_exported_imported_and_undone_and_another_file_is_refused(show
         shown.role("button", "Import marks").click()
     chooser.value.set_files(tmp_path / "notes.json")
     expect(shown.page.get_by_role("alert")).not_to_be_empty()
-    assert len(shown.rows()) == 5
+    assert len(shown.rows()) == 4
     forget_lost(shown)
 
 

@@ -136,7 +136,7 @@ def relax_dynamically(
     spring pulls its ends together; Eq. (2) as printed has the other sign. The mean of Eq. (6) is taken over the
     nodes. The gradient of the velocity is taken by central differences between neighbouring nodes, one-sided at borders
     and beside missing nodes, and its Frobenius norm is what a and b limit. The damping starts at
-    sqrt(max |grad F| / b), which is Eq. (5) for the overdamped velocity F / c: the paper asks for a high damping at
+    ``sqrt(max |grad F| / b)``, which is Eq. (5) for the overdamped velocity F / c: the paper asks for a high damping at
     the start, where the velocity is still zero.
 
     Nothing in the energy forbids a fold. The step control keeps a fair start from folding; cells that are turned over
