@@ -9,7 +9,8 @@ import pytest
 import xarray as xr
 
 from analyze.fields import compared, gaussian_maps, lags_of
-from planish.analyze import CorrelateParams, SheetColumns, ceiling, split_half
+from planish.analyze import CorrelateParams, SheetColumns, split_half
+from planish.analyze.ceiling import answer_ceiling
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
 
@@ -50,7 +51,7 @@ def ceilings(found, name="coating_top", *, origin_um=(-2.0, -2.0), known, error_
     )  # fmt: skip
     if error_um is not None:
         asked.layers[0]["expected_error"] = (("y", "x"), np.full(known.shape, error_um))
-    return ceiling.answer_ceiling(asked)
+    return answer_ceiling(asked)
 
 
 def test_noise_of_single_columns_gives_the_share_that_it_takes():

@@ -13,10 +13,9 @@ import xarray as xr
 from PIL import Image
 
 from planish.report import (
-    GREYS,
-    MISSING,
     Canvas,
     Scale,
+    colours,
     draw,
     fixed,
     image_uri,
@@ -247,9 +246,9 @@ def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
     values = np.array([[-5.0, 0.0, 1.0, np.nan]])
     with Image.open(io.BytesIO(base64.b64decode(image_uri(values, Scale(0.0, 1.0)).split(",")[1]))) as image:
         found = np.asarray(image.convert("RGB"))[0]
-    assert [bytes(c).hex() for c in found] == ["440154", "440154", "fde725", MISSING[1:]]
-    assert limits(np.array([3.0, 3.0]), GREYS) == Scale(2.5, 3.5, GREYS)
-    assert limits(np.array([np.nan]), GREYS) == Scale(0.0, 1.0, GREYS)
+    assert [bytes(c).hex() for c in found] == ["440154", "440154", "fde725", colours.MISSING[1:]]
+    assert limits(np.array([3.0, 3.0]), colours.GREYS) == Scale(2.5, 3.5, colours.GREYS)
+    assert limits(np.array([np.nan]), colours.GREYS) == Scale(0.0, 1.0, colours.GREYS)
     assert limits(np.array([-1.0, 3.0]), symmetric=True, percent=0.0) == Scale(-3.0, 3.0)
 
 

@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 
-from planish.cli.main import main
+from planish.cli import main
 from planish.core.errors import FileError, InputError
 from planish.series import members_of
 from series.runs import put, results_of

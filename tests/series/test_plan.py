@@ -7,7 +7,7 @@ import pytest
 import tifffile
 from click.testing import CliRunner
 
-from planish.cli import main
+from planish.cli import planish
 from planish.core.errors import InputError, PlanishError
 from planish.series import read_plan
 
@@ -46,7 +46,7 @@ def test_specimens_are_named_by_factors_files_or_numbers_and_studies_name_each_o
     series = write(tmp_path, SERIES, "series.toml")
     single = write(tmp_path, '[volume]\npath = "v.tif"\n', "study.toml")
     for verb, path, other in (("run", series, "planish study"), ("study", single, "planish run")):
-        done = CliRunner().invoke(main.planish, [verb, str(path), "--out", str(tmp_path / "out")])
+        done = CliRunner().invoke(planish, [verb, str(path), "--out", str(tmp_path / "out")])
         assert other in str(done.exception)
         assert not (tmp_path / "out").exists()
 
@@ -131,7 +131,7 @@ def test_a_map_that_no_sheet_can_have_is_refused_before_anything_is_linked(tmp_p
     study = write(
         tmp_path, "[compare]\nheadline = ['coatng_top']\n\n[[specimens]]\nvolume = 'v.tif'\nimage = 'i.tif'\n", "s.toml"
     )
-    done = CliRunner().invoke(main.planish, ["study", str(study), "--out", str(tmp_path / "out")])
+    done = CliRunner().invoke(planish, ["study", str(study), "--out", str(tmp_path / "out")])
     assert done.exit_code != 0
     assert "Did you mean coating_top?" in str(done.exception) + done.output
     assert not (tmp_path / "out").exists()
