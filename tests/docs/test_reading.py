@@ -38,7 +38,6 @@ OLD = {
 # One thing, one name: other names of what the glossary has a term for.
 TERMS = {
     r"\bmid-?surfaces?\b|\b(middle|central|median) surfaces?\b": "centre surface",
-    r"\bcontrol points?\b|\bfiducials?\b|\bregistration marks?\b|\btie points?\b": "mark",
     r"\bgr[a]y( values?| levels?|scale)?\b|\bgreyscale\b": "grey",
     r"\b(run|output|results?) director(y|ies)\b|\b(output|results?) folders?\b": "run folder",
     r"\b(config(uration)?|settings|parameter) files?\b": "study",
@@ -49,10 +48,8 @@ TERMS = {
     r"\b(mesh|grid) (points?|vertex|vertices)\b|\bvertex\b|\bvertices\b": "node",
     r"\bbase (sheet|layer|stock)s?\b": "base",
     r"\bcoating layers?\b": "coating",
-    r"\bconfidence (intervals?|limits?)\b": "interval",
-    r"\b(effective|independent) (sample size|samples)\b|\bdegrees of freedom\b": "independent points",
+    r"\b(effective|independent) (sample size|samples)\b": "independent points",
     r"\bresidual errors?\b": "residual",
-    r"\btarget registration errors?\b": "expected error",
     r"\b(unwrap|unroll|unfold)(s|ped|ed|ping|ing)? (the|a) sheet\b": "flatten",
     r"\b(drill|puncture|pinhole)s?\b": "hole",
     r"\bthe other side of the (paper|sheet)\b": "bottom side",
