@@ -1,4 +1,4 @@
-"""What checks mean for the figures of a run: doubtful, or withheld; a light is never greener than it should be."""
+"""What checks mean for the figures of a run: doubtful, or withheld; a state is never greener than it should be."""
 
 import csv
 import io
@@ -13,13 +13,13 @@ from tests.report.runs import a_run
 
 from planish.checks import CHECKS, HolesOnSheet, apply_checks
 from planish.cli import show
-from planish.core.checks import Check, Light
+from planish.core.checks import Check, CheckRule
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts
 from planish.results import Results
 from planish.run import summaries
 
-LIGHTS = {light.name: light for light in CHECKS}
+RULES = {rule.name: rule for rule in CHECKS}
 ALL = ("coating_top", "coating_bottom", "base_thickness", "thickness")
 
 
@@ -95,22 +95,24 @@ def test_runs_whose_results_have_an_older_format_are_named(tmp_path):
     ("value", "state"), [(0.5, "pass"), (1.0, "pass"), (1.1, "look"), (5.1, "fail"), (float("nan"), "look")]
 )
 def test_limits_belong_to_what_passes_and_nan_never_does(value, state):
-    light = Light("x", object, ("position",), lambda rule, value: rule.at_most(value, look=1.0, sentence="x."))
-    found = light.at_most(value, look=1.0, fail=5.0, sentence="x.", advice="Do it.")
+    rule = CheckRule("x", object, ("position",), lambda rule, value: rule.at_most(value, look=1.0, sentence="x."))
+    found = rule.at_most(value, look=1.0, fail=5.0, sentence="x.", advice="Do it.")
     assert (found.state, found.limit) == (state, 5.0 if state == "fail" else 1.0)
     assert bool(found.advice) == (state != "pass")
     assert (found.name, found.figures) == ("x", ("position",))
-    assert light(value).state == ("look" if state == "fail" else state)
-    mirrored = light.at_least(-value, look=-1.0, units="um", sentence="x.", advice="Do it.")
-    assert (mirrored.state, mirrored.limit, mirrored.units) == (light(value).state, -1.0, "um")
+    assert rule(value).state == ("look" if state == "fail" else state)
+    only_fails = rule.at_most(value, fail=1.0, sentence="x.")
+    assert (only_fails.state, only_fails.limit) == ("fail" if value > 1 else state, 1.0)
+    mirrored = rule.at_least(-value, look=-1.0, units="um", sentence="x.", advice="Do it.")
+    assert (mirrored.state, mirrored.limit, mirrored.units) == (rule(value).state, -1.0, "um")
     assert mirrored.value == (None if math.isnan(value) else -value)
 
 
-def test_rows_of_the_table_name_each_light_of_a_stage_once():
-    rows = [(light.stage, light.name) for light in CHECKS]
+def test_rows_of_the_table_name_each_check_of_a_stage_once():
+    rows = [(rule.stage, rule.name) for rule in CHECKS]
     assert len(rows) == len({*rows})
-    assert all(light.figures for light in CHECKS)
-    assert all(light.stage.__doc__ for light in CHECKS)
+    assert all(rule.figures for rule in CHECKS)
+    assert all(rule.stage.__doc__ for rule in CHECKS)
 
 
 @pytest.mark.parametrize("origin", [0.0, -400.0])
@@ -129,7 +131,7 @@ def test_a_hole_of_the_image_lies_where_the_sheet_is_whole(at, state, origin):
              "fixed_y": [500.0 + origin, at[1] + origin], "fixed_diameter": [175.0, 175.0]}  # fmt: skip
     marks = xr.Dataset({k: ("mark", v) for k, v in pairs.items()})
     linked = HolesOnSheet(sheet=sheet, marks=marks, layer="sheet", reference="image")
-    found = LIGHTS["holes without partner"](linked)
+    found = RULES["holes without partner"](linked)
     assert found.state == state
     assert ("fixed 2 of the image lies where the sheet has no hole" in found.sentence) == (state == "look")
 
@@ -150,7 +152,7 @@ def test_holes_that_all_lean_to_one_side(degrees, error_um, count, state):
         through=count, closed=0, unclear=0, other_side_only=0, offset_count=count, offset_um=tuple(offset),
         offset_spread_um=(1.0, 1.0), offset_error_um=(error_um, error_um), tilt_deg=degrees, side="top", sentence="x.",
     )  # fmt: skip
-    found = LIGHTS["tilt of the holes"](SimpleNamespace(facts=SimpleNamespace(tilt=facts)))
+    found = RULES["tilt of the holes"](SimpleNamespace(facts=SimpleNamespace(tilt=facts)))
     assert (found and found.state) == state
     assert state is None or found.value == pytest.approx(np.hypot(*degrees))
     assert state != "look" or found.sentence.startswith("The holes run through the sheet at 5 ± 0.3° from its normal")

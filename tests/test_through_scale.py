@@ -10,7 +10,7 @@ from planish.flatten import flatten_sheet, places_when_scaled
 from planish.register import Pairs, find_through_scale, fit_transform
 
 BY_THICKNESS, BY_MARKS = (
-    next(light for light in CHECKS if light.name == "scale through the sheet" and light.stage is stage)
+    next(rule for rule in CHECKS if rule.name == "scale through the sheet" and rule.stage is stage)
     for stage in (MeasuredSheet, RegisteredSheet)
 )
 SLOPE, WAVE_UM, TURN = 0.5, 1300.0, 0.4  # 27°

@@ -13,7 +13,7 @@ from planish.checks.scan import voxels_through
 from planish.checks.windows import window_of
 from planish.measure import Greys
 
-LIGHTS = {light.name: light for light in CHECKS}
+RULES = {rule.name: rule for rule in CHECKS}
 VOXEL = 3.0
 
 
@@ -70,7 +70,7 @@ def turned(volume, through):
 
 
 def judged(name, **scan):
-    return LIGHTS[name](SimpleNamespace(**scan))
+    return RULES[name](SimpleNamespace(**scan))
 
 
 def by_name(checks):

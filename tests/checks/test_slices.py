@@ -30,8 +30,8 @@ def sheet(shape=(60, 70, 75), *, seed=0, slope=0.15, noise=6.0):
 
 
 def judged_window(window, through="z"):
-    light = next(light for light in CHECKS if light.name == "slices along z")
-    return light(SimpleNamespace(windows={"z": window}, through=through, assembled=()))
+    rule = next(rule for rule in CHECKS if rule.name == "slices along z")
+    return rule(SimpleNamespace(windows={"z": window}, through=through, assembled=()))
 
 
 def judged(values):

@@ -1,4 +1,4 @@
-"""Lights of grey levels: cut off, another scale in every slice, shaded, blurred; and those of an image."""
+"""Checks of grey levels: cut off, another scale in every slice, shaded, blurred; and those of an image."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from planish.checks.scan import GreyScan
 from planish.checks.windows import Window
-from planish.core.checks import PROPERTIES, Check, Light
+from planish.core.checks import PROPERTIES, Check, CheckRule
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.measure.registry import Greys
@@ -43,7 +43,7 @@ class SheetImage:
 # --- of a scan -------------------------------------------------------------------------------------------------------
 
 
-def clipped_grey(light: Light, scan: GreyScan) -> Check:
+def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether the grey scale ends where the sheet's densest layer lies."""
     greys = scan.greys
     spike, share, end = clipping(scan.sample, greys)
@@ -57,13 +57,13 @@ def clipped_grey(light: Light, scan: GreyScan) -> Check:
     elif not is_inside and share < 0.02:
         sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({level:.4g})."
     else:
-        return light.check(
-            "look", value=spike, limit=SPIKE, figures=(PROPERTIES,) if coat is None else light.figures,
+        return rule.check(
+            "look", value=spike, limit=SPIKE, figures=(PROPERTIES,) if coat is None else rule.figures,
             sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {level:.4g}: its "
             "contrast is too low, and its face is displaced.",
             advice="Export the volume with a wider grey window, or as 16 bit.",
         )  # fmt: skip
-    return light.check("pass", sentence, value=spike, limit=SPIKE, figures=())
+    return rule.check("pass", sentence, value=spike, limit=SPIKE, figures=())
 
 
 def denser_coating(greys: Greys) -> float | None:
@@ -98,13 +98,13 @@ def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
     return first / (x + 3 * np.sqrt(x) + 1), first / (levels.size if counts is None else int(counts.sum())), end
 
 
-def steady_grey(light: Light, scan: GreyScan) -> Check:
+def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
     greys, coat = scan.greys, denser_coating(scan.greys)
     contrast = abs((greys.base if coat is None else coat) - greys.air)
     judged = [w for axis, w in scan.windows.items() if axis not in (*scan.assembled, scan.through)]
     jumps, axis = max(((level_jump(w) / contrast, w.axis) for w in judged), key=lambda j: j[0], default=(0.0, "z"))
-    return light.at_most(
+    return rule.at_most(
         jumps, look=0.03,
         sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jumps:.1f} % of the contrast between "
         "air and sheet.",
@@ -121,7 +121,7 @@ def level_jump(window: Window) -> float:
     return float(1.4826 / np.sqrt(6) * np.median(bend, axis=1).max())
 
 
-def shading(light: Light, scan: GreyScan) -> Check:
+def shading(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether the base has one grey from one border of the sheet to the other.
 
     Along each axis of the sheet a parabola is fitted to the tiles' grey.
@@ -130,7 +130,7 @@ def shading(light: Light, scan: GreyScan) -> Check:
     points = core.points.reshape(*core.shape, 3)
     tiles = np.any(np.isfinite(grey).all(axis=2), axis=1)
     if np.count_nonzero(tiles) < _LEAST_TILES or not contrast > 0:
-        return light.check(
+        return rule.check(
             "unknown", f"The base is seen in {np.count_nonzero(tiles)} tiles only, too few to follow its grey."
         )
     level = np.nanmedian(grey[tiles], axis=(1, 2))
@@ -146,14 +146,14 @@ def shading(light: Light, scan: GreyScan) -> Check:
         chance = _NOTABLE * float(np.std(level - fit(place))) / contrast / np.sqrt(level.size)
         if not along or change - max(SHADED, chance) > share - limit:
             share, limit, along = change, max(SHADED, chance), axis
-    return light.at_most(
+    return rule.at_most(
         share, look=limit, units="share",
         sentence=f"Along {along}, the grey of the base changes by {100 * share:.2g} % of its contrast to the air.",
         advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
     )  # fmt: skip
 
 
-def blur(light: Light, scan: GreyScan) -> Check | None:
+def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     """Judge whether a coating is thicker than the blur of the scan is wide; None where none is seen.
 
     What is flattened lies between the faces: where they are moved, so are its places.
@@ -168,7 +168,7 @@ def blur(light: Light, scan: GreyScan) -> Check | None:
     edge, noise = _FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
     width = max(edge, noise) if np.isfinite(noise) else edge
     cause = "An edge is blurred" if width == edge else "The noise is smoothed"
-    return light.at_most(
+    return rule.at_most(
         width / max(thin, 1e-9), look=1.0, units="of the coating",
         sentence=f"{cause} over {width:.3g} um, full width at half maximum; the coating is {thin:.3g} um thick.",
         advice="Thickness and grey level of a layer that is thinner than the blur cannot be distinguished. Scan with "
@@ -226,7 +226,7 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
 # --- of an image -----------------------------------------------------------------------------------------------------
 
 
-def clipped_image(light: Light, image: SheetImage) -> Check:
+def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
     """Judge whether the greys of an image are cut off."""
     grey = np.asarray(image.greys, dtype=np.float64)
     grey = grey[np.isfinite(grey)]
@@ -239,7 +239,7 @@ def clipped_image(light: Light, image: SheetImage) -> Check:
             near_share = float(np.mean((grey != end) & (np.abs(grey - end) < near)))
             if end_share > SPIKE * near_share and end_share > share:
                 share, tone = end_share, end_tone
-    return light.at_most(
+    return rule.at_most(
         share, look=_CUT_SHARE, units="share",
         sentence=f"{100 * share:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
         if share > _CUT_SHARE else "The image's grey scale does not end within the sheet's greys.",

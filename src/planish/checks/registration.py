@@ -1,4 +1,4 @@
-"""Lights of layers that are registered and linked: their marks, holes and directions, and the field they share."""
+"""Checks of layers that are registered and linked: their marks, holes and directions, and the field they share."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import xarray as xr
 
-from planish.core.checks import Check, Light
+from planish.core.checks import Check, CheckRule
 from planish.core.grid import Grid
 from planish.marks.find import REASONS
 from planish.register import FittedTransform
@@ -63,17 +63,17 @@ class TextureChecks:
 # --- of a registration -----------------------------------------------------------------------------------------------
 
 
-def marks(light: Light, registered: RegisteredLayer) -> Check:
+def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
     limit = max(_OF_A_HOLE * registered.hole_um, registered.pixel_um)
     loo, fit = registered.facts.leave_one_out_rms_um, registered.fit
     if loo is None:
-        return light.check(
+        return rule.check(
             "unknown", units="um", advice="Add marks.",
             sentence=f"{registered.facts.matched} marks leave none over to check the registration with. "
             f"{registered.agreement}",
         )  # fmt: skip
-    check = light.at_most(
+    check = rule.at_most(
         loo, look=limit, fail=5.0 * limit, units="um", sentence=registered.agreement,
         advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
     )  # fmt: skip
@@ -84,26 +84,26 @@ def marks(light: Light, registered: RegisteredLayer) -> Check:
     return check
 
 
-def scale(light: Light, registered: RegisteredLayer) -> Check:
+def scale(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge whether the calibrations of both layers agree."""
-    return light.at_most(
+    return rule.at_most(
         abs(registered.facts.scale - 1), look=0.03, units="share",
         sentence=f"The marks ask for a scale of {registered.facts.scale:.4f}.",
         advice="The calibrations do not agree. Check the voxel and the pixel size.",
     )  # fmt: skip
 
 
-def strain(light: Light, registered: RegisteredLayer) -> Check:
+def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the strain of the registration between the marks."""
     largest = registered.fit.strain.largest
-    return light.at_most(
+    return rule.at_most(
         largest, look=0.01, units="share",
         sentence=f"Between the marks, the registration strains the sheet by up to {100 * largest:.2g} %.",
         advice="Paper strains by less than 1 %. Check the marks there, and the order of the slices.",
     )  # fmt: skip
 
 
-def tilt(light: Light, registered: RegisteredLayer) -> Check | None:
+def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     """Judge whether all holes run along the normal of the sheet; None where too few were found on both sides."""
     holes = registered.facts.tilt
     if holes is None or holes.tilt_deg is None or holes.offset_count < _LEAST_TILTED:
@@ -115,7 +115,7 @@ def tilt(light: Light, registered: RegisteredLayer) -> Check | None:
     error *= angle / max(offset, 1e-9) / np.sqrt(2)
     limit = max(_TILT_DEG, _SURE * error)
     end = " from its normal, all to one side" if angle > limit else " from its normal on average"
-    return light.at_most(
+    return rule.at_most(
         angle, look=limit, units="deg",
         sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}°{end}.",
         advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
@@ -123,20 +123,20 @@ def tilt(light: Light, registered: RegisteredLayer) -> Check | None:
     )  # fmt: skip
 
 
-def machine_direction(light: Light, registered: RegisteredLayer) -> Check | None:
+def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     """Judge the machine direction that is given twice: as the marks carry it over, and for the image itself."""
     direction = registered.facts.orientation
     if direction.md_deg_fixed is None or direction.md_deg_fixed_from_moving is None:
         return None
     off = abs((direction.md_deg_fixed - direction.md_deg_fixed_from_moving + 90.0) % 180.0 - 90.0)
-    return light.at_most(
+    return rule.at_most(
         off, look=10.0, units="deg",
         sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by {off:.1f}°.",
         advice="One of them is wrong, or the marks were matched wrongly.",
     )  # fmt: skip
 
 
-def holes_of_layer(light: Light, subject: DetectedHoles) -> Check:
+def holes_of_layer(rule: CheckRule, subject: DetectedHoles) -> Check:
     """Judge how many holes were found and what was rejected; a look where places were not measured."""
     attrs, count = subject.holes.attrs, subject.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
@@ -149,31 +149,31 @@ def holes_of_layer(light: Light, subject: DetectedHoles) -> Check:
     if openings:
         which = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
         sentence += f" {which} not round enough for one."
-    check = light.at_most(
-        dropped + many, look=0, sentence=sentence, figures=light.figures if many else light.figures[:1],
+    check = rule.at_most(
+        dropped + many, look=0, sentence=sentence, figures=rule.figures if many else rule.figures[:1],
         advice="Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
         if many else
         "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um).",
     )  # fmt: skip
-    return check.model_copy(update={"name": light.name.replace("NAME", subject.layer)})
+    return check.model_copy(update={"name": rule.name.replace("NAME", subject.layer)})
 
 
 # --- of linked layers ------------------------------------------------------------------------------------------------
 
 
-def common_field(light: Light, layer: LayerFacts) -> Check | None:
+def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
     """Judge whether a layer and the reference have a field in common."""
     if layer.registration is None:
         return None
     share = layer.share_of_reference or 0.0
-    return light.at_least(
+    return rule.at_least(
         share, look=0.05, units="share",
         sentence=f"{100 * share:.1f} % of the {layer.registration.path[-1]} shows the {layer.name}.",
         advice="Give the part of the reference that shows the specimen.",
     )  # fmt: skip
 
 
-def holes_without_partner(light: Light, linked: HolesOnSheet) -> Check:
+def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     """Judge the holes of a reference without a partner: the sheet has a hole there, too, or is not measured."""
     grid, thickness, moved = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
     alone = moved.isel(mark=np.flatnonzero(np.isfinite(moved["fixed_x"]) & ~np.isfinite(moved["moving_x"])))
@@ -191,7 +191,7 @@ def holes_without_partner(light: Light, linked: HolesOnSheet) -> Check:
             whole.append(str(label))
     count, layer, reference = alone.sizes["mark"], linked.layer, linked.reference
     lies = "lies" if len(whole) == 1 else "lie"
-    return light.at_most(
+    return rule.at_most(
         len(whole), look=0,
         sentence=f"{', '.join(whole)} of the {reference} {lies} where the {layer} has no hole." if whole else
         f"Every hole of the {reference} has a partner." if count == 0 else
@@ -201,10 +201,10 @@ def holes_without_partner(light: Light, linked: HolesOnSheet) -> Check:
     )  # fmt: skip
 
 
-def linked_area(light: Light, area: LinkedArea) -> Check:
+def linked_area(rule: CheckRule, area: LinkedArea) -> Check:
     """Judge whether enough of what the reference shows of the sheet is valid."""
     share = area.share_valid_away_from_holes
-    return light.at_least(
+    return rule.at_least(
         share, look=0.5, units="share",
         sentence=f"{100 * share:.0f} % of the sheet that the image shows away from holes is valid.",
         advice="The linked maps are mostly blank. Look at the slices and the column status.",

@@ -1,4 +1,4 @@
-"""What the lights of a scan judge: a volume, the sheet measured in it, and what one pass over its voxels gives."""
+"""What the checks of a scan judge: a volume, the sheet measured in it, and what one pass over its voxels gives."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ class GreyScan(ScannedSheet):
 def read_scan(
     volume: xr.DataArray, measured: xr.Dataset, *, sections: bool, labels: bool, threads: int | None
 ) -> ScannedSheet:  # fmt: skip
-    """Read what the lights need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
+    """Read what the checks need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
     through = Frame.of(measured).through
     every: tuple[Axis, ...] = ("z", "y", "x")
     heights = np.asarray(volume.coords[through].values, dtype=np.float64)

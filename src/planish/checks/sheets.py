@@ -1,4 +1,4 @@
-"""Lights of one sheet: measured where it is, whole, one and not two, flat without folds, thick enough, and clean."""
+"""Checks of one sheet: measured where it is, whole, one and not two, flat without folds, thick enough, and clean."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from scipy import ndimage
 
 from planish.checks.greys import denser_coating
 from planish.checks.scan import TILE_UM, GreyScan, ScannedSheet
-from planish.core.checks import Check, Light
+from planish.core.checks import Check, CheckRule
 from planish.core.facts import SIDES, Side
 from planish.core.grid import pitch
 from planish.core.status import Status
@@ -41,44 +41,44 @@ class MeasuredSheet:
 # --- of a mapped sheet -----------------------------------------------------------------------------------------------
 
 
-def coverage(light: Light, sheet: MeasuredSheet) -> Check:
+def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge how much of the sheet is measured."""
     s = sheet.facts.surfaces
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
     air = min(s.empty_share or 0.0, s.shares["no_sheet"])
     share = s.shares["measured"] / max(1.0 - s.shares["rim"] - air, 1e-9)
-    return light.at_least(
+    return rule.at_least(
         share, look=0.5, units="share",
         sentence=f"{100 * share:.0f} % of the columns with a sheet, away from rims, are measured.",
         advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
     )  # fmt: skip
 
 
-def missing_voxels(light: Light, sheet: MeasuredSheet) -> Check | None:
+def missing_voxels(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     """Judge how many voxels have no value."""
     if (share := sheet.facts.surfaces.missing_share) is None:
         return None
-    return light.at_most(
+    return rule.at_most(
         share, look=0.05, units="share",
         sentence=f"{100 * share:.1f} % of the voxels are NaN or infinite.",
         advice="Columns with such voxels near a face are not measured. Export the volume without them.",
     )  # fmt: skip
 
 
-def fold_over(light: Light, sheet: MeasuredSheet) -> Check:
+def fold_over(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge whether the flattened mesh is folded."""
     folded = sheet.facts.flatten.folded_cells
-    return light.at_most(
+    return rule.at_most(
         folded, look=0, sentence=f"{folded} cells of the flattened mesh are folded.",
         advice="They are marked invalid. Look at the centre surface there: the sheet is folded, or a face was lost.",
     )  # fmt: skip
 
 
-def alignment(light: Light, sheet: MeasuredSheet) -> Check | None:
+def alignment(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     """Judge whether serial sections fit their neighbours."""
     if (sections := sheet.facts.sections) is None:
         return None
-    return light.at_most(
+    return rule.at_most(
         sections.not_aligned / sections.count, look=0.05, units="share",
         sentence=f"{sections.count - sections.not_aligned} of {sections.count} sections fit their neighbours.",
         advice="The others are torn, blurred, or not of this sheet, and count as missing. Look at them, and at the "
@@ -86,11 +86,11 @@ def alignment(light: Light, sheet: MeasuredSheet) -> Check | None:
     )  # fmt: skip
 
 
-def cutoff(light: Light, sheet: MeasuredSheet) -> Check:
+def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     attrs = sheet.measured.attrs
     share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
-    return light.at_most(
+    return rule.at_most(
         share, look=0.02,
         sentence=f"The centre surface has the stated cut-off of {cutoff_um:g} um in {100 * (1 - share):.1f} % of the "
         "columns away from holes and rims"
@@ -99,7 +99,7 @@ def cutoff(light: Light, sheet: MeasuredSheet) -> Check:
     )  # fmt: skip
 
 
-def corrections(light: Light, sheet: MeasuredSheet) -> Check | None:
+def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     """Judge how much of the sheet was corrected by hand; None where nothing was."""
     surfaces = sheet.measured
     if "corrections" not in surfaces.attrs:
@@ -109,7 +109,7 @@ def corrections(light: Light, sheet: MeasuredSheet) -> Check | None:
     how = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
     columns = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
     drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (1, 2))  # the flags of the maps
-    return light.at_most(
+    return rule.at_most(
         drawn / columns, look=0.1,
         sentence=f"Faces of {drawn} columns ({100 * drawn / columns:.2g} % of the sheet) were drawn to {points} points "
         f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
@@ -120,25 +120,25 @@ def corrections(light: Light, sheet: MeasuredSheet) -> Check | None:
 # --- of a scan -------------------------------------------------------------------------------------------------------
 
 
-def hand(light: Light, scan: ScannedSheet) -> Check | None:
+def hand(rule: CheckRule, scan: ScannedSheet) -> Check | None:
     """Say that the file makes its slices a mirror image of the specimen."""
     if not (axes := scan.volume.attrs.get("hand")):
         return None
-    return light.check(
+    return rule.check(
         "look", f"The axes of the volume make a left-handed system ({axes}): its slices and maps are a mirror "
         "image of the specimen.",
         advice="Flip one axis where you export the volume, and map it again.",
     )  # fmt: skip
 
 
-def one_sheet(light: Light, scan: GreyScan) -> Check:
+def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether a coating, or air, lies inside the base."""
     greys, core, profiles = scan.greys, scan.core, scan.core_grey
     if not scan.voxels >= _LEAST_VOXELS:
-        return light.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
+        return rule.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
     enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, 1 / 3 * core.shape[1])
     if np.count_nonzero(enough) < _LEAST_TILES:
-        return light.check(
+        return rule.check(
             "unknown", f"The base is seen in {np.count_nonzero(enough)} tiles of {TILE_UM:g} um only, too few to tell "
             "one sheet from two.",
         )  # fmt: skip
@@ -157,31 +157,31 @@ def one_sheet(light: Light, scan: GreyScan) -> Check:
     brighter = (2 * base - greys.air if coat is None else coat) - base
     bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > 0.5))
     if bright > _BRIGHT_SHARE:
-        return light.check(
+        return rule.check(
             "fail", value=bright, limit=_BRIGHT_SHARE, units="share",
             sentence=f"In {100 * bright:.0f} % of the sheet something as dense as a coating lies in the middle of the "
             "base: a second sheet lies on the first.",
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
     end = ": it is split, or two sheets lie on each other." if dark > _DARK_SHARE else ", and nowhere a second sheet."
-    return light.at_most(
+    return rule.at_most(
         dark, fail=_DARK_SHARE, units="share",
         sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base{end}",
         advice="Look at the slices. Crop the volume to one sheet that is whole.",
     )  # fmt: skip
 
 
-def voxels_through(light: Light, scan: ScannedSheet) -> Check:
+def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
     thinner = " It may be thinner: sheets of 2 or 3 voxels are measured too thick."
-    return light.at_least(
+    return rule.at_least(
         scan.voxels, look=_LEAST_VOXELS, units="voxels",
         sentence=f"The sheet is {scan.voxels:.1f} voxels thick.{thinner if scan.voxels < _LEAST_VOXELS else ''}",
         advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
     )  # fmt: skip
 
 
-def dust(light: Light, scan: ScannedSheet, *, side: Side) -> Check | None:
+def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
     """Judge the particles on a side, which are measured as coating; None where no coating was measured."""
     name = f"coating_{side}"
     if name not in scan.measured or not np.isfinite(scan.measured[name].values).any():
@@ -191,7 +191,7 @@ def dust(light: Light, scan: ScannedSheet, *, side: Side) -> Check | None:
     if particles.area_mm2 < _LEAST_MM2:
         return None
     covered = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
-    return light.at_most(
+    return rule.at_most(
         particles.a_mm2, look=1.0, units="1/mm2",
         sentence=f"{particles.number} particles stand out of the {side} coating, {particles.a_mm2:.2g} a mm², "
         f"on {covered:.2g} % of it.",

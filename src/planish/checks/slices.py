@@ -1,4 +1,4 @@
-"""Light of the slices: out of order, repeated, filled, missing or foreign, by how each differs from its neighbours.
+"""Check of the slices: out of order, repeated, filled, missing or foreign, by how each differs from its neighbours.
 
 Neighbouring slices of a continuous body are alike, and how much they differ changes slowly from slice to slice. Every
 statistic compares a slice with its own neighbourhood, so that none needs a scale; logarithms are natural.
@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from planish.checks.scan import ScannedSheet
 from planish.checks.windows import Window
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule
 from planish.core.frame import Axis
 from planish.core.typing import Bools, Floats
 
@@ -64,7 +64,7 @@ class Fault:
         return self.last - self.first + 1
 
 
-def slice_order(light: Light, scan: ScannedSheet, *, axis: Axis) -> Check:
+def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     """Judge the slices along an axis.
 
     ``fail`` where they are not in their order, ``look`` where some are repeated, filled, foreign, empty or missing. The
@@ -73,7 +73,7 @@ def slice_order(light: Light, scan: ScannedSheet, *, axis: Axis) -> Check:
     window = scan.windows[axis]
     faults = find_faults(window, assembled=axis in scan.assembled)
     if not faults:
-        return light.check(
+        return rule.check(
             "pass", value=0.0, limit=0.0, units="slices", figures=(),
             sentence=f"None of {len(window.blocks)} slices along {axis} is seen to be exchanged, repeated, filled or "
             "missing.",
@@ -88,7 +88,7 @@ def slice_order(light: Light, scan: ScannedSheet, *, axis: Axis) -> Check:
         sentences.append(f"{unlisted} other {'fault' if unlisted == 1 else 'faults'} along the same axis.")
     is_grave = unordered or axis == scan.through  # heights that are wrong displace on every slope
     most = max(dict.fromkeys(kinds), key=kinds.count)
-    return light.check(
+    return rule.check(
         "fail" if unordered else "look", value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
         limit=0.0, units="slices", sentence=" ".join(sentences) + " Slices count from 0.",
         advice=_ADVICE["order" if unordered else "foreign" if most == "empty" else most],

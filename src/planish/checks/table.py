@@ -1,4 +1,4 @@
-"""All lights of a run in one table, what makes checks of its rows, and what these leave of the figures."""
+"""The table of all checks of a run, what makes checks of its rows, and what these leave of the figures."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from planish.checks.scan import GreyScan, ScannedSheet, read_scan
 from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
-from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, Light, trust_of
+from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
 from planish.core.facts import Trust
 from planish.results import (
     ComparisonRow,
@@ -38,48 +38,48 @@ _SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom"
 
 CHECKS = (
     # planish map: from the maps of a sheet
-    Light("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
-    Light("missing voxels", MeasuredSheet, (PROPERTIES,), sheets.missing_voxels),
-    Light("fold-over", MeasuredSheet, (POSITION,), sheets.fold_over),
-    Light("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
-    Light("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
-    Light("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
-    Light("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
+    CheckRule("coverage", MeasuredSheet, (PROPERTIES,), sheets.coverage),
+    CheckRule("missing voxels", MeasuredSheet, (PROPERTIES,), sheets.missing_voxels),
+    CheckRule("fold-over", MeasuredSheet, (POSITION,), sheets.fold_over),
+    CheckRule("alignment", MeasuredSheet, (PROPERTIES, POSITION), sheets.alignment),
+    CheckRule("cut-off", MeasuredSheet, (POSITION,), sheets.cutoff),
+    CheckRule("scale through the sheet", MeasuredSheet, _ALL, through_scale.scale_by_thickness),
+    CheckRule("corrections", MeasuredSheet, (PROPERTIES,), sheets.corrections),
     # planish map: from the volume
-    Light("hand of the volume", ScannedSheet, (POSITION, CORRELATION), sheets.hand),
-    Light("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
-    Light("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
-    Light("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
-    Light("clipped grey", GreyScan, _COATINGS, greys.clipped_grey),
-    Light("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
-    Light("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
-    Light("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
-    Light("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
-    Light("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
-    Light("dust, top", ScannedSheet, ("coating_top", *_BASE), partial(sheets.dust, side="top")),
-    Light("dust, bottom", ScannedSheet, ("coating_bottom", *_BASE), partial(sheets.dust, side="bottom")),
+    CheckRule("hand of the volume", ScannedSheet, (POSITION, CORRELATION), sheets.hand),
+    CheckRule("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
+    CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
+    CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
+    CheckRule("clipped grey", GreyScan, _COATINGS, greys.clipped_grey),
+    CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
+    CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
+    CheckRule("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
+    CheckRule("blur of the scan", GreyScan, (PROPERTIES, POSITION), greys.blur),
+    CheckRule("voxels through the sheet", ScannedSheet, _THICKNESSES, sheets.voxels_through),
+    CheckRule("dust, top", ScannedSheet, ("coating_top", *_BASE), partial(sheets.dust, side="top")),
+    CheckRule("dust, bottom", ScannedSheet, ("coating_bottom", *_BASE), partial(sheets.dust, side="bottom")),
     # planish link: from a registration
-    Light("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
-    Light("marks", RegisteredLayer, (POSITION,), registration.marks),
-    Light("scale", RegisteredLayer, (PROPERTIES, POSITION), registration.scale),
-    Light("strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain),
-    Light("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
-    Light("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
-    Light("holes in NAME", DetectedHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
+    CheckRule("scale through the sheet", RegisteredSheet, _ALL, through_scale.scale_by_marks),
+    CheckRule("marks", RegisteredLayer, (POSITION,), registration.marks),
+    CheckRule("scale", RegisteredLayer, (PROPERTIES, POSITION), registration.scale),
+    CheckRule("strain of the registration", RegisteredLayer, (POSITION, PROPERTIES), registration.strain),
+    CheckRule("tilt of the holes", RegisteredLayer, (POSITION, PROPERTIES), registration.tilt),
+    CheckRule("machine direction", RegisteredLayer, (POSITION,), registration.machine_direction),
+    CheckRule("holes in NAME", DetectedHoles, (POSITION, PROPERTIES, CORRELATION), registration.holes_of_layer),
     # planish link: from the layers on one grid
-    Light("common field", LayerFacts, (CORRELATION,), registration.common_field),
-    Light("holes without partner", HolesOnSheet, (POSITION, CORRELATION), registration.holes_without_partner),
-    Light("clipped image", SheetImage, (CORRELATION,), greys.clipped_image),
-    Light("side and specimen", TextureChecks, (*_SIDES, POSITION, CORRELATION), lambda _, textures: textures.side),
-    Light("position by texture", TextureChecks, (POSITION, CORRELATION), lambda _, textures: textures.position),
-    Light("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
+    CheckRule("common field", LayerFacts, (CORRELATION,), registration.common_field),
+    CheckRule("holes without partner", HolesOnSheet, (POSITION, CORRELATION), registration.holes_without_partner),
+    CheckRule("clipped image", SheetImage, (CORRELATION,), greys.clipped_image),
+    CheckRule("side and specimen", TextureChecks, (*_SIDES, POSITION, CORRELATION), lambda _, textures: textures.side),
+    CheckRule("position by texture", TextureChecks, (POSITION, CORRELATION), lambda _, textures: textures.position),
+    CheckRule("linked area", LinkedArea, (CORRELATION,), registration.linked_area),
 )
-"""Rows in the order of the results, each a :class:`planish.core.checks.Light`."""
+"""Rows in the order of the results, each a :class:`planish.core.checks.CheckRule`."""
 
 
 def run_checks(subject: object, *layers: str) -> list[Check]:
     """Judge a subject by all rows of its class, as checks about ``layers``."""
-    checks = [light(subject) for light in CHECKS if isinstance(subject, light.stage)]
+    checks = [rule(subject) for rule in CHECKS if isinstance(subject, rule.stage)]
     return for_layers([check for check in checks if check is not None], *layers)
 
 

@@ -1,4 +1,4 @@
-"""Light of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
+"""Check of the voxel spacing along the axis through the sheet: from the marks, and from thickness against slope."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 import xarray as xr
 
 from planish.checks.sheets import MeasuredSheet
-from planish.core.checks import Check, Light, State
+from planish.core.checks import Check, CheckRule, State
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.typing import Floats
@@ -96,17 +96,17 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     return SlopeScale(scale, float(spread / (2 * max(scale, 0.25))))
 
 
-def scale_by_thickness(light: Light, sheet: MeasuredSheet | RegisteredSheet) -> Check:
+def scale_by_thickness(rule: CheckRule, sheet: MeasuredSheet | RegisteredSheet) -> Check:
     """Judge a sheet without marks: gross errors of the spacing along the axis through it."""
     slope = scale_from_thickness(sheet.measured)
     axis, stated = _spacing(sheet)
     if slope.error > _UNCERTAIN:
-        return light.check(
+        return rule.check(
             "unknown", value=slope.scale if np.isfinite(slope.error) else None,
             sentence=f"The sheet is too flat, or its thickness too uneven, to say from it whether the voxel spacing of "
             f"{stated:.4g} um along {axis} is right; marks can say more.",
         )  # fmt: skip
-    return light.check(
+    return rule.check(
         "look" if slope.excludes_one else "pass", value=slope.scale,
         limit=_limit(slope.scale, float(np.hypot(slope.error, _NATURAL))),
         sentence=f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope} times the "
@@ -115,24 +115,24 @@ def scale_by_thickness(light: Light, sheet: MeasuredSheet | RegisteredSheet) -> 
     )  # fmt: skip
 
 
-def scale_by_marks(light: Light, sheet: RegisteredSheet) -> Check:
+def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
     """Judge a sheet by the marks of its registration."""
     marks = estimate(sheet)
     if marks is None:
-        return scale_by_thickness(light, sheet)
-    return judge_marks(light, sheet, marks, scale_from_thickness(sheet.measured))
+        return scale_by_thickness(rule, sheet)
+    return judge_marks(rule, sheet, marks, scale_from_thickness(sheet.measured))
 
 
-def judge_marks(light: Light, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
+def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
     axis, stated = _spacing(sheet)
     error = float(np.hypot(marks.error, _SYSTEMATIC))
     is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
     if not is_off and error > _UNCERTAIN:
         if slope.error <= _UNCERTAIN:
-            return scale_by_thickness(light, sheet)
+            return scale_by_thickness(rule, sheet)
         times = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
-        return light.check(
+        return rule.check(
             "unknown", value=marks.scale,
             sentence=f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to say whether the "
             f"voxel spacing of {stated:.4g} um along {axis} is right: they agree with {times} times that.",
@@ -147,7 +147,7 @@ def judge_marks(light: Light, sheet: RegisteredSheet, marks: ThroughScale, slope
         text += more
     if is_off and sheet.either:
         state, text = "look", f"{text} The other sheet's may be wrong as well."
-    return light.check(
+    return rule.check(
         state, text, value=marks.scale, limit=_limit(marks.scale, error),
         advice=_ADVICE.format(axis=axis) if is_off else "",
     )  # fmt: skip

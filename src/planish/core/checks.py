@@ -39,13 +39,13 @@ class Check(ResultModel):
 
 
 @dataclass(frozen=True, slots=True)
-class Light:
+class CheckRule:
     """A rule that makes one check: a row of the table ``planish.checks.CHECKS``."""
 
     name: str  # of the check
     stage: type  # of a run, by the class of what it gives to judge
     figures: tuple[str, ...]  # that the check concerns, where the function names no others
-    judge: Callable[[Light, Any], Check | None]  # takes the rule and what is judged; None where there is nothing
+    judge: Callable[[CheckRule, Any], Check | None]  # takes the rule and what is judged; None where there is nothing
 
     def __call__(self, subject: Any) -> Check | None:
         """Judge a subject."""
@@ -63,12 +63,13 @@ class Light:
         **more: Any,
     ) -> Check:  # fmt: skip
         """Judge a value that should be small; advice is dropped where it passes. NaN passes nothing and is a look."""
+        least = fail if look is None else look
         state: State = "pass"
         if fail is not None and value > fail:
             state = "fail"
-        elif look is not None and not value <= look:
+        elif least is not None and not value <= least:
             state = "look"
-        limit = fail if state == "fail" or look is None else look
+        limit = fail if state == "fail" else least
         advice = "" if state == "pass" else advice
         return self.check(state, sentence, value=float(value), limit=limit, advice=advice, **more)
 
