@@ -1,4 +1,4 @@
-# planish for clusters and servers (docs/how-to/cluster.md). Build the wheel first:
+# planish for clusters and servers (docs/how-to/cluster-image.md). Build the wheel first:
 #   python3 run.py wheel && docker build -t planish .
 FROM python:3.13-slim
 

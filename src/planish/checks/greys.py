@@ -73,7 +73,13 @@ def denser_coating(greys: Greys) -> float | None:
 
 
 def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
-    """Spike at the sheet's end of the grey scale: its height over what the bins beside it lead to, share, and grey."""
+    """Look for a spike in the histogram at the sheet's end of the grey scale, whatever type and level.
+
+    Returns
+    -------
+    float, float, float
+        Height of the spike over what the bins beside it lead to; share of the voxels in it; its grey.
+    """
     # Whole numbers are counted once: a large part of a volume is looked at.
     whole = sample.dtype.kind != "f"
     levels, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)

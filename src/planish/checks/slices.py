@@ -134,7 +134,12 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     """Find the faults of the slices of a window, in their order, by their numbers in the volume.
 
     ``assembled``: slices were put together from others, or are labels; only their order is looked at, whatever the grey
-    scale of each. Nothing is seen at either end, nor a missing slice where the body hardly changes, or in strong noise.
+    scale of each.
+
+    Notes
+    -----
+    Nothing is found at either end, nor a missing slice where the body hardly changes along the axis, or
+    in strong noise.
     """
     stack = _Stack.of(window, standardised=assembled)
     if stack is None or np.median(stack.d1) == 0:  # nothing changes along the axis

@@ -59,10 +59,22 @@ def read_windows(
     volume: xr.DataArray, *, through: Axis, sheet: tuple[int, int], points: Places | None = None, missing: float = 0.0,
     threads: int | None = None,
 ) -> WindowReading:  # fmt: skip
-    """Read a window along each axis of a volume (z, y, x), which may be lazy: parts along z, of whole chunks.
+    """Read a window along each of a volume's three axes.
 
-    ``sheet`` is the first and the last slice along the axis ``through`` the sheet that hold it; ``points`` (n, 3) are
-    voxels (z, y, x) whose grey is asked for; ``missing`` takes the place of NaN.
+    Parameters
+    ----------
+    volume : DataArray, dims (z, y, x)
+        May be lazy: parts are read along z, whole chunks of the file where it has some.
+    through : {"z", "y", "x"}
+        Axis through the sheet.
+    sheet : (int, int)
+        First and last slice along it that hold the sheet.
+    points : (n, 3) of int, optional
+        Voxels (z, y, x) whose grey is asked for.
+    missing : float
+        Takes the place of NaN.
+    threads : int, optional
+        The sums do not depend on it.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
     places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}

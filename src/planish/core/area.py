@@ -53,8 +53,19 @@ class AreaMeans:
 def area_mean(values: Rows, factor: Pair, *, least: float = 0.5) -> Floats:
     """Mean of ``values`` (rows, cols) over cells of ``factor`` pixels, which need not be whole numbers.
 
-    NaN is missing. ``factor`` is height and width of a cell in pixels, at least 1; a cell is NaN unless ``least`` of
-    its area is known. There are ``int(rows / factor), int(cols / factor)`` cells, as of :class:`AreaMeans`.
+    Parameters
+    ----------
+    values : (rows, cols)
+        NaN is missing.
+    factor : (float, float)
+        Height and width of a cell in pixels, at least 1.
+    least : float
+        A cell is NaN unless so much of its area is known.
+
+    Returns
+    -------
+    (int(rows / factor), int(cols / factor))
+        Cells as of :class:`AreaMeans`.
     """
     area_means = AreaMeans((values.shape[0], values.shape[1]), factor, least=least)
     for rows in bands(values.shape[0]):

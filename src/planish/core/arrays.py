@@ -39,8 +39,11 @@ IMAGE = Kind("image", ("y", "x"), "pixel_um")
 def check_volume(volume: object, call: str) -> tuple[float, ...]:
     """Return the voxel size (z, y, x) in um of a volume with coordinates.
 
-    InputError if it is something else; a VolumeError where it has other axes or values, a SizeError where it has no
-    size, contradicts itself, or its coordinates are not in um, not regular, or descend.
+    Raises
+    ------
+    InputError
+        If it is something else; a VolumeError where it has other axes or values, a SizeError where it has no size,
+        contradicts itself, or its coordinates are not in um, not regular, or descend.
     """
     return _checked(volume, VOLUME, call)
 

@@ -84,7 +84,12 @@ _CUT_SHORT = re.compile(r"\d+ requested and \d+ written")  # numpy's words where
 def write_whole(path: Path, data: bytes, *, over: bool = False) -> None:
     """Write a file that is not there yet, or over an older one of planish's own; where that fails, nothing is left.
 
-    FileError if the file is there already or cannot be written; ResourceError if the disk is full.
+    Raises
+    ------
+    FileError
+        If the file is there already or cannot be written.
+    ResourceError
+        If the disk is full.
     """
     check_name(path)
     if not over and (path.exists() or path.is_symlink()):
@@ -133,8 +138,14 @@ def move(source: Path, target: Path, *, over: bool = False) -> None:
     """Rename a file or folder; over a file that is there only with ``over``.
 
     Windows refuses it while another program has the file, or one in the folder, open: virus scanners, indexers and
-    programs that keep folders in step with a server do so for moments after a file was written. FileError if it is
-    still refused after some three seconds; OSError for whatever else keeps it from being renamed.
+    programs that keep folders in step with a server do so for moments after a file was written.
+
+    Raises
+    ------
+    FileError
+        If it is still refused after some three seconds.
+    OSError
+        Whatever else keeps it from being renamed.
     """
     _insist(lambda: (source.replace if over else source.rename)(target), target)
 
@@ -180,8 +191,19 @@ def disk_full(path: Path, needed: int | None = None) -> DiskFull:
 def new_file(path: Path, *, needed: int | None = None) -> Generator[Path]:
     """Give a hidden path to write a file to, part by part; it becomes ``path`` when the block ends well.
 
-    Its folder is made where it is not there; ``needed`` is about how many bytes it takes. FileError if the file is
-    there already or cannot be written; ResourceError if the disk is full.
+    Parameters
+    ----------
+    path : Path
+        It must not exist; its folder is made where it is not there.
+    needed : int, optional
+        About how many bytes it takes.
+
+    Raises
+    ------
+    FileError
+        If the file is there already or cannot be written.
+    ResourceError
+        If the disk is full.
     """
     partial = path.with_name(f".{path.name}.{secrets.token_hex(4)}.partial")
     with writing(path, needed=needed):

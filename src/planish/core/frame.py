@@ -108,8 +108,12 @@ class Frame:
 def likely_through(values: NDArray[Any] | LazyArray | xr.Variable) -> Axis | None:
     """Name the axis along which the mean grey changes most; None where two do, as with a round field of view.
 
-    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike. Some
-    slices of the values (z, y, x) are read.
+    A sheet fills some of the planes across its normal and none of the others; the planes along it are all alike.
+
+    Parameters
+    ----------
+    values : array (z, y, x)
+        Some slices of it are read.
     """
     import numpy as np
 

@@ -121,7 +121,13 @@ def toml_mistake(error: tomllib.TOMLDecodeError, text: str) -> str:
 def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> list[str]:
     """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
 
-    Names that are possible are taken from ``model``, that was validated; ``place`` gives key and line in the file.
+    Parameters
+    ----------
+    error : ValidationError
+    model : type
+        What was validated; names that are possible are taken from it.
+    place : callable
+        Gives key and line in the file.
     """
     sentences: list[tuple[int, str]] = []
     named_keys: set[Key] = set()

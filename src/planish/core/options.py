@@ -34,7 +34,10 @@ P = TypeVar("P", bound=Params)
 def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str) -> P:
     """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
-    InputError if it is something else, or has fields that are unknown or out of range; all faults are named.
+    Raises
+    ------
+    InputError
+        If it is something else, or has fields that are unknown or out of range; all faults are named.
     """
     if options is None or isinstance(options, model):
         return options or model()

@@ -235,7 +235,13 @@ class SeriesResults(ResultModel):
 
     @classmethod
     def read(cls, path: Path) -> Self:
-        """Read ``results.json`` of a series; FileError if it cannot be read, or is not of a series."""
+        """Read ``results.json`` of a series.
+
+        Raises
+        ------
+        FileError
+            If it cannot be read, or is not of a series.
+        """
         try:
             return cls.model_validate_json(read_text(path, what="results of a series"))
         except ValidationError as error:

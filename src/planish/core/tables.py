@@ -151,11 +151,28 @@ class CsvTable:
 def parse_table(
     text: str, name: str, *, needed: Sequence[str], error: type[PlanishError], advice: str = ""
 ) -> CsvTable:
-    """Make a table of a text with a header, of :func:`read_text`; ``name`` is that of the file.
+    """Make a table of a text with a header.
 
-    ``needed`` columns have to be there; others may be. ``advice`` is one sentence on what the table has to look like,
-    made of them where not given. :meth:`CsvTable.check` raises the faults of header and rows together with those noted
-    later; an empty table is an error at once, of the class ``error``.
+    Parameters
+    ----------
+    text, name : str
+        Of :func:`read_text`, and the name of the file.
+    needed : sequence of str
+        Columns that have to be there; others may be.
+    error : type
+        Class of the error for what is no such table.
+    advice : str
+        What the table has to look like, one sentence; made of `needed` where not given.
+
+    Returns
+    -------
+    CsvTable
+        With the faults of header and rows, which :meth:`CsvTable.check` raises together with those found later.
+
+    Raises
+    ------
+    PlanishError
+        Of the class `error`, if the table is empty.
     """
     advice = advice or f"The first row has to name the columns {', '.join(needed)}."
     parsed = split_rows(text)

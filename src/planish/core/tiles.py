@@ -99,8 +99,15 @@ class Engine:
     ) -> Iterator[tuple[Tile, Result]]:
         """Give every tile and its result, in the order of ``tiles``.
 
-        ``work``, a function of a module, gets the job of a tile and the tile, and returns one array. ``job`` gives what
-        it needs to know for a tile; for an executor of other processes it is sent there. ``step`` names what is kept.
+        Parameters
+        ----------
+        step : str
+            Names the results that are kept.
+        work : callable
+            A function of a module; it gets the job of a tile and the tile, and returns one array.
+        job : callable
+            Gives what ``work`` needs to know for a tile. For an executor of other processes it is sent there.
+        tiles : sequence of Tile
         """
         waiting: deque[tuple[Tile, Future[Result] | Result]] = deque()
 

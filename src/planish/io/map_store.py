@@ -136,8 +136,12 @@ class StoredMaps(HeldMaps):
 def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Dataset:
     """Give a group of a store whose maps stay there: each part is read when it is asked for.
 
-    Parts that were read stay in memory as far as ``cache`` has room for them. FileError if it is not there, or damaged;
-    the latter also when a part is read.
+    Parts that were read stay in memory as far as ``cache`` has room for them.
+
+    Raises
+    ------
+    FileError
+        If it is not there, or damaged; the latter also when a part is read.
     """
     cache = cache or PartCache(0)
     with readable(path):

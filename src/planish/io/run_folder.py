@@ -36,8 +36,14 @@ def new_folder(path: Path, *, inside: Path | None = None, needed: int | None = N
     """Give a hidden folder to write into; it becomes ``path`` when the block ends well, and vanishes when not.
 
     ``inside`` is an existing folder beside ``path`` where it may stand meanwhile, such as that of :func:`work_folder`,
-    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes. FileError if ``path``
-    exists or cannot be written; ResourceError if the disk is full.
+    which sweeps up what a killed process has left. ``needed`` is about how many bytes it takes.
+
+    Raises
+    ------
+    FileError
+        If ``path`` exists or cannot be written.
+    ResourceError
+        If the disk is full.
     """
     refuse_existing(path)
     check_length(path.absolute())
@@ -60,9 +66,13 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     """Give a hidden folder for what a run would not like to work out twice.
 
     It vanishes when the block ends, well or not. Only a process that was killed leaves it behind; the next run to
-    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one. FileError if another
-    process is writing to ``path`` at this moment, the folder cannot be made, or something that is not planish's has its
-    name: a link, a file, or a folder without the marker. Nothing is touched then.
+    ``path`` with the same ``key`` then finds what was in it, and with another key an empty one.
+
+    Raises
+    ------
+    FileError
+        If another process is writing to ``path`` at this moment, the folder cannot be made, or something that is not
+        planish's has its name: a link, a file, or a folder without the marker. Nothing is touched then.
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
@@ -110,7 +120,10 @@ def acquire_lock(lock: Path, path: Path) -> FileLock:
 def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> None:
     """Make a folder that carries a marker from its first moment, or leave the one that is there.
 
-    FileError if a link or a file stands at ``folder``: a link is never followed.
+    Raises
+    ------
+    FileError
+        If a link or a file stands at ``folder``: a link is never followed.
     """
     if is_link(folder) or (folder.exists() and not folder.is_dir()):
         kind = "a link" if is_link(folder) else "a file"
@@ -250,7 +263,12 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     """Read all groups of a store into memory, without the smaller copies of maps.
 
     Groups of half a gigabyte and more stay in the store, with their smaller copies: of those, each part is read when it
-    is asked for. FileError if there is no store, or it is damaged.
+    is asked for.
+
+    Raises
+    ------
+    FileError
+        If there is no store, or it is damaged.
     """
     _check_store(path)
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
@@ -278,7 +296,10 @@ def group_names(path: Path) -> list[str]:
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
     """Read one group of a store, or some of its variables; of half a gigabyte and more, part by part when asked for.
 
-    FileError if it is damaged.
+    Raises
+    ------
+    FileError
+        If it is damaged.
     """
     with readable(path):
         if name in large_groups(path):

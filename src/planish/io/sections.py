@@ -71,14 +71,25 @@ def read_section_stack(
         One number is the pixel size in um; of three, z has to be the median step of the counter. Not needed where the
         metadata state the pixel size.
     channel, override_size, unusual_size, memory_bytes
-        As in :func:`planish.io.read_volume`, also for the errors. The counter cannot be overridden; more than fits
-        stays in the files.
+        As in :func:`planish.io.read_volume`. The counter cannot be overridden; more than fits stays in the files.
+
+    Returns
+    -------
+    SectionStack
 
     Raises
     ------
+    FileError
+        If the counter or a file is missing, damaged, or no picture.
     VolumeError
         If counter and folder do not agree, positions do not increase, kinds are mixed, or sections differ in size or
         type.
+    SizeError
+        If the pixel size is missing, contradictory or impossible.
+    InputError
+        If there is no such channel.
+    ResourceError
+        If not even some photographs fit into the memory.
 
     Notes
     -----

@@ -122,9 +122,13 @@ def agreed_size(
 ) -> tuple[tuple[float, ...], str]:
     """Find the one size, in um along each axis, that metadata and user agree on, and where it comes from.
 
-    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size that
-    paper does not have is taken with `unusual` only. SizeError if it is missing on an axis, contradictory, or outside
-    the possible range.
+    `user_um`, one value for all axes or one each, is taken with `override` whatever the metadata state. A size
+    that paper does not have is taken with `unusual` only.
+
+    Raises
+    ------
+    SizeError
+        If it is missing on an axis, contradictory, or outside the possible range.
     """
     stating = [s for s in stated if any(v is not None for v in s.um)]
     sources = " and ".join(s.source for s in stating)

@@ -183,7 +183,13 @@ class Met(NamedTuple):
 
 
 def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
-    """Find where the rays meet the faces; SurfaceError if one is missing or the top lies below the bottom."""
+    """Find where the rays meet the faces.
+
+    Raises
+    ------
+    SurfaceError
+        If a surface is missing or the top lies below the bottom.
+    """
     lacking = [name for name in (*FACES, "centre", "status") if name not in surfaces]
     if lacking:
         raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")

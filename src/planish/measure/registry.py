@@ -273,7 +273,13 @@ def registered() -> dict[str, Property]:
 
 
 def find_property(name: str | Property) -> Property:
-    """Return a property by name; CannotMeasure, with those there are, if there is none."""
+    """Return a property by name.
+
+    Raises
+    ------
+    CannotMeasure
+        If there is none; the message lists those there are.
+    """
     if isinstance(name, Property):
         return name
     if name not in _REGISTERED:
@@ -324,7 +330,10 @@ def chosen(params: MeasureParams, greys: Greys) -> list[str]:
 def in_order(names: Sequence[str | Property], params: MeasureParams, greys: Greys) -> list[Property]:
     """Return the properties and all that they are made from, each after what it needs.
 
-    CannotMeasure if one is unknown, made from itself, or needs a number that is not given.
+    Raises
+    ------
+    CannotMeasure
+        If one is unknown, made from itself, or needs a number that is not given.
     """
     done: dict[str, Property] = {}
 

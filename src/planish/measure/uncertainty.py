@@ -141,8 +141,15 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: str) ->
     levels, which vary by 5 % (coating) and 10 % (base) of their contrast from place to place. Where a side has no
     coating there are h and b only. As t goes to 0, h and t cannot be told apart and the matrix becomes singular; below
     the thickness that equals its own standard error, that error is given. It says nothing about a wrong model: fringes,
-    burnt rims, fillers at the interface. ``thickness`` (rows, cols), um, is ignored without a coating; ``noise_um`` is
-    as from :func:`ray_noise`.
+    burnt rims, fillers at the interface.
+
+    Parameters
+    ----------
+    thickness : (rows, cols)
+        Of the layer, um; ignored without a coating.
+    noise_um : float
+        As from :func:`ray_noise`.
+    side : {"top", "bottom"}
     """
     blur = max(greys.blur_um, 1e-3)
     coat, base = greys.coating(side), greys.base

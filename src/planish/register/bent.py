@@ -201,7 +201,10 @@ class LocalStrain:
 def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrain:
     """Strain inside the hull of the marks, looked at on a grid of 65 x 65 over their extent and at the marks.
 
-    CannotRegister where the map folds, or changes its handedness against what was declared.
+    Raises
+    ------
+    CannotRegister
+        Where the map folds, or changes its handedness against what was declared.
     """
     middle = marks.mean(axis=0)
     middle_um = (float(middle[0]), float(middle[1]))

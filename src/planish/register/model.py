@@ -97,7 +97,10 @@ class ParametricModel(Model):
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
     """Weighted least squares by QR: parameters (p,) from design (n, 2, p) and target (n, 2).
 
-    CannotRegister if the marks leave a parameter free.
+    Raises
+    ------
+    CannotRegister
+        If the marks leave a parameter free.
     """
     q, r = whitened_qr(whitening, design, name)
     parameters = np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1))

@@ -86,9 +86,13 @@ def as_complex(points: Floats, mirrored: bool) -> Complexes:
 def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) -> tuple[Pairs, Ints]:
     """Bring marks and weights into one form, or name all their faults.
 
-    A pair that is given again counts once: the others have no information, and their numbers are returned. MarkError
-    wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs, a mark
-    with two partners, or all marks at one place.
+    A pair that is given again counts once: the others have no information, and their numbers are returned.
+
+    Raises
+    ------
+    MarkError
+        Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
+        a mark with two partners, or all marks at one place.
     """
     source, target = (points_of(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
     if len(source) != len(target):
@@ -204,7 +208,10 @@ def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, compl
 def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
     """Refuse marks that only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
 
-    MarkError with the remedy that fits the linear part found.
+    Raises
+    ------
+    MarkError
+        With the remedy that fits the linear part found.
     """
     if len(pairs) < 3:
         return

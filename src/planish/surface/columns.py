@@ -72,10 +72,16 @@ class Columns:
     def grey(
         self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)
     ) -> NDArray[np.float32]:
-        """Grey of the columns of a tile, (rows, cols, depth), or of a part of the depth; NaN is missing.
+        """Grey of the columns of a tile, (rows, cols, depth); NaN is missing.
 
-        ``slope``, two (rows, cols): how far the sheet rises in voxels from one voxel row, or column, to the next. The
-        voxels that a column is the mean of are moved by it to the nearest voxel; not with a part of the depth.
+        Parameters
+        ----------
+        tile : Tile
+        slope : two (rows, cols), optional
+            How far the sheet rises along the column from one voxel row to the next, and from one voxel column to the
+            next, in voxels. The voxels that a column is the mean of are moved by it to the nearest voxel.
+        depth : slice, optional
+            Part of the depth; not together with ``slope``.
         """
         raw = self.voxels(tile, depth)
         if self.step > 1:

@@ -30,7 +30,13 @@ _COATING_RATIO = 1.25  # a layer is a coating when it stands out from the base b
 
 
 def learn_priors(columns: Columns, guide: Guide, survey: Survey, params: SurfaceParams) -> Priors:
-    """Learn levels, blur and fringe from a sample of columns; VolumeError if the sheet does not stand out from air."""
+    """Learn the grey levels, the blur and the fringe from a sample of columns.
+
+    Raises
+    ------
+    VolumeError
+        If the core of the sheet does not stand out from the air.
+    """
     sampler = Sampler(columns, guide, survey)
     learner = _Learner(sampler, survey, params)
     base, base_sd = learner.base(sampler.sample(high=True))

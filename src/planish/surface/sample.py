@@ -77,7 +77,13 @@ class Sampler:
         return np.ascontiguousarray(part[:, ::-1]) if high else part
 
     def sample(self, *, high: bool) -> Sample:
-        """Columns read from one end; VolumeError if none shows both faces."""
+        """Columns read from one end.
+
+        Raises
+        ------
+        VolumeError
+            If no column shows both faces.
+        """
         per_row = max(1, 3000 // len(self.rows))  # columns that are fitted
         parts: list[Sample] = []
         for number, tile in enumerate(self.rows):

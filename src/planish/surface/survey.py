@@ -41,7 +41,13 @@ class Survey:
 
 
 def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Survey:
-    """Find the sheet roughly; VolumeError for none, several, or one that fills the volume from end to end."""
+    """Find the sheet roughly.
+
+    Raises
+    ------
+    VolumeError
+        If the volume holds no sheet, several, or one that fills it from end to end.
+    """
     depth = columns.shape[2]
     block, stride = _block(columns)
     flat = _sampled(columns, stride, engine).reshape(-1, depth)
@@ -72,7 +78,13 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
 
 
 def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tuple[CoarseSheet, float]:
-    """Find the sheet as :func:`take_survey` where 1 labels sheet and 0 all else; and the share of empty columns."""
+    """Find the sheet roughly where every voxel is labelled as sheet (1) or not (0); and the share of empty columns.
+
+    Raises
+    ------
+    VolumeError
+        As :func:`take_survey`.
+    """
     block = _block(columns)[0]
     _, shares, _ = _blocks(columns, block, engine)
     choice = make_choice(columns, block, shares.shape, params)
