@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
@@ -10,6 +9,7 @@ from planish.core.errors import FileError, InputError
 from planish.core.series_results import Member
 from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
 from planish.run.run import is_run
+from planish.run.study import relative_path
 
 _MOST_NAMES = 5
 
@@ -57,14 +57,6 @@ def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -
         Member(name=name, factors=of_run, run=relative_path(folder, home))
         for name, of_run, folder in zip(names, factors, folders, strict=True)
     )
-
-
-def relative_path(folder: Path, home: Path) -> str:
-    """Path of a folder from another one; absolute where none leads there, as between drives."""
-    try:
-        return Path(os.path.relpath(folder, home)).as_posix()
-    except ValueError:
-        return folder.as_posix()
 
 
 def _read_table(path: Path) -> CsvTable:

@@ -21,9 +21,9 @@ from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
 from planish.report import SmallMap, series_page, small_map
 from planish.run.run import MAPS
+from planish.run.study import relative_path
 from planish.series.declared import Declared, declared_of
 from planish.series.gather import FigureRow, gather
-from planish.series.members import relative_path
 from planish.series.summary import summary_of
 
 REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
