@@ -59,7 +59,7 @@ def test_too_few_holes_in_the_image(refuses, linked_run, holes_um, tmp_path, cou
 
 
 @pytest.mark.study
-def test_too_few_holes_in_the_volume(refuses, specimen, specimen_files, tmp_path):
+def test_too_few_holes_in_the_volume(planish, specimen, specimen_files, tmp_path):
     """Fill all holes of the volume but two with the sheet beside them."""
     volume = specimen.volume.values.copy()
     for u, v in specimen.sheet.holes[2:]:
@@ -70,11 +70,13 @@ def test_too_few_holes_in_the_volume(refuses, specimen, specimen_files, tmp_path
         donor = volume[:, ys][:, :, [max(xs[0] - 1, 0)]]
         volume[:, i, j] = np.broadcast_to(donor, volume[:, i, j].shape)
     path = write_volume(tmp_path / "filled.tif", volume)
-    refuses("link", path, specimen_files[1], words=("in the sheet", "hole"))
+    code, _, err = planish("link", path, specimen_files[1], "--out", tmp_path / "run")
+    assert (code, "in the sheet" in err, "hole" in err) == (3, True, True), err
+    assert not (tmp_path / "run").exists()
 
 
 @pytest.mark.study
-def test_symmetric_pattern(refuses, tmp_path):
+def test_symmetric_pattern(planish, tmp_path):
     """Four holes on a square fit in four ways."""
     square = [(400.0, 400.0), (900.0, 400.0), (900.0, 900.0), (400.0, 900.0)]
     size, voxel = 325, 4.0
@@ -85,7 +87,9 @@ def test_symmetric_pattern(refuses, tmp_path):
     volume += np.random.default_rng(0).normal(0, 4, volume.shape)
     path = write_volume(tmp_path / "square.tif", volume.astype(np.uint8))
     image = write_image(tmp_path / "square_image.tif", disc_image(square, (260, 260)))
-    refuses("link", path, image, words=("symmetric", "--marks"))
+    code, _, err = planish("link", path, image, "--out", tmp_path / "run")
+    assert (code, "symmetric" in err, "--marks" in err) == (3, True, True), err
+    assert not (tmp_path / "run").exists()
 
 
 def test_another_pattern_in_the_image_and_marks_that_do_not_fit(refuses, linked_run, tmp_path, specimen_files):

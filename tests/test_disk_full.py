@@ -60,7 +60,7 @@ def entries(folder: Path) -> list[str]:
 Moment = tuple[int, str]  # the limit, and the function or file that fails under it
 
 CASES: dict[str, tuple[Callable[[SimpleNamespace], tuple[object, ...]], Moment, Moment]] = {
-    "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "_keep")),
+    "map": (lambda given: ("map", given.corner), (0, "claim_folder"), (2000, "take")),
     "link": (lambda given: ("link", given.run, given.image), (0, "claim_folder"), (600_000, "report.html")),
     "import": (lambda given: ("import", given.volume), (0, "claim_folder"), (50_000, "_write_shards")),
     "specimen": (

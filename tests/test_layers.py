@@ -77,8 +77,11 @@ def test_a_size_may_be_that_of_one_layer_alone(passes, refuses, specimen_files, 
 @pytest.mark.study
 def test_two_volumes_show_the_same_material_at_the_same_pixel(specimen, other, other_files, specimen_files, other_run):
     # What write_instruments returned for the shared specimen.
+    volume, image = specimen_files
     voxel_um = (specimen.params.scanner.voxel_um,) * 3
-    files = InstrumentFiles(*specimen_files, voxel_um=voxel_um, through="z", to_physical=lambda points, _=None: points)
+    files = InstrumentFiles(
+        volume=volume, image=image, voxel_um=voxel_um, through="z", to_physical=lambda points, _=None: points
+    )
     found = link(f"first={specimen_files[0]}", f"second={other_run}")
     assert found.passed
     # Truth needs the run of either layer; the second one was mapped before.

@@ -8,6 +8,7 @@ import zipfile
 
 import numpy as np
 import pytest
+import tifffile
 
 from app.asgi import HOST, TOKEN, Client, run_apart
 from planish.app import Session, create_app, marks_routes
@@ -120,7 +121,7 @@ def test_every_window_hears_of_a_change(client, session):
 
 # --- the maps of a link that was refused -------------------------------------------------------------------------
 @pytest.mark.study
-def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run):
+def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run, tmp_path):
     maps, image = refused
     pairs = open_run(linked_run).marks
     pixel = float(np.diff(open_run(linked_run).linked.x.values)[0])
@@ -140,8 +141,10 @@ def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run):
     again = Session.open(maps, ImageParams(path=str(image), pixel_um=(pixel, pixel)))
     assert len(again.state.of(None)) == len(state["marks"])
     again.close()
+    bare = tmp_path / "bare.tif"
+    tifffile.imwrite(bare, tifffile.imread(image))  # states no size
     with pytest.raises(SizeError, match="pixel_um="):
-        _ = Session.open(maps, image, read_only=True).image
+        _ = Session.open(maps, bare, read_only=True).image
 
 
 def test_a_link_takes_no_other_image(linked_run, tmp_path):
