@@ -4,6 +4,7 @@ import csv
 import io
 import json
 import math
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
@@ -14,7 +15,6 @@ from tests.report.runs import a_run
 from planish.checks import CHECKS, HolesOnSheet, apply_checks
 from planish.cli import show
 from planish.core.checks import Check, CheckRule
-from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts
 from planish.results import Results
 from planish.run import summaries
@@ -79,15 +79,20 @@ def test_the_table_of_figures_says_what_is_doubtful_and_why():
     assert {row["trust"] for row in rows if row["figure"].startswith("r of")} == {"withheld"}
 
 
-def test_runs_whose_results_have_an_older_format_are_named(tmp_path):
+def test_results_of_format_2_are_read_with_their_gates_as_checks(tmp_path):
     (tmp_path / "run.toml").write_text("")
-    (tmp_path / "results.json").write_text(json.dumps(
-        {"format": 2, "planish": "0.2.0", "layers": [], "gates": [{"name": "marks", "passed": False}]}
-    ))  # fmt: skip
-    with pytest.raises(FileError, match=r"planish 0\.2\.0: its results have an older format.*planish run"):
-        Results.read(tmp_path / "results.json")
+    file = tmp_path / "results.json"
+    old = json.loads((Path(__file__).parent / "results_format_2.json").read_text())  # of the demo of planish 0.2.0
+    old["gates"][0]["passed"] = False
+    file.write_text(json.dumps(old))
+    results = Results.read(file)
+    assert (results.format, results.planish, results.state) == (3, "0.2.0", "fail")
+    assert [check.name for check in results.checks_in("fail")] == [old["gates"][0]["name"]]
+    assert [check.name for check in results.checks_in("unknown")] == ["version"]
+    assert results.correlations[0].r == old["correlations"][0]["r"]
+    assert Results.model_validate_json(results.to_json()) == results
     facts = show.run_facts(tmp_path)
-    assert facts["fail"] == ["marks"]
+    assert facts["fail"] == [old["gates"][0]["name"]]
     assert "made by planish 0.2.0: its results have an older format" in " ".join(show.run_lines(facts))
 
 

@@ -317,10 +317,7 @@ class Results(ResultModel):
                 f"{path.parent}/run.toml"
             )
         if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
-            raise FileError(
-                f"{path.parent} was made by planish {data.get('planish')}: its results have an older format. Its maps "
-                f"and its report.html stay readable. Repeat it with this version: planish run {path.parent}/run.toml"
-            )
+            data = _from_format_2(data)
         try:
             return cls.model_validate(data)
         except ValidationError as error:
@@ -329,3 +326,30 @@ class Results(ResultModel):
                 f"{path} is no results file of planish: {'.'.join(map(str, first['loc']))}: {first['msg']}. "
                 "Give a whole run folder, or repeat the run."
             ) from error
+
+
+_LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_bands_um")  # by later formats
+
+
+def _from_format_2(data: Any) -> Any:
+    """Bring what is read of a file of format 2 (planish 0.2.0) to that of today: its gates passed or failed."""
+    if isinstance(data, list):
+        return [_from_format_2(part) for part in data]  # type: ignore[reportUnknownVariableType]
+    if not isinstance(data, dict):
+        return data
+    parts: dict[str, Any] = {
+        name: _from_format_2(part) for name, part in data.items() if name not in (*_LEFT_OUT_OF_2, "gates")
+    }
+    if "gates" in data:
+        parts["format"] = FORMAT
+        parts["checks"] = [
+            {"name": gate["name"], "state": "pass" if gate["passed"] else "fail", "sentence": gate["sentence"],
+             "value": gate["value"], "limit": gate["limit"]}
+            for gate in data["gates"]
+        ]  # fmt: skip
+        parts["checks"].append({
+            "name": "version", "state": "unknown", "figures": ("correlation", "position"),
+            "sentence": f"Made by planish {data['planish']}, which made fewer checks and stated no intervals.",
+            "advice": "Repeat it with this version: planish run with the run.toml of this run.",
+        })  # fmt: skip
+    return parts
