@@ -28,15 +28,15 @@ def rolled(offset=OFFSET, frame=None):
 def test_a_rolled_sheet_has_the_length_of_its_neutral_surface(neutral, radius):
     surfaces, angle = rolled()
     found = flatten_sheet(surfaces, params=FlattenParams(neutral=neutral, mesh_um=24.0))
-    assert found.neutral == ("faces" if neutral == "faces" else "base")
+    assert found.quality.neutral == ("faces" if neutral == "faces" else "base")
     u = found.flat["u"].values
     np.testing.assert_allclose(u - u.mean(), radius * angle, atol=0.05)
 
 
 def test_the_mean_of_the_faces_where_no_middle_of_the_base_is_known():
     surfaces, _ = rolled()
-    assert flatten_sheet(surfaces.drop_vars("base_middle")).neutral == "faces"
-    assert flatten_sheet(surfaces.assign_attrs(method="paper")).neutral == "faces"
+    assert flatten_sheet(surfaces.drop_vars("base_middle")).quality.neutral == "faces"
+    assert flatten_sheet(surfaces.assign_attrs(method="paper")).quality.neutral == "faces"
     with pytest.raises(CannotFlatten, match="Leave neutral= out"):
         flatten_sheet(surfaces.drop_vars("base_middle"), params=FlattenParams(neutral="base"))
 

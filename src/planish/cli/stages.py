@@ -160,12 +160,10 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
     flattened = flatten_sheet(
         _read(surfaces, "surfaces", "'planish surface'"), params=build_params(FlattenParams, values, "flatten")
     )
-    summary = (
-        f"{flattened.outcome.value} Edge strain {100 * flattened.edge_strain_p95:.3f} % (p95), "
-        f"{flattened.folded_cells} folded cells"
-    )
+    q = flattened.quality
+    summary = f"{q.sentence} Edge strain {100 * (q.edge_strain_p95 or 0):.3f} % (p95), {q.folded_cells} folded cells"
     _write(out, {"flat": flattened.flat, "strain": flattened.strain}, summary)
-    return 4 if flattened.folded_cells else 0
+    return 4 if q.folded_cells else 0
 
 
 @verb("planish resample measured.zarr flat.zarr -o maps.zarr",

@@ -10,15 +10,12 @@ from scipy import ndimage
 
 from planish.core.facts import ResultModel, Value
 from planish.core.typing import Floats
-from planish.flatten.distortion import row_blocks
+from planish.flatten.distortion import node_blocks
 
 # Views of the nodes: corners a, b, c and a, c, d of all cells, counted around the cell from the upper left.
 _LOW, _HIGH = slice(-1), slice(1, None)
 _HALVES = (((_LOW, _LOW), (_LOW, _HIGH), (_HIGH, _HIGH)), ((_LOW, _LOW), (_HIGH, _HIGH), (_HIGH, _LOW)))
-_TRUNCATE = 3.0  # Gaussian windows end after so many standard deviations
-_RIM = 1 / 3  # width, in half-sizes of a patch, over which patches fade towards the outline
 _LIMIT = 0.005  # in-plane strain beyond which paper cockles or yields
-_LEAST = 0.5  # a patch counts where so much of its weight lies on the sheet
 
 
 class CurvatureVerdict(ResultModel):
@@ -109,42 +106,41 @@ def curvature_check(points: Floats, *, patch_um: float = 1000.0) -> CurvatureChe
     Slices shifted along the sheet's thickness imitate Gaussian curvature only where the sheet is bent within the slices
     too; a shift that grows evenly shears the stack, leaves a cylinder a cylinder and is not found here.
     """
-    rows, cols = points.shape[:2]
     lacking, area = _turn_and_area(points)
     inside = np.isfinite(lacking)
-    curvature = np.full((rows, cols), np.nan)
+    curvature = np.full(inside.shape, np.nan)
     if inside.any():
         lengths = (np.linalg.norm(np.diff(points, axis=axis), axis=-1) for axis in (0, 1))
         pitch = [float(np.median(k)) if k.size else np.inf for k in (e[np.isfinite(e)] for e in lengths)]
-        # Weights rise smoothly from 0 beside the nodes without a full turn to 1 at the rim's width from them.
+        # Weights rise smoothly from 0 beside the nodes without a full turn to 1 a third of the half-side from them.
         away = ndimage.distance_transform_edt(np.pad(inside, 1), sampling=pitch)[1:-1, 1:-1]
-        share = np.minimum(away / (patch_um * _RIM), 1.0)
+        share = np.minimum(away / (patch_um * (1 / 3)), 1.0)
         weight = share * share * (3 - 2 * share)
         window = [patch_um / np.sqrt(3) / p for p in pitch]
 
         def over_patch(values: Floats) -> Floats:
             weighted = np.where(inside, weight * values, 0.0)
-            return ndimage.gaussian_filter(weighted, window, mode="constant", truncate=_TRUNCATE)
+            return ndimage.gaussian_filter(weighted, window, mode="constant", truncate=3.0)
 
-        is_covered = inside & (over_patch(np.ones((rows, cols))) >= _LEAST)
+        is_covered = inside & (over_patch(np.ones(inside.shape)) >= 0.5)
         curvature[is_covered] = over_patch(lacking)[is_covered] / over_patch(area)[is_covered]
     strain = np.abs(curvature) * patch_um**2 / 16
     is_judged = np.isfinite(strain)
+    share = largest = np.nan
+    if is_judged.any():
+        share = float(area[strain > _LIMIT].sum() / area[is_judged].sum())
+        largest = float(strain[is_judged].max())
     return CurvatureCheck(
-        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT,
-        share=float(area[strain > _LIMIT].sum() / area[is_judged].sum()) if is_judged.any() else np.nan,
-        largest=float(strain[is_judged].max()) if is_judged.any() else np.nan,
-    )  # fmt: skip
+        curvature=curvature, strain=strain, patch_um=patch_um, limit=_LIMIT, share=share, largest=largest
+    )
 
 
 def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:
     """Give what the angles about each node lack of a full turn, and the area of a third of its triangles."""
     # Both (rows, cols); NaN unless the node has four whole cells, cut along their first diagonal, about it.
-    rows, cols = points.shape[:2]
-    angles, area = np.zeros((rows, cols)), np.zeros((rows, cols))
-    for part in row_blocks(rows - 1, cols):
-        block = points[part.start : part.stop + 1]
-        turn, share = angles[part.start : part.stop + 1], area[part.start : part.stop + 1]
+    angles, area = (np.zeros(points.shape[:2]) for _ in range(2))
+    for nodes in node_blocks(points):
+        block, turn, share = points[nodes], angles[nodes], area[nodes]
         for p, q, r in _HALVES:
             pq, pr = block[q] - block[p], block[r] - block[p]
             normal = np.cross(pq, pr)
@@ -158,8 +154,8 @@ def _turn_and_area(points: Floats) -> tuple[Floats, Floats]:
             for k in (p, q, r):
                 share[k] += twice / 6
     lacking = 2 * np.pi - angles
-    for k in (0, -1):  # nodes of the outline have no full turn
-        lacking[k], lacking[:, k] = np.nan, np.nan
+    # Nodes of the outline have no full turn.
+    lacking[[0, -1]] = lacking[:, [0, -1]] = np.nan
     area[np.isnan(lacking)] = np.nan
     return lacking, area
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,8 +15,8 @@ from planish.flatten.levels import Level
 
 # Weak tie of every node to its place, in spring constants: the sheet as a whole is free to shift and turn.
 _TIE = 1e-10
-# Ends of the four families of springs, as steps in row and column from the place where the spring is stored.
-_ENDS = (((0, 0), (0, 1)), ((0, 0), (1, 0)), ((0, 0), (1, 1)), ((0, 1), (1, 0)))
+# First and second ends of the four families of springs: steps in row and column from where the spring is stored.
+_ENDS = np.array([[(0, 0), (0, 0), (0, 0), (0, 1)], [(0, 1), (1, 0), (1, 1), (1, 0)]])
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,16 +34,12 @@ class Network:
         """Collect the springs of ``level``."""
         mask = level.nodes
         number = np.full((level.rows + 1, level.cols + 1), -1)
-        number[: level.rows, : level.cols][mask] = np.arange(np.count_nonzero(mask))
-        first, second, rest, stiff = [], [], [], []
-        for family, ends in enumerate(_ENDS):
-            long = level.rest[family, 1 : level.rows + 1, 1 : level.cols + 1]
-            rows, cols = np.nonzero(long > 0)
-            first.append(number[rows + ends[0][0], cols + ends[0][1]])
-            second.append(number[rows + ends[1][0], cols + ends[1][1]])
-            rest.append(long[rows, cols])
-            stiff.append(level.stiff[family, np.minimum(rows + 1, level.stiff.shape[1] - 1), cols + 1].astype(float))
-        return cls(mask, *(np.concatenate(part) for part in (first, second, rest, stiff)))
+        number[:-1, :-1][mask] = np.arange(np.count_nonzero(mask))
+        rest = level.inside(level.rest)
+        stiff = level.inside(np.broadcast_to(level.stiff, level.rest.shape))
+        family, rows, cols = np.nonzero(rest > 0)
+        first, second = (number[rows + step[family, 0], cols + step[family, 1]] for step in _ENDS)
+        return cls(mask, first, second, rest[family, rows, cols], stiff[family, rows, cols].astype(np.float64))
 
     def energy(self, uv: Floats) -> float:
         """Sum over the springs of k (l - L)^2 for the places ``uv`` (nodes, 2)."""
@@ -55,11 +52,10 @@ class Network:
         # Two nodes on one spot have no direction; such a spring pulls nowhere instead of to infinity.
         long = np.maximum(np.linalg.norm(step, axis=1), 1e-150)
         pull = step * (self.stiff * (1 - self.rest / long))[:, None]
-        out = np.zeros_like(uv)
-        for axis in (0, 1):
-            out[:, axis] = np.bincount(self.first, pull[:, axis], len(uv))
-            out[:, axis] -= np.bincount(self.second, pull[:, axis], len(uv))
-        return out
+        return np.stack(
+            [np.bincount(self.first, p, len(uv)) - np.bincount(self.second, p, len(uv)) for p in pull.T],
+            axis=1, dtype=np.float64,
+        )  # fmt: skip
 
     def matrix(self, uv: Floats, *, exact: bool) -> sparse.csc_array:
         """Half the second derivative of the energy, (2 nodes, 2 nodes), node by node (u, v).
@@ -82,9 +78,8 @@ class Network:
     def full_matrix(self, uv: Floats, *, exact: bool) -> Floats:
         """As ``matrix``, of a small network and without ties."""
         d, bend = self._directions(uv, exact)
-        ends = np.zeros((len(self.rest), len(uv)))
-        ends[np.arange(len(self.rest)), self.first] = -1.0
-        ends[np.arange(len(self.rest)), self.second] = 1.0
+        ends, springs = np.zeros((len(self.rest), len(uv))), np.arange(len(self.rest))
+        ends[springs, self.first], ends[springs, self.second] = -1.0, 1.0
         along = (d[:, None, :] * ends[:, :, None]).reshape(len(self.rest), -1)
         out = along.T @ ((self.stiff * (1 - bend))[:, None] * along)
         if exact:
@@ -101,18 +96,13 @@ class Network:
         return step / long[:, None], bend
 
 
-_NEWTON_STEPS = 60
-
-
 class StiffnessSolver:
     """Stiffness at given places: answers forces with moves, the sheet as a whole staying where it is."""
 
     def __init__(self, network: Network, uv: Floats, *, exact: bool = False) -> None:
-        centred = uv - uv.mean(axis=0)
         # Shifts, and the turn about the middle, at right angles to them.
-        rigid = np.zeros((len(uv), 2, 3))
-        rigid[:, 0, 0] = rigid[:, 1, 1] = 1.0
-        rigid[:, 0, 2], rigid[:, 1, 2] = -centred[:, 1], centred[:, 0]
+        rigid = np.tile(np.eye(2, 3), (len(uv), 1, 1))
+        rigid[:, :, 2] = (uv - uv.mean(axis=0))[:, ::-1] * (-1, 1)
         flat = rigid.reshape(-1, 3)
         self._rigid = flat / np.maximum(np.sqrt(np.sum(flat * flat, axis=0)), 1e-300)
         self._matrix: Floats | None = None
@@ -128,7 +118,7 @@ class StiffnessSolver:
                 diag_pivot_thresh=0.0,
             ).solve
 
-    @property
+    @cached_property
     def inverse(self) -> Floats | None:
         """Moves for unit forces, (2 nodes, 2 nodes); None for a network that is too large for that."""
         if self._matrix is None:
@@ -150,7 +140,7 @@ def relax_exactly(network: Network, uv: Floats, *, tolerance: float = 1e-10) -> 
     A step is shortened until the energy falls.
     """
     now = network.energy(uv)
-    for _ in range(_NEWTON_STEPS):
+    for _ in range(60):
         move = StiffnessSolver(network, uv, exact=True)(network.forces(uv))
         if not np.isfinite(move).all():
             return uv

@@ -21,7 +21,6 @@ Index = NDArray[np.intp]
 _CORNERS = np.array([[[0, 0], [0, 1], [1, 1]], [[0, 0], [1, 1], [1, 0]]], dtype=np.intp)
 # Behind each edge of each half: rows down, columns across, and which half.
 _BEHIND = np.array([[[-1, 0, 1], [0, 1, 1], [0, 0, 1]], [[0, 0, 0], [1, 0, 0], [0, -1, 0]]], dtype=np.intp)
-_LONGEST = 20  # times rows + cols: no line crosses so many triangles unless it winds through folded cells
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,9 +77,8 @@ def geodesic_error(points: Floats, uv: Floats, *, rng: np.random.Generator, pair
     whole = whole_cells(points, uv)
     error = np.empty(0)
     if whole.any():
-        flat, space = trace_lines(points, uv, random_places(whole, pairs, rng), random_places(whole, pairs, rng))
-        used = np.isfinite(space) & (space > 0)
-        error = np.abs(flat[used] / space[used] - 1)
+        flat, space = trace_lines(points, uv, *(random_places(whole, pairs, rng) for _ in range(2)))
+        error = np.abs(flat[space > 0] / space[space > 0] - 1)
     p50, p95, largest = percentiles(error, 50, 95, 100)
     return GeodesicError(p50=p50, p95=p95, largest=largest, used=error.size, dropped=pairs - error.size)
 
@@ -94,11 +92,8 @@ def whole_cells(points: Floats, uv: Floats) -> Bools:
 def triangle_areas(grid: Floats) -> tuple[Floats, Floats]:
     """Twice the signed areas of the triangles (a, b, c) and (a, c, d) of each cell; NaN where a corner is missing."""
     a, b, c, d = grid[:-1, :-1], grid[:-1, 1:], grid[1:, 1:], grid[1:, :-1]
-
-    def area(p: Floats, q: Floats) -> Floats:
-        return p[..., 0] * q[..., 1] - p[..., 1] * q[..., 0]
-
-    return area(b - a, c - a), area(c - a, d - a)
+    (bx, by), (cx, cy), (dx, dy) = (np.moveaxis(corner - a, -1, 0) for corner in (b, c, d))
+    return bx * cy - by * cx, cx * dy - cy * dx
 
 
 def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float = 0.0) -> Bools:
@@ -118,8 +113,8 @@ def folded_cells(points: Floats, uv: Floats, *, side: float = 1.0, floor: float 
 
 def random_places(whole: Bools, count: int, rng: np.random.Generator) -> MeshPoints:
     """Draw ``count`` places: every triangle of the whole cells is as likely, and every place in it."""
-    cells = np.flatnonzero(whole)
-    row, col = np.divmod(cells[rng.integers(cells.size, size=count)], whole.shape[1])
+    cells = np.argwhere(whole)
+    row, col = cells[rng.integers(len(cells), size=count)].T
     half = rng.integers(2, size=count)
     return MeshPoints(row=row, col=col, half=half, weights=rng.dirichlet(np.ones(3), size=count))
 
@@ -137,7 +132,7 @@ def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) 
     inside = np.pad(whole_cells(points, uv), 1)
     first, goal = start.on(uv), end.on(points)
     along = end.on(uv) - first
-    flat = np.hypot(along[:, 0], along[:, 1])
+    flat = np.hypot(*along.T)
     space = np.full(flat.size, np.nan)
     target = np.stack([end.row, end.col, end.half], axis=1)
     turned = np.stack(triangle_areas(uv))[start.half, start.row, start.col] < 0
@@ -145,7 +140,8 @@ def trace_lines(points: Floats, uv: Floats, start: MeshPoints, end: MeshPoints) 
     # Lines that have not arrived: number, triangle; and last place on the surface, length so far.
     walk: Index = np.stack([np.arange(flat.size), start.row, start.col, start.half], axis=1)
     path: Floats = np.column_stack([start.on(points), np.zeros(flat.size)])
-    for _ in range(_LONGEST * sum(points.shape[:2])):
+    # No line crosses so many triangles unless it winds through folded cells.
+    for _ in range(20 * sum(points.shape[:2])):
         has_arrived = (walk[:, 1:] == target[walk[:, 0]]).all(axis=1)
         arrived = walk[has_arrived, 0]
         space[arrived] = path[has_arrived, 3] + np.linalg.norm(goal[arrived] - path[has_arrived, :3], axis=1)
@@ -175,10 +171,9 @@ def _leave_triangles(
     begin, stop = ((np.arange(line.size), (edge + k) % 3) for k in (0, 1))
     crosses = leaves.any(axis=1)  # not so where a line starts so close to an edge that rounding put it outside
     share = left[begin] / np.where(crosses, left[begin] - left[stop], 1.0)
-    a = points[corner][begin]
-    exits = a + share[:, None] * (points[corner][stop] - a)
+    a, b = points[corner][begin], points[corner][stop]
     down, across, half = _BEHIND[half, edge].T
-    return exits, np.stack([line, row + down, col + across, half], axis=1), crosses
+    return a + share[:, None] * (b - a), np.stack([line, row + down, col + across, half], axis=1), crosses
 
 
 _BLOCK = 100_000  # nodes worked on at a time, so that scratch arrays stay small beside the mesh
@@ -306,15 +301,15 @@ def cell_strain(points: Floats, uv: Floats) -> xr.Dataset:
     not. Axial strains and shear apart, because springs along the edges bear the former and diagonal ones the latter
     (Hirn et al. 2009, section 2.3.1).
     """
-    parts = [slice(part.start, part.stop + 1) for part in row_blocks(points.shape[0] - 1, points.shape[1] - 1)]
-    blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in parts]
+    blocks = [_block_strain(points[nodes], uv[nodes]) for nodes in node_blocks(points)]
     return xr.Dataset({name: (("row", "col"), np.concatenate([b[name] for b in blocks])) for name in blocks[0]})
 
 
-def row_blocks(rows: int, cols: int) -> Iterator[slice]:
-    """Cut ``rows`` into slices that hold a bounded number of nodes."""
-    step = max(1, _BLOCK // max(cols, 1))
-    return (slice(k, min(k + step, rows)) for k in range(0, rows, step))
+def node_blocks(points: Floats) -> Iterator[slice]:
+    """Cut the rows of a mesh into slices that share a row."""
+    rows, cols = points.shape[0] - 1, points.shape[1]
+    step = max(1, _BLOCK // cols)
+    return (slice(k, min(k + step, rows) + 1) for k in range(0, rows, step))
 
 
 def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
@@ -322,12 +317,14 @@ def boundary_lengths(points: Floats, uv: Floats) -> tuple[float, float]:
     inside = np.pad(whole_cells(points, uv), 1)
     across = inside[1:, 1:-1] != inside[:-1, 1:-1]  # (rows, cols - 1): edges along rows
     down = inside[1:-1, 1:] != inside[1:-1, :-1]  # (rows - 1, cols)
-    total = [0.0, 0.0]
-    for edges, step in ((across, (0, 1)), (down, (1, 0))):
-        i, j = np.nonzero(edges)
-        for k, nodes in enumerate((points, uv)):
-            total[k] += float(np.linalg.norm(nodes[i + step[0], j + step[1]] - nodes[i, j], axis=1).sum())
-    return total[0], total[1]
+    in_space, in_plane = (
+        sum(
+            float(np.linalg.norm(np.diff(nodes, axis=axis)[edges], axis=1).sum())
+            for edges, axis in ((across, 1), (down, 0))
+        )
+        for nodes in (points, uv)
+    )
+    return in_space, in_plane
 
 
 def _block_strain(points: Floats, uv: Floats) -> dict[str, Floats]:
@@ -361,8 +358,10 @@ def _cell_edges(nodes: Floats) -> tuple[Floats, Floats]:
 
 
 def _spread(values: Floats) -> Spread:
-    (median, p5, p95), (p95_abs, max_abs) = percentiles(values, 50, 5, 95), percentiles(np.abs(values), 95, 100)
-    return Spread(median=median, p5=p5, p95=p95, p95_abs=p95_abs, max_abs=max_abs)
+    names = ("median", "p5", "p95", "p95_abs", "max_abs")
+    return Spread(
+        **dict(zip(names, percentiles(values, 50, 5, 95) + percentiles(np.abs(values), 95, 100), strict=True))
+    )
 
 
 def _against_projection(points: Floats, uv: Floats) -> tuple[float, float, float, Floats]:

@@ -23,9 +23,6 @@ from planish.flatten._mesh_kernels import coarsen, rest_lengths
 
 Single = NDArray[np.float32]
 
-_LEAST = 5  # meshes of fewer rows or columns are not halved any more
-_WORTH = 100_000  # nodes above which a second thread pays for being woken
-
 
 class Team(ThreadPoolExecutor):
     """Threads that share the rows of a pass; what a pass writes does not depend on their number."""
@@ -36,15 +33,12 @@ class Team(ThreadPoolExecutor):
 
     def parts(self, rows: int, cols: int) -> list[tuple[int, int]]:
         """Shares of the padded rows 1 ... rows."""
-        count = min(self.threads, rows) if rows * cols >= _WORTH else 1
-        cuts = [1 + rows * k // count for k in range(count + 1)]
-        return list(itertools.pairwise(cuts))
+        # With fewer nodes, a second thread does not pay for being woken.
+        count = min(self.threads, rows) if rows * cols >= 100_000 else 1
+        return list(itertools.pairwise(1 + rows * k // count for k in range(count + 1)))
 
     def run(self, kernel: Callable[..., Any], parts: list[tuple[int, int]], *args: Any) -> None:
         """Call ``kernel(*args, r0, r1)`` for all parts."""
-        if len(parts) == 1:
-            kernel(*args, *parts[0])
-            return
         self.each(kernel, [(*args, *part) for part in parts])
 
     def each(self, kernel: Callable[..., Any], calls: list[tuple[Any, ...]]) -> None:
@@ -59,14 +53,14 @@ class Team(ThreadPoolExecutor):
             done.result()
 
 
-def padded(components: int, rows: int, cols: int, dtype: type, make: Callable[..., Any] = np.zeros) -> NDArray[Any]:
+def padded(components: int, rows: int, cols: int, dtype: type) -> NDArray[Any]:
     """Zeros (components, rows + 2, width), with a ring of padding; rows start on a multiple of 64 bytes."""
-    return make((components, rows + 2, (cols + 3 + 15) // 16 * 16), dtype)
+    return np.zeros((components, rows + 2, (cols + 3 + 15) // 16 * 16), dtype)
 
 
 def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
     """Array (2, rows + 2, width) with FAR in the padding and no values yet inside."""
-    out = padded(2, rows, cols, dtype, np.empty)
+    out = np.empty_like(padded(2, rows, cols, dtype))
     out[:, [0, rows + 1]] = FAR
     out[:, :, 0] = FAR
     out[:, :, cols + 1 :] = FAR
@@ -96,15 +90,18 @@ class Level:
     def open(self) -> None:
         """Make the arrays of the solver; ``xy`` and ``near`` have no values yet except in the padding."""
         self.xy, self.near = (bordered(self.rows, self.cols, dtype) for dtype in (np.float64, np.float32))
-        self.ease = padded(1, self.rows, self.cols, np.float32)[0]
-        self.move = padded(2, self.rows, self.cols, np.float32)
-        self.force = padded(2, self.rows, self.cols, np.float32)
+        self.ease, self.move, self.force = (padded(n, self.rows, self.cols, np.float32) for n in (1, 2, 2))
+        self.ease = self.ease[0]
         self.sums = np.zeros((self.rows + 2, 2))
         self.alone = np.zeros((2, 2, self.move.shape[2]), np.float32)
 
     def drop_springs(self) -> None:
         """Give back the memory of the springs, which only the forces need."""
         self.rest = np.empty((4, 0, 0))
+
+    def inside(self, padded: NDArray[Any]) -> NDArray[Any]:
+        """View of an array without its padding."""
+        return padded[..., 1 : self.rows + 1, 1 : self.cols + 1]
 
     @property
     def nodes(self) -> Bools:
@@ -114,13 +111,7 @@ class Level:
         is_held[:, 1:] |= across[:, :-1] | left[:, :-1]
         is_held[1:] |= down[:-1] | left[:-1]
         is_held[1:, 1:] |= right[:-1, :-1]
-        return is_held[1 : self.rows + 1, 1 : self.cols + 1]
-
-    def clear(self) -> None:
-        """Take away the places of what is not a node."""
-        gone = ~self.nodes
-        for places in (self.xy, self.near):
-            places[:, 1 : self.rows + 1, 1 : self.cols + 1][:, gone] = FAR
+        return self.inside(is_held)
 
 
 def of_springs(nodes: NDArray[Any], pair: Callable[..., Any], out: NDArray[Any]) -> NDArray[Any]:
@@ -141,16 +132,7 @@ def halve(level: Level, team: Team) -> Level:
     return Level(rows, cols, parts, rest, stiff)
 
 
-def hierarchy(level: Level, team: Team) -> list[Level]:
-    """Return the level and its coarser ones, finest first."""
-    levels = [level]
-    while min(levels[-1].rows, levels[-1].cols) > _LEAST:
-        levels.append(halve(levels[-1], team))
-    return levels
-
-
 TRUSTED = 0.1  # share of the median weight below which a node does not count in the flattening
-_BRACE = 0.01  # stiffness of springs to made-up nodes: enough to hold a loose corner, too little to steer the sheet
 
 
 def mean_pitch(points: Floats) -> float:
@@ -192,7 +174,7 @@ def make_springs(points: Floats, pitch: float, rest: Literal["arc", "chord"], te
 def stiffen(level: Level, weights: Floats) -> None:
     """Give every spring the weight of its less certain end."""
     stiff = padded(4, level.rows, level.cols, np.float32)
-    of_springs(weights.astype(np.float32), np.minimum, stiff[:, 1 : level.rows + 1, 1 : level.cols + 1])
+    of_springs(weights.astype(np.float32), np.minimum, level.inside(stiff))
     stiff[level.rest == 0] = 0.0
     level.stiff = stiff
 
@@ -216,9 +198,8 @@ def loose_nodes(is_node: Bools) -> tuple[Bools, NDArray[np.intp]]:
         return is_node.copy(), np.zeros(0, dtype=np.intp)
     cells = (labels == np.argmax(sizes)) & (corners >= 3)
     is_held = np.zeros_like(is_node)
-    for i in (0, 1):
-        for j in (0, 1):
-            is_held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
+    for i, j in itertools.product((0, 1), repeat=2):
+        is_held[i : i + cells.shape[0], j : j + cells.shape[1]] |= cells
     return is_node & ~is_held, sizes[sizes > 0]
 
 
@@ -234,9 +215,10 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
         return points, weights
     around = ndimage.binary_dilation(is_missing, structure=np.ones((3, 3), dtype=bool), iterations=2)
     part = is_missing | (is_trusted & around)
+    rows, cols = np.nonzero(part)
+    size = rows.size
     number = np.full(is_missing.shape, -1)
-    number[part] = np.arange(np.count_nonzero(part))
-    size = int(np.count_nonzero(part))
+    number[part] = np.arange(size)
 
     def differences(weights: tuple[float, ...]) -> sparse.csr_array:
         """Sums of as many nodes in a row or a column, with these weights, wherever all of them take part."""
@@ -252,7 +234,6 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
     slope = differences((1.0, -1.0))
     is_free = is_missing[part]
     # The pull acts on the deviation from a plane, which leaves linear maps alone.
-    rows, cols = np.nonzero(part)
     fixed = points[part][~is_free]
     basis = np.stack([np.ones(size), rows, cols], axis=1)
     plane = basis @ np.linalg.lstsq(basis[~is_free], fixed, rcond=None)[0]
@@ -260,4 +241,5 @@ def impute_nodes(points: Floats, weights: Floats | None, is_trusted: Bools, is_m
     solve = splu((matrix[is_free][:, is_free] + 1e-14 * sparse.eye_array(int(is_free.sum()))).tocsc()).solve
     values = solve(-(matrix[is_free][:, ~is_free] @ (fixed - plane[~is_free])))
     points[is_missing] = plane[is_free] + values
-    return points, np.where(is_missing, _BRACE * weights.max(), weights)
+    # Stiff enough to hold a loose corner, too weak to steer the sheet.
+    return points, np.where(is_missing, 0.01 * weights.max(), weights)

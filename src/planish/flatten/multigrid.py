@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 from scipy import ndimage
@@ -21,7 +20,7 @@ from planish.core.typing import Floats
 from planish.flatten._kernels import FAR, advance, descend, forces, prepare, restrict, smooth, survey
 from planish.flatten._mesh_kernels import hold_open, interpolate
 from planish.flatten.direct import Network, StiffnessSolver, relax_exactly
-from planish.flatten.levels import Level, Single, Team
+from planish.flatten.levels import Level, Single, Team, halve
 
 # Smoothing works on the part of the spectrum that the coarser mesh does not see: a node's own stiffness divides its
 # matrix so that eigenvalues reach 2 (a little more near borders); those of waves shorter than four nodes begin at 1/2.
@@ -39,12 +38,6 @@ _TWICE = _weights(2, _LOW)
 _FOUR = _weights(4, 0.15)
 
 _STILL = 3e-6  # mean error of places, in pitches, below which a mesh is at rest whatever its energy
-_ROUGHLY = 0.1  # tolerance on the coarser levels: one step, as a rule
-# Levels handed to ``descend``, the last one repeated: another number would be compiled anew. No mesh has more that are
-# the work of one thread.
-_CHAIN = 8
-_STEPS = 300
-_ROUGH = 0.02  # share of the energy gained by a level's first step above which the next finer one is taken as rough
 _SLOW = 0.25  # share of the gain of the step before above which the directions of the steps are made conjugate
 OPEN = 0.02  # share of its area at rest down to which a step may close a cell
 _HALVINGS = 40  # of a step that would close a cell, or raise the energy
@@ -68,70 +61,63 @@ def _dot(a: Single, b: Single) -> float:
 class Multigrid:
     """Relaxation of a hierarchy of meshes."""
 
-    def __init__(self, levels: list[Level], team: Team, *, gaps: bool, side: float, guarded: bool) -> None:
-        self.levels = levels
-        self.team = team
-        self.gaps = gaps
-        self.side = side
-        self.guarded = guarded
+    def __init__(self, finest: Level, team: Team, *, gaps: bool, side: float, guarded: bool) -> None:
+        self.levels = [finest]
+        while min(self.levels[-1].rows, self.levels[-1].cols) > 5:
+            self.levels.append(halve(self.levels[-1], team))
+        self.team, self.gaps, self.side, self.guarded = team, gaps, side, guarded
         self.history: list[Step] = []
         self.rate = 0.1  # share of the excess energy that a cycle is expected to leave, before one has been observed
-        self._twice = True
-        self._rough = False
-        self._chains: dict[int, tuple[Any, ...]] = {}
+        self._twice, self._rough = True, False
         # From here on a level is the work of one thread.
-        self._small = next((k for k, level in enumerate(levels) if k and len(level.parts) == 1), len(levels))
+        self._small = next((k for k, level in enumerate(self.levels) if k and len(level.parts) == 1), len(self.levels))
 
     def run(self, tolerance: float) -> Outcome:
-        """Relax all levels, from the mean rest lengths between columns and rows; the finest one to ``tolerance``."""
-        level = self.levels[-1]
-        inside = level.rest[:, 1 : level.rows + 1, 1 : level.cols + 1]
+        """Relax all levels, the finest one to ``tolerance``."""
+        self._start(self.levels[-1])
+        outcome = Outcome.RESTED
+        for k in range(len(self.levels) - 2, -1, -1):
+            coarse, fine = self.levels[k + 1], self.levels[k]
+            coarse.drop_springs()
+            fine.open()
+            self.team.run(interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps)
+            if self.gaps:
+                gone = ~fine.nodes
+                fine.inside(fine.xy)[:, gone] = fine.inside(fine.near)[:, gone] = FAR
+            self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
+            # One step, as a rule: what is left on a coarse level is less than what the finer one adds.
+            outcome = self.relax(k, tolerance if k == 0 else 0.1)
+        return outcome
+
+    def _start(self, level: Level) -> None:
+        """Relax the coarsest mesh exactly, from the mean rest lengths between columns and rows."""
         places: list[Floats] = []
-        for lengths, axis, count in ((inside[0], 0, level.cols), (inside[1], 1, level.rows)):
+        for lengths, axis, count in zip(level.inside(level.rest), (0, 1), (level.cols, level.rows), strict=False):
             is_spring = lengths > 0
             mean = lengths.sum(axis=axis) / np.maximum(is_spring.sum(axis=axis), 1)
             typical = lengths[is_spring].mean() if is_spring.any() else 1.0
             mean = np.where(mean > 0, mean, typical)[: count - 1]
             places.append(np.concatenate([[0.0], np.cumsum(mean)]))
-        self.start(level, np.stack(np.meshgrid(self.side * places[0], places[1]), axis=-1)[level.nodes])
-        outcome = Outcome.RESTED
-        for k in range(len(self.levels) - 2, -1, -1):
-            self.refine(self.levels[k + 1], self.levels[k])
-            # What is left on a coarse level is less than what the finer one adds.
-            outcome = self.relax(k, tolerance if k == 0 else _ROUGHLY, _STEPS)
-        return outcome
-
-    def start(self, level: Level, places: Floats) -> None:
-        """Set the places of the coarsest mesh to (nodes, 2), relaxed exactly."""
         level.open()
         self._network = Network.of(level)
-        uv = relax_exactly(self._network, places, tolerance=1e-10 if len(self.levels) == 1 else 0.3)
-        for coordinates in (level.xy, level.near):
-            inside = coordinates[:, 1 : level.rows + 1, 1 : level.cols + 1]
+        mask = self._network.mask
+        grid = np.stack(np.meshgrid(self.side * places[0], places[1]), axis=-1)
+        uv = relax_exactly(self._network, grid[mask], tolerance=1e-10 if len(self.levels) == 1 else 0.3)
+        for inside in (level.inside(level.xy), level.inside(level.near)):
             inside[:] = FAR
-            inside[:, self._network.mask] = uv.T
+            inside[:, mask] = uv.T
         self._exact = StiffnessSolver(self._network, uv)
-        self._inverse = self._exact.inverse
-        if self._inverse is None:
+        if self._exact.inverse is None:
             self._small = len(self.levels)
 
-    def refine(self, coarse: Level, fine: Level) -> None:
-        """Take the places of ``fine`` from ``coarse``."""
-        coarse.drop_springs()
-        fine.open()
-        self.team.run(interpolate, fine.parts, coarse.xy, fine.xy, fine.near, fine.cols, coarse.cols, self.gaps)
-        if self.gaps:
-            fine.clear()
-        self.team.run(prepare, fine.parts, fine.near, fine.stiff, fine.ease, fine.cols)
-
-    def relax(self, k: int, tolerance: float, most: int) -> Outcome:
+    def relax(self, k: int, tolerance: float) -> Outcome:
         """Step on level ``k`` until the excess of energy over the minimum is below ``tolerance`` times the energy."""
         level = self.levels[k]
         count = level.rows * level.cols
         gains: list[float] = []
         slow = 0
         last: tuple[Single, Single, float] | None = None  # forces, move and their product at the step before
-        for step in range(most):
+        for step in range(300):
             energy = self.balance(level)
             short = k == 0 and step == 0 and self._rough
             if short:
@@ -159,7 +145,8 @@ class Multigrid:
             if not np.isfinite(gain):
                 return Outcome.NOT_FINITE
             if step == 0:
-                self._rough = gain > _ROUGH * energy
+                # The next finer level is then taken as rough, too.
+                self._rough = gain > 0.02 * energy
             if short:
                 continue
             gains.append(gain)
@@ -224,19 +211,19 @@ class Multigrid:
         # The level below is corrected twice where it counts: else its own errors, and those below it, add up.
         level = self.levels[k]
         if depth > 1 and k >= self._small:
-            if k not in self._chains:
-                last = len(self.levels) - 1 - k
-                part = [*self.levels[k:], *self.levels[-1:] * (_CHAIN - 1 - last)]
-                names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
-                arrays = (tuple(getattr(level, name) for level in part) for name in names)
-                nodes = (1 + index for index in np.nonzero(self._network.mask))
-                self._chains[k] = (*arrays, last, self._exact.inverse, *nodes)
-            descend(*self._chains[k], *_TWICE, _ONCE)  # pyright: ignore[reportCallIssue]
+            # ``descend`` takes eight levels, the last one repeated: another number would be compiled anew. No mesh has
+            # more that are the work of one thread.
+            last = len(self.levels) - 1 - k
+            part = [*self.levels[k:], *self.levels[-1:] * (7 - last)]
+            names = ("near", "stiff", "ease", "force", "move", "alone", "cols")
+            arrays = (tuple(getattr(level, name) for level in part) for name in names)
+            nodes = (1 + index for index in np.nonzero(self._network.mask))
+            descend(*arrays, last, self._exact.inverse, *nodes, *_TWICE, _ONCE)
             return
         if k == len(self.levels) - 1:
-            inside = np.s_[:, 1 : level.rows + 1, 1 : level.cols + 1]
-            move = self._exact(level.force[inside][:, self._network.mask].T.astype(np.float64))
-            level.move[inside][:, self._network.mask] = move.T
+            mask = self._network.mask
+            move = self._exact(level.inside(level.force)[:, mask].T.astype(np.float64))
+            level.inside(level.move)[:, mask] = move.T
             return
         coarse = self.levels[k + 1]
         self._smooth(0, level, level, *_TWICE)

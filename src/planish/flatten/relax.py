@@ -19,7 +19,6 @@ from planish.flatten.levels import (
     TRUSTED,
     Level,
     Team,
-    hierarchy,
     impute_nodes,
     loose_nodes,
     make_springs,
@@ -267,31 +266,29 @@ def _handedness(target: Floats) -> float:
 
 def _multigrid(level: Level, side: float, team: Team, tolerance: float, *, gaps: bool) -> Run:
     """Relax by multigrid, and once more with steps that may close no cell where cells folded."""
-    finest = level.rows * level.cols
-    history: tuple[Step, ...] = ()
+    history: list[Step] = []
     outcome = Outcome.NOT_FINITE
     for guarded in (False, True):
-        solver = Multigrid(hierarchy(level, team), team, gaps=gaps, side=side, guarded=guarded)
+        solver = Multigrid(level, team, gaps=gaps, side=side, guarded=guarded)
         outcome = solver.run(tolerance)
-        history += tuple(solver.history)
+        history += solver.history
         if outcome in (Outcome.RESTED, Outcome.OUT_OF_STEPS) and count_folds(level, team, side)[1] == 0:
             break
-    return sum(step.nodes == finest for step in history), outcome, history
+    return sum(step.nodes == level.rows * level.cols for step in history), outcome, tuple(history)
 
 
 def _relaxation(level: Level, points: Floats, start: Floats, method: Method | RelaxationParams) -> Run:
     """Relax by the damped motion of Hirn et al. (2009), from the places ``start`` in pitches."""
     start = np.where(np.isfinite(points).all(axis=-1, keepdims=True), start, np.nan)
     params = method if isinstance(method, RelaxationParams) else RelaxationParams()
-    rows, cols = level.rows, level.cols
-    rest = np.where(level.rest > 0, level.rest, np.nan)[:, 1 : rows + 1, 1 : cols + 1]
-    stiff = np.broadcast_to(level.stiff, level.rest.shape)[:, 1 : rows + 1, 1 : cols + 1].astype(np.float64)
-    done = relax_dynamically(start, rest, stiffness=stiff, params=params)
+    rest = level.inside(np.where(level.rest > 0, level.rest, np.nan))
+    stiff = level.inside(np.broadcast_to(level.stiff, level.rest.shape)).astype(np.float64)
+    relaxed = relax_dynamically(start, rest, stiffness=stiff, params=params)
     level.open()
-    level.xy[:, 1 : rows + 1, 1 : cols + 1] = np.where(np.isfinite(done.uv), done.uv, 10 * GONE).transpose(2, 0, 1)
-    count, log = int(np.isfinite(done.uv[..., 0]).sum()), done.history
+    level.inside(level.xy)[:] = np.where(np.isfinite(relaxed.uv), relaxed.uv, 10 * GONE).transpose(2, 0, 1)
+    count, log = int(np.isfinite(relaxed.uv[..., 0]).sum()), relaxed.history
     moves = zip(log.energy, log.mean_speed * log.dt, strict=True)
-    return done.steps, done.outcome, tuple(Step(count, energy, np.nan, move) for energy, move in moves)
+    return relaxed.steps, relaxed.outcome, tuple(Step(count, energy, np.nan, move) for energy, move in moves)
 
 
 def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Floats:
@@ -305,4 +302,4 @@ def _lay_on_target(level: Level, target: Floats, pitch: float, team: Team) -> Fl
     shift = (p - cos * u + sin * v) / count, (q - sin * u - cos * v) / count
     team.run(lay_down, level.parts, level.xy, cos, sin, *shift, pitch, level.cols)
     # In place, u and v apart: a copy would cost as much memory as all the corrections.
-    return np.moveaxis(level.xy[:, 1 : level.rows + 1, 1 : level.cols + 1], 0, -1)
+    return np.moveaxis(level.inside(level.xy), 0, -1)

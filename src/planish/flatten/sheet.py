@@ -17,9 +17,8 @@ from planish.core.facts import ResultModel, Value
 from planish.core.frame import Frame
 from planish.core.grid import bilinear, filled, pitch
 from planish.core.options import params_of
-from planish.core.status import Outcome
 from planish.core.typing import Bools, Floats
-from planish.flatten.curvature import CurvatureCheck, CurvatureVerdict, curvature_check
+from planish.flatten.curvature import CurvatureVerdict, curvature_check
 from planish.flatten.distortion import Distortion, cell_strain, edge_strain, measure_distortion
 from planish.flatten.params import FlattenParams
 from planish.flatten.relax import Relaxed, relax_grid
@@ -27,9 +26,6 @@ from planish.flatten.relax import Relaxed, relax_grid
 Neutral = Literal["base", "faces"]
 
 _MOST_NODES = 4_000_000  # of the mesh: half a second and half a gigabyte
-# Weight of the centre surface where it was bridged over holes and gaps, against 1 where both faces were found: it holds
-# the sheet together there and leaves its shape to what was measured.
-_BRIDGED_WEIGHT = 0.2
 
 
 class FlatteningQuality(ResultModel):
@@ -69,52 +65,13 @@ class Flattened:
         Strains of the mesh's cells, with their place ``y``, ``x``, as ``cell_strain`` gives them;
         ``gaussian_curvature`` in 1/um2 and ``needed_strain``, what a patch of paper around the cell would need to be
         flat; and over ``step`` the solver's progress: ``step_nodes``, ``step_energy``, ``step_move``.
-    distortion : Distortion
-    curvature : CurvatureCheck
-    method : str
-    neutral : {"base", "faces"}
-        Surface that was taken to stay unstrained.
-    outcome : Outcome
-    steps : int
-    energy : float
-        um2
-    springs : int
-    straight_share : float
-        Share of the springs whose length was taken straight through space because the surface is rough there.
-    mesh_um : float
-    folded_cells : int
-    edge_strain_p95, edge_strain_max : float
-        Of all axial edges, absolute.
+    quality : FlatteningQuality
+        How the flattening ended.
     """
 
     flat: xr.Dataset
     strain: xr.Dataset
-    distortion: Distortion
-    curvature: CurvatureCheck
-    method: str
-    neutral: Neutral
-    outcome: Outcome
-    steps: int
-    energy: float
-    springs: int
-    straight_share: float
-    mesh_um: float
-    folded_cells: int
-    edge_strain_p95: float
-    edge_strain_max: float
-
-    @property
-    def saved(self) -> FlatteningQuality:
-        """What stands in the results of a run."""
-        ends = (("u", "projected_u"), ("v", "projected_v"))
-        move = np.hypot(*(self.flat[flat].values - self.flat[projected].values for flat, projected in ends))
-        return FlatteningQuality(
-            outcome=self.outcome.name, sentence=self.outcome.value, steps=self.steps, energy_um2=self.energy,
-            mesh_um=self.mesh_um, folded_cells=self.folded_cells, edge_strain_p95=self.edge_strain_p95,
-            edge_strain_max=self.edge_strain_max, method=self.method, neutral=self.neutral, springs=self.springs,
-            straight_share=self.straight_share, distortion=self.distortion, curvature=self.curvature.saved,
-            largest_move_um=float(np.nanmax(move)),
-        )  # fmt: skip
+    quality: FlatteningQuality
 
 
 def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) -> Flattened:
@@ -145,26 +102,17 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     check_dataset(surfaces, "centre", what="surfaces", maker="pl.find_surfaces(volume)", call="pl.flatten_sheet({})")
     params = params_of(FlattenParams, params, "pl.flatten_sheet")
     frame = Frame.of(surfaces)
-    neutral = neutral_of(surfaces, params)
-    y, x = surfaces["y"].values, surfaces["x"].values
+    has_base = "base_middle" in surfaces
+    if params.neutral == "base" and not has_base:
+        raise CannotFlatten(
+            "The middle of the base is asked for (--neutral base), and its interfaces with the coatings were not found "
+            "on both sides. Leave --neutral out."
+        )
+    neutral = params.neutral or ("base" if has_base and "method" not in surfaces.attrs else "faces")
     mesh = sheet_mesh(surfaces, params.mesh_um)
     points = mesh.points if neutral == "faces" else mesh.raised(surfaces["base_middle"].values)
     relaxed = relax_grid(points, method=params.method, rest=params.rest, weights=mesh.weights)
-    flip = -1.0 if frame.mirrored else 1.0
-    offset = float(x[-1] + x[0]) if frame.mirrored else 0.0
-    fine_y, fine_x = np.meshgrid(y, x, indexing="ij")
-    across, down, inside = _carried(mesh, relaxed)
-    layout = {
-        "u": (offset + flip * (fine_x + across), "Flat coordinate u"),
-        "v": (fine_y + down, "Flat coordinate v"),
-        "projected_u": (offset + flip * fine_x, "Projected coordinate u"),
-        "projected_v": (fine_y, "Projected coordinate v"),
-    }
-    flat = xr.Dataset(
-        {k: (("y", "x"), np.where(inside, v, np.nan), {"units": "um", "long_name": t}) for k, (v, t) in layout.items()},
-        coords=surfaces.coords,
-        attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored), "neutral": neutral, "rest": params.rest},
-    )
+    flat = _flat_columns(surfaces, mesh, relaxed, frame).assign_attrs(neutral=neutral, rest=params.rest)
     strain = cell_strain(points, relaxed.uv).assign_coords(
         y=("row", 0.5 * (mesh.y_um[1:] + mesh.y_um[:-1]), {"units": "um"}),
         x=("col", 0.5 * (mesh.x_um[1:] + mesh.x_um[:-1]), {"units": "um"}),
@@ -174,22 +122,33 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     curvature = curvature_check(points)
     strain["gaussian_curvature"] = (("row", "col"), _at_cells(curvature.curvature), {"units": "1/um2"})
     strain["needed_strain"] = (("row", "col"), _at_cells(curvature.strain))
-    strain = strain.assign(_progress(relaxed))
     edges = np.concatenate([np.abs(e[np.isfinite(e)]) for e in edge_strain(points, relaxed.uv)])
-    return Flattened(
-        flat=flat, strain=strain, distortion=distortion, curvature=curvature, method=params.method, neutral=neutral,
-        outcome=relaxed.outcome, steps=relaxed.steps, energy=relaxed.energy, springs=relaxed.springs,
-        straight_share=relaxed.straight_share, mesh_um=mesh.step[0] * pitch(surfaces)[0],
-        folded_cells=int(np.count_nonzero(relaxed.folded)), edge_strain_p95=float(np.percentile(edges, 95)),
+    moves = np.hypot(*(flat[axis].values - flat[f"projected_{axis}"].values for axis in "uv"))
+    quality = FlatteningQuality(
+        outcome=relaxed.outcome.name,
+        sentence=relaxed.outcome.value,
+        steps=relaxed.steps,
+        energy_um2=relaxed.energy,
+        mesh_um=mesh.pitch_um,
+        folded_cells=int(np.count_nonzero(relaxed.folded)),
+        edge_strain_p95=float(np.percentile(edges, 95)),
         edge_strain_max=float(edges.max()),
-    )  # fmt: skip
+        method=params.method,
+        neutral=neutral,
+        springs=relaxed.springs,
+        straight_share=relaxed.straight_share,
+        distortion=distortion,
+        curvature=curvature.saved,
+        largest_move_um=float(np.nanmax(moves)),
+    )
+    return Flattened(flat=flat, strain=strain.assign(_progress(relaxed)), quality=quality)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SheetMesh:
     """Nodes of the spring mesh on the centre surface.
 
-    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``step``: how many between two; ``is_sheet``
+    ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``pitch_um``: between two rows; ``is_sheet``
     (y, x): columns of the sheet's largest piece; ``points`` (rows, cols, 3): x, y and height, NaN where there is no
     sheet; ``weights``: of the nodes, less where the surface was bridged.
     """
@@ -198,7 +157,7 @@ class SheetMesh:
     cols: NDArray[np.intp]
     y_um: Floats
     x_um: Floats
-    step: tuple[int, int]
+    pitch_um: float
     is_sheet: Bools
     points: Floats
     weights: Floats | None
@@ -210,17 +169,6 @@ class SheetMesh:
         down, across = np.gradient(filled(self.points[..., 2]), self.y_um, self.x_um, edge_order=order)
         along = np.stack([-across, -down, np.ones(over.shape)], axis=-1)
         return self.points + along * (np.nan_to_num(over) / (1 + down**2 + across**2))[..., None]
-
-
-def neutral_of(surfaces: xr.Dataset, params: FlattenParams) -> Neutral:
-    """Surface that is taken to stay unstrained; CannotFlatten where it is asked for and not known."""
-    if params.neutral == "base" and "base_middle" not in surfaces:
-        raise CannotFlatten(
-            "The middle of the base is asked for (--neutral base), and its interfaces with the coatings were not found "
-            "on both sides. Leave --neutral out."
-        )
-    usual: Neutral = "base" if "base_middle" in surfaces and "method" not in surfaces.attrs else "faces"
-    return params.neutral or usual
 
 
 def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
@@ -240,7 +188,7 @@ def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     points = np.stack([mesh_x, mesh_y, height], axis=-1)
     points[~_largest_piece(np.isfinite(height))] = np.nan
     return SheetMesh(
-        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], step=(down, across), is_sheet=is_sheet, points=points,
+        rows=rows, cols=cols, y_um=y[rows], x_um=x[cols], pitch_um=down * steps[0], is_sheet=is_sheet, points=points,
         weights=node_weights(surfaces, rows, cols),
     )  # fmt: skip
 
@@ -249,7 +197,8 @@ def node_weights(surfaces: xr.Dataset, rows: NDArray[np.intp], cols: NDArray[np.
     """Weights of the mesh's nodes, less where the centre surface was bridged; None where the surfaces do not tell."""
     if "status" not in surfaces:
         return None
-    return np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, _BRIDGED_WEIGHT)
+    # It holds the sheet together there, and leaves its shape to what was measured.
+    return np.where(surfaces["status"].values[np.ix_(rows, cols)] == 0, 1.0, 0.2)
 
 
 def _at_cells(nodes: Floats) -> Floats:
@@ -258,14 +207,12 @@ def _at_cells(nodes: Floats) -> Floats:
 
 def _progress(relaxed: Relaxed) -> dict[str, tuple[str, Floats, dict[str, str]]]:
     """History of the solver over ``step``: nodes of the mesh, energy, and the mean move of a node in the step."""
-    unit = relaxed.pitch
-    nodes, energy, move = (
-        np.array([getattr(step, k) for step in relaxed.history], dtype=np.float64) for k in ("nodes", "energy", "move")
-    )
+    table = np.array([(step.nodes, step.energy, step.move) for step in relaxed.history], dtype=np.float64)
+    nodes, energy, move = table.reshape(-1, 3).T
     return {
         "step_nodes": ("step", nodes, {"long_name": "Nodes of the mesh"}),
-        "step_energy": ("step", energy * unit**2, {"units": "um2", "long_name": "Spring energy"}),
-        "step_move": ("step", move * unit, {"units": "um", "long_name": "Mean move"}),
+        "step_energy": ("step", energy * relaxed.pitch**2, {"units": "um2", "long_name": "Spring energy"}),
+        "step_move": ("step", move * relaxed.pitch, {"units": "um", "long_name": "Mean move"}),
     }
 
 
@@ -287,14 +234,29 @@ def _every(count: int, step: int) -> NDArray[np.intp]:
     return indices
 
 
-def _carried(mesh: SheetMesh, relaxed: Relaxed) -> tuple[Floats, Floats, Bools]:
-    """Displacement of every column along x and y, and the columns of the sheet that lie in no folded cell."""
-    shape, rows, cols = mesh.is_sheet.shape, mesh.rows, mesh.cols
+def _flat_columns(surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame: Frame) -> xr.Dataset:
+    """Carry every column of the sheet along with the mesh; NaN in its folded cells."""
+    rows, cols = mesh.rows, mesh.cols
+    y, x = np.meshgrid(surfaces["y"].values, surfaces["x"].values, indexing="ij")
     # Bilinear between the nodes of the mesh, filled by the nearest node outside.
-    r = np.interp(np.arange(shape[0]), rows, np.arange(rows.size))[:, None]
-    c = np.interp(np.arange(shape[1]), cols, np.arange(cols.size))[None, :]
+    r = np.interp(np.arange(x.shape[0]), rows, np.arange(rows.size))[:, None]
+    c = np.interp(np.arange(x.shape[1]), cols, np.arange(cols.size))[None, :]
     across, down = (bilinear(filled(relaxed.uv[..., i] - mesh.points[..., i]), r, c) for i in range(2))
     inside = mesh.is_sheet.copy()
     for i, j in zip(*np.nonzero(relaxed.folded), strict=True):
         inside[rows[i] : rows[i + 1] + 1, cols[j] : cols[j + 1] + 1] = False
-    return across, down, inside
+    flip, offset = (-1.0, float(x[0, -1] + x[0, 0])) if frame.mirrored else (1.0, 0.0)
+    coordinates = {
+        "u": (offset + flip * (x + across), "Flat coordinate u"),
+        "v": (y + down, "Flat coordinate v"),
+        "projected_u": (offset + flip * x, "Projected coordinate u"),
+        "projected_v": (y, "Projected coordinate v"),
+    }
+    return xr.Dataset(
+        {
+            name: (("y", "x"), np.where(inside, places, np.nan), {"units": "um", "long_name": title})
+            for name, (places, title) in coordinates.items()
+        },
+        coords=surfaces.coords,
+        attrs=frame.attrs() | {"mirrored_view": int(frame.mirrored)},
+    )

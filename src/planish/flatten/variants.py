@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import suppress
 
 import numpy as np
 import xarray as xr
@@ -45,34 +46,25 @@ def flat_moves(
         On the nodes of the mesh, ``NAME_u`` and ``NAME_v`` of each; beside the sheet those of the nearest node.
         A shift and a turn of the whole sheet have no meaning.
     """
-    is_sheet = np.isfinite(surfaces["centre"].values)
-    y, x = surfaces["y"].values, surfaces["x"].values
-    area = float(np.count_nonzero(is_sheet)) * abs((y[1] - y[0]) * (x[1] - x[0]))
+    centre, y, x = (surfaces[k].values for k in ("centre", "y", "x"))
+    area = float(np.count_nonzero(np.isfinite(centre))) * abs((y[1] - y[0]) * (x[1] - x[0]))
     mesh = sheet_mesh(surfaces, max(float(np.sqrt(area / _MOST_NODES)), 4 * abs(y[1] - y[0])))
-    base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), is_sheet.shape)
-
-    def flattened(offset: NDArray[np.floating]) -> Floats:
-        return relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv
-
-    start = flattened(base)
-    flip = -1.0 if Frame.of(surfaces).mirrored else 1.0
-    moves: dict[str, tuple[tuple[str, str], Floats, dict[str, str]]] = {}
-    for name, other in others.items():
-        move = flattened(other) - start
-        for k, (axis, sign) in enumerate((("u", flip), ("v", 1.0))):
-            moves[f"{name}_{axis}"] = (("y", "x"), filled(sign * move[..., k]), {"units": "um"})
+    base = np.broadcast_to(np.asarray(neutral, dtype=np.float64), centre.shape)
+    start, *flattened = (
+        relax_grid(mesh.raised(offset), rest=rest, weights=mesh.weights).uv for offset in (base, *others.values())
+    )
+    signs = (-1.0 if Frame.of(surfaces).mirrored else 1.0, 1.0)
+    moves = {
+        f"{name}_{axis}": (("y", "x"), filled(signs[k] * (uv - start)[..., k]), {"units": "um"})
+        for name, uv in zip(others, flattened, strict=True)
+        for k, axis in enumerate("uv")
+    }
     return xr.Dataset(moves, {"y": mesh.y_um, "x": mesh.x_um})
 
 
-SCALES = (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5)
-# Of the mesh: the moves are differences of two flattenings, smooth over the 400 um of the centre surface.
-_PITCH_UM, _NODES, _MOST_SCALED = 50.0, 5_000, 100_000
-
-
 def places_when_scaled(
-    surfaces: xr.Dataset, flat: xr.Dataset, points: Floats, *, scales: tuple[float, ...] = SCALES,
-    mesh_um: float | None = None,
-) -> tuple[Floats, Floats]:  # fmt: skip
+    surfaces: xr.Dataset, flat: xr.Dataset, points: Floats, *, mesh_um: float | None = None
+) -> tuple[Floats, Floats]:
     """Flatten the centre surface again with its heights scaled, and carry points of the sheet along.
 
     Parameters
@@ -83,14 +75,13 @@ def places_when_scaled(
         ``u``, ``v`` of the columns at scale 1, as :func:`planish.flatten_sheet` gives them.
     points : (n, 2), in um
         Places ``(u, v)`` in the flat sheet.
-    scales : tuple of float
-        Factors on the heights; 1 is among them. Those at which the sheet cannot be flattened are left out.
     mesh_um : float, optional
         Pitch of the mesh; where not given, some 5000 nodes, 50 um apart at most.
 
     Returns
     -------
     scales : (k,)
+        Factors on the heights, 1 among them. Those at which the sheet cannot be flattened are left out.
     places : (k, n, 2), in um
         Those at scale 1 are the points themselves; NaN for points beside the sheet. Each flattening is turned and
         shifted as a whole.
@@ -102,27 +93,27 @@ def places_when_scaled(
     steps = pitch(surfaces)
     is_sheet = np.isfinite(flat["u"].values) & np.isfinite(surfaces["centre"].values)
     area = np.count_nonzero(is_sheet) * steps[0] * steps[1]
-    wanted = mesh_um or max(min(_PITCH_UM, np.sqrt(area / _NODES)), np.sqrt(area / _MOST_SCALED))
+    # The moves are differences of two flattenings, smooth over the 400 um of the centre surface.
+    wanted = mesh_um or max(min(50.0, np.sqrt(area / 5_000)), np.sqrt(area / 100_000))
     rows, cols = (
         np.unique(np.linspace(0, n - 1, max(3, round((n - 1) * step / wanted) + 1)).round().astype(np.intp))
         for n, step in zip(is_sheet.shape, steps, strict=True)
     )
-    is_node = is_sheet[np.ix_(rows, cols)]
-    height = np.where(is_node, surfaces["centre"].values[np.ix_(rows, cols)], np.nan)
+    nodes = np.ix_(rows, cols)
+    is_node = is_sheet[nodes]
+    height = np.where(is_node, surfaces["centre"].values[nodes], np.nan)
     across, down = np.meshgrid(surfaces["x"].values[cols], surfaces["y"].values[rows])
     weights = node_weights(surfaces, rows, cols)
     uv_by_scale: dict[float, Floats] = {}
-    for scale in scales:
-        try:
-            relaxed = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights)
-        except CannotFlatten:
-            continue
-        if np.isfinite(relaxed.uv[is_node]).all():
-            uv_by_scale[scale] = relaxed.uv[is_node]
+    for scale in (0.4, 0.55, 0.75, 1.0, 1.25, 1.5, 1.8, 2.15, 2.5):
+        with suppress(CannotFlatten):
+            uv = relax_grid(np.stack([across, down, scale * height], axis=-1), weights=weights).uv[is_node]
+            if np.isfinite(uv).all():
+                uv_by_scale[scale] = uv
     if 1.0 not in uv_by_scale:
         return np.ones(1), points[None].copy()
     moves = np.stack([uv - uv_by_scale[1.0] for uv in uv_by_scale.values()], axis=1)
     moves[..., 0] *= -1.0 if Frame.of(surfaces).mirrored else 1.0
-    nodes = np.stack([flat[k].values[np.ix_(rows, cols)][is_node] for k in "uv"], axis=1)
-    moved = LinearNDInterpolator(nodes, moves.reshape(len(nodes), -1))(points).reshape(len(points), -1, 2)
+    places = np.stack([flat[k].values[nodes][is_node] for k in "uv"], axis=1)
+    moved = LinearNDInterpolator(places, moves.reshape(len(places), -1))(points).reshape(len(points), -1, 2)
     return np.array(list(uv_by_scale)), points + np.moveaxis(moved, 1, 0)

@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import MarkError
-from planish.core.transform import Transform
-from planish.core.typing import Bools, Floats, Ints
+from planish.core.typing import Bools, Ints
 from planish.register.bent import NOTABLE, inside
 from planish.register.field import DeviationField
 from planish.register.models import MODELS, AveragedModel, model_named
-from planish.register.pairs import (
-    COINCIDENT,
-    Pairs,
-    check_pairs,
-    listed,
-    refuse_other_hand,
-    rms_of_both_hands,
-    weighted_rms,
-)
+from planish.register.pairs import COINCIDENT, Pairs, check_pairs, choose_hand, listed, weighted_rms
 from planish.register.result import FittedTransform
 
-_SCALES = (0.8, 1.25)
-# A right mark is left out in this share of sets of marks.
-_CHANCE = 0.01
-_LEAST_JUDGED = 4
-_MANY = 150
+_CHANCE = 0.01  # share of sets of marks in which a right mark is left out
+_LEAST_JUDGED, _MANY = 4, 150
 AVERAGED = AveragedModel()
 
 
@@ -112,11 +101,7 @@ def fit_transform(
             f"{count} pairs of marks given, a model of type {model} needs {least}. Add {least - count} or more, "
             "away from the others, or choose a model with fewer parameters."
         )
-    if mirrored is None:
-        missed = rms_of_both_hands(used_pairs)[0]
-        mirrored = missed[True] < missed[False]
-    else:
-        refuse_other_hand(used_pairs, mirrored)
+    mirrored = choose_hand(used_pairs, mirrored)
     share, field = np.ones(len(pairs)), None
     if robust:
         share[used], field = agreeing(used_pairs, mirrored)
@@ -126,12 +111,12 @@ def fit_transform(
     fitted_pairs = weighted.take(weighted.weights > 0)
     if model == "auto":
         model = AVERAGED.name if len(fitted_pairs) >= 6 else "similarity" if len(fitted_pairs) >= 3 else lowest
-    transform: Transform = (
-        MODELS[model].fit(fitted_pairs, mirrored) if field is None or model != AVERAGED.name else (AVERAGED.of(field))
-    )
+    if field is not None and model == AVERAGED.name:
+        transform = AVERAGED.of(field)
+    else:
+        transform = MODELS[model].fit(fitted_pairs, mirrored)
     residuals = pairs.fixed - transform(pairs.moving)
-    lengths = np.linalg.norm(residuals, axis=1)
-    rms = weighted_rms(lengths, weighted.weights)
+    rms = weighted_rms(np.linalg.norm(residuals, axis=1), weighted.weights)
     fit = FittedTransform(
         transform=transform,
         model=model,
@@ -141,10 +126,10 @@ def fit_transform(
         robust_weights=share,
         residuals_um=residuals,
         sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.",
-        known=field,
+        likely=field,
     )
-    model_warnings = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
-    return replace(fit, warnings=(*_warn_of_marks(fit, lengths, repeats), *model_warnings))
+    of_model = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
+    return replace(fit, warnings=(*_warn_of_marks(fit, repeats), *of_model))
 
 
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
@@ -191,69 +176,58 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     return keep, best
 
 
-def _warn_of_marks(fit: FittedTransform, lengths: Floats, repeats: Ints) -> list[str]:
+def _warn_of_marks(fit: FittedTransform, repeats: Ints) -> Iterator[str]:
     """Marks that are left out, given twice, or few."""
-    warnings: list[str] = []
     out = np.flatnonzero(fit.robust_weights < 1.0)
     if out.size:
-        distances, plural = ", ".join(f"{lengths[k]:.3g}" for k in out[:8]), out.size > 1
-        warnings.append(
+        distances = ", ".join(f"{length:.3g}" for length in np.linalg.norm(fit.residuals_um, axis=1)[out[:8]])
+        plural = out.size > 1
+        yield (
             f"Mark{'s' * plural} {listed(out)} (counted from 0) do{'es' * (not plural)} not agree with the others "
             f"(off by {distances} um) and {'were' if plural else 'was'} left out. Check {'them' if plural else 'it'}."
         )
     if repeats.size:
-        plural = repeats.size > 1
-        warnings.append(
-            f"Pair{'s' * plural} {listed(repeats)} (counted from 0) {'repeat' if plural else 'repeats'} "
-            f"{'others' if plural else 'another one'} exactly and count{'s' * (not plural)} once."
+        subject, verb, end = (
+            ("Pairs", "repeat others", "") if repeats.size > 1 else ("Pair", "repeats another one", "s")
         )
+        yield f"{subject} {listed(repeats)} (counted from 0) {verb} exactly and count{end} once."
     used = int(np.count_nonzero(fit.weights > 0))
     if used < 6:
-        warnings.append(
-            f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
-        )
-    return warnings
+        yield f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
 
 
-def _warn_of_structure(fit: FittedTransform) -> list[str]:
+def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
     """A model that does not follow what the marks show."""
     if fit.model == AVERAGED.name or not fit.field.freedom > 0:
-        return []
+        return
     points = inside(fit.moving[fit.weights > 0], 17)
     likely = AVERAGED.of(fit.field)(points)
     off = np.linalg.norm(fit(points) - likely, axis=1)
     error_um, difference_um = np.sqrt(np.mean(fit.field.expected_square(points, likely))), np.sqrt(np.mean(off**2))
     # A model is warned of where it is off by twice what the likely map is known to.
-    if not difference_um > 2.0 * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
-        return []
-    return [
-        f"The {fit.model} model leaves structure: the marks show a map that differs from it by {difference_um:.3g} um "
-        f"rms between them, up to {off.max():.3g} um, and is itself known to {error_um:.2g} um. Use --model auto."
-    ]
+    if difference_um > 2.0 * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
+        yield (
+            f"The {fit.model} model leaves structure: the marks show a map that differs from it by "
+            f"{difference_um:.3g} um rms between them, up to {off.max():.3g} um, and is itself known to "
+            f"{error_um:.2g} um. Use --model auto."
+        )
 
 
-def _warn_of_size(fit: FittedTransform) -> list[str]:
+def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
     """Pairs, scales and strains that no sheet has."""
-    warnings: list[str] = []
-    rms, spread = fit.rms_um, fit.transform.scale * fit.field.size
+    rms, scale, strain = fit.rms_um, fit.transform.scale, fit.strain
+    spread = scale * fit.field.size
     # Residuals over the spread of the marks from which on the pairs, not their errors, are in doubt.
     if rms > 0.05 * spread:
-        warnings.append(
+        yield (
             f"The residuals, {rms:.3g} um rms, are {100 * rms / spread:.0f} % of the spread of the marks: many pairs "
             "are wrong. Check that every row pairs the same hole on both sides."
         )
-    low, high = _SCALES
-    if not low <= fit.transform.scale <= high:
-        warnings.append(
-            f"Scale {fit.transform.scale:.4g}: one side is probably in pixels, or its pixel size is wrong. "
-            "Give both sides in um."
-        )
-    strain = fit.strain
+    if not 0.8 <= scale <= 1.25:
+        yield (f"Scale {scale:.4g}: one side is probably in pixels, or its pixel size is wrong. Give both sides in um.")
     if strain.largest > NOTABLE:
-        x, y = strain.at_um
-        warnings.append(
-            f"Local strain from {100 * strain.stretch[0]:+.2g} to {100 * strain.stretch[1]:+.2g} % between the marks, "
-            f"largest near ({x:.4g}, {y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks "
-            "there."
+        (low, high), (x, y) = strain.stretch, strain.at_um
+        yield (
+            f"Local strain from {100 * low:+.2g} to {100 * high:+.2g} % between the marks, largest near ({x:.4g}, "
+            f"{y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks there."
         )
-    return warnings

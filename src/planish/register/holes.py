@@ -94,16 +94,17 @@ def register_marks(
     MarkError
         If fewer than 3 pairs are given, they cannot be used, or ``seen_from`` is no side.
     """
-    a, b = (np.stack([h["x"].values, h["y"].values], axis=1).astype(np.float64) for h in (moving, fixed))
-    names = tuple(str(h.attrs.get("layer", which)) for h, which in ((moving, "moving layer"), (fixed, "fixed layer")))
-    seen_from = [str(h.attrs.get("seen_from", "top")) for h in (moving, fixed)]
+    sides = (moving, fixed)
+    a, b = (np.stack([h["x"].values, h["y"].values], axis=1).astype(np.float64) for h in sides)
+    names = (str(moving.attrs.get("layer", "moving layer")), str(fixed.attrs.get("layer", "fixed layer")))
+    seen_from = [str(h.attrs.get("seen_from", "top")) for h in sides]
     for name, side in zip(names, seen_from, strict=True):
         if side not in get_args(Side):
             raise MarkError(f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'.")
     facing = seen_from[0] != seen_from[1]
     identity: dict[str, Any] = {}
     if pairs is None:
-        for holes, name in zip((moving, fixed), names, strict=True):
+        for holes, name in zip(sides, names, strict=True):
             need_holes(holes, hole_um, name=name)
         matched, identity = _match(a * (-1.0, 1.0) if facing else a, b, names, params, pattern)
         pairs, mirrored = matched.pairs, matched.mirrored != facing
@@ -115,12 +116,12 @@ def register_marks(
             )
     marks = a[pairs[:, 0]], b[pairs[:, 1]]
     weights = None
-    if "cov_xx" in moving and "cov_xx" in fixed:
+    if all("cov_xx" in h for h in sides):
+        turn = fit_transform(*marks, mirrored=mirrored, robust=False).transform.matrix()
         spread = [
             np.stack([h[f"cov_{k}"].values[rows] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
-            for h, rows in zip((moving, fixed), pairs.T, strict=True)
+            for h, rows in zip(sides, pairs.T, strict=True)
         ]
-        turn = fit_transform(*marks, mirrored=mirrored, robust=False).transform.matrix()
         weights = turn @ spread[0] @ turn.T + spread[1]
     fit = fit_transform(*marks, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
     off = abs(fit.transform.scale - 1)
@@ -134,27 +135,26 @@ def register_marks(
 
 
 def _match(
-    moving: Floats, fixed: Floats, names: tuple[str, ...], params: RegistrationParams, pattern: DesignedHoles | None
+    moving: Floats, fixed: Floats, names: tuple[str, str], params: RegistrationParams, pattern: DesignedHoles | None
 ) -> tuple[Matched, dict[str, Any]]:
     """Match holes by the pattern that was burnt, or by their arrangement alone; give the fields of a registration."""
-    options: dict[str, Any] = {
-        "scale_tolerance": params.scale_tolerance, "tolerance_um": params.tolerance_um, "mirror": params.mirror,
-        "names": names,
-    }  # fmt: skip
+    options: dict[str, Any] = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
+    design = None
     if pattern is None:
-        matched = match_marks(moving, fixed, **options)
-        identity = {"labels": tuple(f"hole {k + 1}" for k in range(len(matched.pairs)))}
+        matched = match_marks(moving, fixed, names=names, **options)
+        labels = tuple(f"hole {k + 1}" for k in range(len(matched.pairs)))
     else:
-        matched = match_by_design(moving, fixed, pattern.places_um, labels=pattern.labels, **options)
+        matched = match_by_design(moving, fixed, pattern.places_um, labels=pattern.labels, names=names, **options)
+        labels = matched.labels
         from_behind = ", viewed from behind or drawn with its y axis upwards" if matched.behind else ""
         design = f"Holes identified by the pattern {pattern.name} of {len(pattern.labels)} holes{from_behind}."
-        identity = {"labels": matched.labels, "design": design}
-    if len(matched.pairs) < 3:
-        raise CannotRegister(
-            f"Only {len(matched.pairs)} designed holes are found in both the {names[0]} and the {names[1]}; 3 are "
-            "needed. Image a larger common field."
-        )
-    return matched, identity | {"sentence": matched.sentence, "second_best": matched.second_best}
+        if len(labels) < 3:
+            raise CannotRegister(
+                f"Only {len(labels)} designed holes are found in both the {names[0]} and the {names[1]}; 3 are needed. "
+                "Image a larger common field."
+            )
+    identity = {"labels": labels, "design": design, "sentence": matched.sentence, "second_best": matched.second_best}
+    return matched, identity
 
 
 def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> None:
@@ -166,13 +166,12 @@ def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> 
         If there are fewer than 3 holes.
     """
     count = holes.sizes["mark"]
-    if count >= 3:
-        return
-    name = name or str(holes.attrs["layer"])
-    finding = "No hole" if count == 0 else f"Only {count} hole{'s' * (count > 1)}"
-    places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
-    raise CannotRegister(
-        f"{finding} found in the {name}{' at' + places if places else ''}; at least 3 are needed, and 4 to notice a "
-        f"wrong match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um (--hole-um). Check the "
-        "voxel and pixel sizes; if the image is a print, give --printed; or give pairs of points with --marks."
-    )
+    if count < 3:
+        number = f"Only {count} hole{'s' * (count > 1)}" if count else "No hole"
+        places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
+        raise CannotRegister(
+            f"{number} found in the {name or holes.attrs['layer']}{' at' * bool(count)}{places}; at least 3 are "
+            f"needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um "
+            "(--hole-um). Check the voxel and pixel sizes; if the image is a print, give --printed; or give pairs of "
+            "points with --marks."
+        )

@@ -10,23 +10,22 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import product
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
-from planish.core.typing import Floats, Ints, Pair
-from planish.register.match_choose import BestMatch, choose, self_likeness
-from planish.register.match_search import marks_needed
+from planish.core.typing import Floats, Ints
+from planish.register.match_choose import NO_MATCH, BestMatch, choose, self_likeness
+from planish.register.match_search import ACCEPTED
 from planish.register.pairs import Pairs, listed, points_of
 from planish.register.similarity import SimilarityModel
 
-# A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
-_ACCEPTED_LOG_CHANCE = -3.0
 # A different arrangement has to be this much likelier to be chance, as log10.
 _MARGIN = 3.0
+_HINT = "give the pattern that was burnt (--design) or pairs (--marks)"
+_PAIRS_HINT = "give the pairs with --marks"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,95 +111,60 @@ def match_marks(
     Hirn et al. (2009), section 2.4. Moisan and Stival (2004), Int. J. Comput. Vis. 57, 201,
     doi:10.1023/B:VISI.0000013094.38752.54 (agreement judged against chance).
     """
-    source, target = _finite_points(moving, names[0]), _finite_points(fixed, names[1])
+    source, target = (
+        _usable_points(marks, f"marks of the {name}", _HINT) for marks, name in zip((moving, fixed), names, strict=True)
+    )
     sides = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
-    for name, points in zip(names, (source, target), strict=True):
-        if len(points) < 3:
-            places = f" (at {', '.join(f'({x:.0f}, {y:.0f})' for x, y in points)} um)" if len(points) else ""
-            raise CannotRegister(
-                f"{sides}: {len(points)} on the side of the {name}{places} cannot be matched without a hint; at least "
-                "3 on each side are needed, 4 or more are better. Check that the holes are in the field and that the "
-                "pixel and voxel sizes are right, widen the range of hole diameters, give the pattern that was burnt "
-                "(--design) or pairs (--marks)."
-            )
-    tolerances = (scale_tolerance, tolerance_um)
-    choice = choose(source, target, *tolerances, hands=(False, True) if mirror else (False,))
-    other = None if mirror else choose(source, target, *tolerances, hands=(True,))
-    best = np.inf if choice is None else choice.log_chance
-    if other is not None and other.log_chance < min(best - 1.0, _ACCEPTED_LOG_CHANCE):
+    limits = (scale_tolerance, tolerance_um)
+    choice = choose(source, target, *limits, hands=(False, True) if mirror else (False,))
+    turned_over = NO_MATCH if mirror else choose(source, target, *limits, hands=(True,))
+    count, smaller = len(choice.pairs), min(len(source), len(target))
+    if turned_over.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
         raise CannotRegister(
-            f"{sides}: {0 if choice is None else len(choice.pairs)} match, but {len(other.pairs)} match if one side is "
-            "mirrored: one is probably viewed from the wrong side. Check --image-side, --top "
-            "and --through; if the slices are numbered against the usual sense, pass --mirror."
+            f"{sides}: {count} match, but {len(turned_over.pairs)} match if one side is mirrored: one is probably "
+            "viewed from the wrong side. Check --image-side, --top and --through; if the slices are numbered against "
+            "the usual sense, pass --mirror."
         )
-    smaller = min(len(source), len(target))
-    count, needed = _agreement(choice, tolerance_um)
-    if choice is None or count < needed:
-        raise CannotRegister(f"{sides}: {_no_match(count, needed, smaller, mirror)}")
-    matched = source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]
+    if count < choice.needed:
+        raise CannotRegister(f"{sides}: {_no_match(choice, smaller, mirror)}")
     if smaller == 3:
-        _refuse_confusable(sides, matched, 3.0 * tolerance_um)
-    rival_chance = min(choice.second_log_chance, np.inf if other is None else other.log_chance)
-    if rival_chance < choice.log_chance + _MARGIN:
-        raise CannotRegister(
-            f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, too close to "
-            "decide: the pattern is symmetric or ambiguous. Find more of the marks (range of hole diameters), remove "
-            "false ones, give the pattern that was burnt (--design) or pairs (--marks)."
-            + (" Without --mirror, only one handedness competes." if mirror else "")
-        )
-    transform, rms = _fit_similarity(*matched, choice.mirrored)
-    _refuse_scale(sides, choice, transform.scale, scale_tolerance)
+        _refuse_confusable(sides, (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]), 3.0 * tolerance_um)
+    rival_chance = min(choice.second_log_chance, turned_over.log_chance)
+    hint = _HINT + ". Without --mirror, only one handedness competes" * mirror
+    transform, rms = _fit_choice(choice, source, target, sides, scale_tolerance, rival_chance, hint=hint)
     repeats = self_likeness(*choice.together(), tolerance_um=tolerance_um, mirror=mirror)
     if repeats is not None:
         raise CannotRegister(
             f"{sides}: {count} match, but the pattern may be symmetric or regular: {repeats}, and the others may be "
-            "lost. Give the pattern that was burnt (--design) or pairs (--marks), or add marks "
-            "that break the symmetry."
+            f"lost. Add marks that break the symmetry, or {_HINT}."
         )
     sentence = (
-        f"{sides}: {count} match (rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}"
-        f"{', mirrored' if choice.mirrored else ''}, residual {rms:.1f} um rms); the second-best match has "
+        f"{sides}: {count} match ({_described(transform)}, residual {rms:.1f} um rms); the second-best match has "
         f"{choice.second_best}."
     )
-    return _matched(choice, transform, sentence + _reservations(choice, smaller))
-
-
-def _reservations(choice: BestMatch, smaller: int) -> str:
-    """Sentences on a match that is stretched, or of three marks only."""
-    sentence = ""
-    stretch = 2.0 * abs(choice.arrangements.gamma[choice.best]) / abs(choice.arrangements.alpha[choice.best])
-    if stretch >= 0.001 and len(choice.pairs) >= 6:
+    if choice.stretch >= 0.001 and count >= 6:
         sentence += (
-            f" One direction is stretched by {100 * stretch:.1f} % against the other: an affine fit may be better."
+            f" One direction is stretched by {100 * choice.stretch:.1f} % against the other: an affine fit may be "
+            "better."
         )
     if smaller == 3:
         sentence += " Three marks only: all match and their distances differ, but one false mark would not be noticed."
-    return sentence
-
-
-def _matched(choice: BestMatch, transform: Similarity, sentence: str) -> Matched:
     return Matched(
         pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best,
         sentence=sentence,
     )  # fmt: skip
 
 
-def _no_match(count: int, need: int, smaller: int, mirror: bool) -> str:
+def _no_match(choice: BestMatch, smaller: int, mirror: bool) -> str:
     if smaller == 3:
-        return (
-            "with three marks on a side a match may be chance. Add a fourth, give the pattern that was burnt "
-            "(--design), or pairs (--marks)."
-        )
-    needed = (
-        f"about {need} have to" if need <= smaller else f"more than the {smaller} of the smaller side would have to"
-    )
+        return f"with three marks on a side a match may be chance. Add a fourth, or {_HINT}."
+    needed = f"about {choice.needed}" if choice.needed <= smaller else f"more than the {smaller} of the smaller side"
     turned = "" if mirror else "; if the slices are numbered against the usual sense pass --mirror"
     return (
-        f"no match found: {count} agree at best, and {needed}, closer than chance would bring them. Printed dots as "
-        "large as holes count as marks: give --printed, and raise the lower end of --hole-um above the largest dot. "
-        "Check the pixel and voxel sizes (if they are uncertain, allow more with --scale-tolerance), --top, and "
-        f"--image-side: the side that the image shows{turned}; find more of the marks, give the pattern that was burnt "
-        "(--design) or pairs (--marks)."
+        f"no match found: {_agreeing(choice)} agree at best, and {needed} have to, closer than chance brings them. "
+        "Printed dots as large as holes count as marks: give --printed, and raise the lower end of --hole-um above the "
+        "largest dot. Check the pixel and voxel sizes (if they are uncertain, allow more with --scale-tolerance), "
+        f"--top, and --image-side: the side that the image shows{turned}; find more of the marks, or {_HINT}."
     )
 
 
@@ -243,21 +207,28 @@ def match_by_design(
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
-    holes = _finite_points(design, "design")
+    named = [(moving, f"marks of the {names[0]}"), (fixed, f"marks of the {names[1]}"), (design, "designed holes")]
+    *sides, holes = (_usable_points(marks, name, _PAIRS_HINT) for marks, name in named)
     labels = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
     if len(labels) != len(holes):
         raise MarkError(f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each.")
-    sides = tuple(_finite_points(marks, name) for marks, name in zip((moving, fixed), names, strict=True))
-    tolerances = (scale_tolerance, tolerance_um)
-    choices, is_ambiguous = _choose_hands(holes, sides, tolerances, names, mirror)
-    first, second = (_on_design(choices[k], sides[k], holes, tolerances, names[k]) for k in range(2))
+    hands = (False, True)
+    choices = [
+        {hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,)) for hand in hands} for side in sides
+    ]
+    (first, second), is_ambiguous = _choose_hands(choices, names, mirror)
+    (to_first, sentence), (to_second, second_sentence) = (
+        _fit_on_design(choice, side, holes, scale_tolerance, name)
+        for choice, side, name in zip((first, second), sides, names, strict=True)
+    )
+    sentence += f" {second_sentence}"
     if is_ambiguous:
         raise CannotRegister(
-            f"{first.sentence} {second.sentence} Turned over, the design fits nearly as well, so the holes cannot be "
-            "identified. Give the pairs with --marks, or leave the design out."
+            f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be identified. Leave the "
+            f"design out, or {_PAIRS_HINT}."
         )
     shared, *rows = np.intersect1d(first.pairs[:, 0], second.pairs[:, 0], assume_unique=True, return_indices=True)
-    pairs = np.stack([side.pairs[row, 1] for side, row in zip((first, second), rows, strict=True)], axis=1)
+    pairs = np.stack([first.pairs[rows[0], 1], second.pairs[rows[1], 1]], axis=1)
     order = np.argsort(pairs[:, 0])
     pairs = np.ascontiguousarray(pairs[order])
     mirrored = first.mirrored != second.mirrored
@@ -267,85 +238,85 @@ def match_by_design(
         basis = f"residual {rms:.1f} um rms"
     else:
         # The design's holes as both sides have them, laid on one another.
-        transform = _fit_similarity(first.transform(holes), second.transform(holes), mirrored)[0]
+        transform = _fit_similarity(to_first(holes), to_second(holes), mirrored)[0]
         basis = "through the design, since fewer than 4 are on both sides"
-    sentence = (
-        f"{first.sentence} {second.sentence} {len(pairs)} holes are on both sides (rotation "
-        f"{np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{', mirrored' if mirrored else ''}, "
-        f"{basis})."
-    )
     return Matched(
         pairs=pairs, labels=tuple(labels[k] for k in shared[order]), transform=transform, mirrored=mirrored,
-        second_best=max(first.second_best, second.second_best), sentence=sentence, behind=second.mirrored,
+        second_best=max(first.second_best, second.second_best), behind=second.mirrored,
+        sentence=f"{sentence} {len(pairs)} holes are on both sides ({_described(transform)}, {basis}).",
     )  # fmt: skip
 
 
 def _choose_hands(
-    holes: Floats, sides: tuple[Floats, ...], tolerances: Pair, names: tuple[str, str], mirror: bool
-) -> tuple[list[BestMatch | None], bool]:
-    """Choose the arrangement of a design on either side; say whether the other hand of the design fits nearly as well.
+    choices: list[dict[bool, BestMatch]], names: tuple[str, str], mirror: bool
+) -> tuple[tuple[BestMatch, BestMatch], bool]:
+    """Choose the hand that a design has on either side; say whether another choice fits nearly as well.
 
-    The hand that the design has against the sheet is not known; both sides have the same, unless mirrored.
+    The hand that it has against the sheet is not known; both sides have the same, unless mirrored.
     """
-    for name, marks in (
-        *((f"marks of the {n}", s) for n, s in zip(names, sides, strict=True)),
-        ("designed holes", holes),
-    ):
-        if len(marks) < 3:
-            raise CannotRegister(
-                f"{len(marks)} {name}: at least 3 are needed to match them to the design, 4 or more are better. Check "
-                "that the holes are in the field and that the pixel and voxel sizes are right, widen the range of hole "
-                "diameters, or give the pairs with --marks."
-            )
-    hands = (False, True)
-    choices = {
-        (k, hand): choose(holes, side, *tolerances, hands=(hand,)) for k, side in enumerate(sides) for hand in hands
-    }
-    chance = {key: 10.0 if choice is None else choice.log_chance for key, choice in choices.items()}
-    sums = {pair: chance[0, pair[0]] + chance[1, pair[1]] for pair in product(hands, repeat=2)}
-    allowed = {pair: value for pair, value in sums.items() if mirror or pair[0] == pair[1]}
+    on_first, on_second = choices
+    sums = {(i, j): on_first[i].log_chance + on_second[j].log_chance for i in on_first for j in on_second}
+    allowed = {pair: chance for pair, chance in sums.items() if mirror or pair[0] == pair[1]}
     best = min(allowed, key=lambda pair: (allowed[pair], pair))
-    if min(sums.values()) < min(allowed[best], 2 * _ACCEPTED_LOG_CHANCE) - 1.0:
+    if min(sums.values()) < min(allowed[best], 2 * ACCEPTED) - 1.0:
         raise CannotRegister(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: one "
             "is probably viewed from the wrong side. Check --top and --through; if the slices are numbered against the "
             "usual sense, pass --mirror."
         )
-    is_ambiguous = any(pair != best and value < allowed[best] + _MARGIN for pair, value in allowed.items())
-    return [choices[k, best[k]] for k in range(2)], is_ambiguous
+    is_ambiguous = any(pair != best and chance < allowed[best] + _MARGIN for pair, chance in allowed.items())
+    return (on_first[best[0]], on_second[best[1]]), is_ambiguous
 
 
-def _on_design(choice: BestMatch | None, points: Floats, holes: Floats, tolerances: Pair, name: str) -> Matched:
-    """Accept the best arrangement of a design on one side, or refuse it; its pairs begin with the row in the design."""
-    sides = f"{len(points)} marks of the {name} and {len(holes)} designed holes"
-    count, needed = _agreement(choice, tolerances[1])
-    if choice is None or count < needed:
+def _fit_on_design(
+    choice: BestMatch, points: Floats, holes: Floats, scale_tolerance: float, name: str
+) -> tuple[Similarity, str]:
+    """Fit the best arrangement of a design on one side and describe it, or refuse it."""
+    sides, count = f"{len(points)} marks of the {name} and {len(holes)} designed holes", len(choice.pairs)
+    if count < choice.needed:
         raise CannotRegister(
-            f"{sides}: the design does not match the marks: {count} agree at best, and about {needed} have to, closer "
-            "than chance would bring them. Check that it is the design of this sheet, its unit (um), the pixel and "
-            "voxel sizes; find more of the marks, or give the pairs with --marks."
+            f"{sides}: the design does not match the marks: {_agreeing(choice)} agree at best, and about "
+            f"{choice.needed} have to, closer than chance would bring them. Check that it is the design of this sheet, "
+            f"its unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
         )
-    if choice.second_log_chance < choice.log_chance + _MARGIN:
-        raise CannotRegister(
-            f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, which is too "
-            "close to decide: the design is symmetric or regular, or the marks that would decide are missing. Find "
-            "more of the marks (range of hole diameters), or give the pairs with --marks."
-        )
-    transform, rms = _fit_similarity(holes[choice.pairs[:, 0]], points[choice.pairs[:, 1]], choice.mirrored)
-    _refuse_scale(sides, choice, transform.scale, tolerances[0])
+    transform, rms = _fit_choice(
+        choice, holes, points, sides, scale_tolerance, choice.second_log_chance, hint=_PAIRS_HINT
+    )
     sentence = f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best}."
-    return _matched(choice, transform, sentence)
+    return transform, sentence
 
 
-def _agreement(choice: BestMatch | None, tolerance_um: float) -> tuple[int, int]:
-    """Count the marks that agree, and those that have to: more than do where the agreement may be chance."""
-    if choice is None:
-        return 2, 4
+def _agreeing(choice: BestMatch) -> int:
+    """Count the marks that agree; any two do."""
+    return max(2, len(choice.pairs))
+
+
+def _described(transform: Similarity) -> str:
+    mirrored = ", mirrored" * transform.mirrored
+    return f"rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{mirrored}"
+
+
+def _fit_choice(
+    choice: BestMatch, source: Floats, target: Floats, sides: str, scale_tolerance: float, rival_chance: float, *,
+    hint: str,
+) -> tuple[Similarity, float]:  # fmt: skip
+    """Fit the arrangement and give its rms residual; refuse one with a rival, or at a scale that is out of range."""
     count = len(choice.pairs)
-    if count >= choice.needed and choice.log_chance <= _ACCEPTED_LOG_CHANCE:
-        return count, count
-    least = marks_needed(len(choice.small), choice.large, choice.arrangements.tests, tolerance_um, _ACCEPTED_LOG_CHANCE)
-    return count, max(choice.needed, least, count + 1)
+    if rival_chance < choice.log_chance + _MARGIN:
+        raise CannotRegister(
+            f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, too close to "
+            "decide: the pattern is ambiguous, as it is symmetric or regular, or the marks that would decide are "
+            f"missing. Find more of the marks (range of hole diameters), remove false ones, or {hint}."
+        )
+    transform, rms = _fit_similarity(source[choice.pairs[:, 0]], target[choice.pairs[:, 1]], choice.mirrored)
+    off = abs(transform.scale - 1.0)
+    if off > scale_tolerance:
+        raise CannotRegister(
+            f"{sides}: {count} match, but at a scale of {transform.scale:.4f}, which is {100 * off:.1f} % off the "
+            f"calibration; {100 * scale_tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they are "
+            "that uncertain, allow more with --scale-tolerance."
+        )
+    return transform, rms
 
 
 def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Similarity, float]:
@@ -355,15 +326,6 @@ def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Sim
     return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
 
 
-def _refuse_scale(sides: str, choice: BestMatch, scale: float, tolerance: float) -> None:
-    if abs(scale - 1.0) > tolerance:
-        raise CannotRegister(
-            f"{sides}: {len(choice.pairs)} match, but at a scale of {scale:.4f}, which is {100 * abs(scale - 1.0):.1f} "
-            f"% off the calibration; {100 * tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they "
-            "are that uncertain, allow more with --scale-tolerance."
-        )
-
-
 def _refuse_confusable(sides: str, triangles: tuple[Floats, Floats], least_um: float) -> None:
     """Three marks are not enough where two sides of the triangle are alike, on either side."""
     for corners in triangles:
@@ -371,17 +333,24 @@ def _refuse_confusable(sides: str, triangles: tuple[Floats, Floats], least_um: f
         if np.diff(lengths).min() < least_um:
             raise CannotRegister(
                 f"{sides}: three marks match, but two of their three distances are alike within {least_um:g} um, so "
-                "they could be taken for one another. Add a fourth mark, give the pattern that was burnt (--design) or "
-                "pairs (--marks)."
+                f"they could be taken for one another. Add a fourth mark, or {_HINT}."
             )
 
 
-def _finite_points(marks: ArrayLike, name: str) -> Floats:
-    """Return marks as ``(n, 2)`` float64, or name their faults."""
+def _usable_points(marks: ArrayLike, name: str, hint: str) -> Floats:
+    """Return three marks or more as ``(n, 2)`` float64, or name their faults."""
     points = points_of(marks, name)
     bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
     if bad.size:
         raise MarkError(
-            f"Position of mark {listed(bad)} (counted from 0) of the {name} is not finite. Leave it out, or correct it."
+            f"Position of mark {listed(bad)} (counted from 0) among the {name} is not finite. Correct it, or leave it "
+            "out."
+        )
+    if len(points) < 3:
+        places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in points)
+        raise CannotRegister(
+            f"{len(points)} {name}: at least 3 are needed to match them, 4 are better{'; they lie at' * bool(places)}"
+            f"{places}. Check that the holes are in the field and that the pixel and voxel sizes are right, widen the "
+            f"range of hole diameters, or {hint}."
         )
     return points

@@ -8,67 +8,67 @@ from math import comb, log10
 import numpy as np
 
 from planish.core.typing import Bools, Floats, Ints
-from planish.register.match_search import REACH, Arrangements, Complexes, chance_without, extents, search, share_within
+from planish.register.match_search import (
+    ACCEPTED,
+    REACH,
+    Arrangements,
+    Complexes,
+    extents,
+    log_chance,
+    marks_needed,
+    search,
+    share_within,
+)
 from planish.register.pairs import as_complex
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class BestMatch:
-    """The best arrangement, in row ``best`` of all that were found, of two sides, whichever of them is larger.
+    """The best arrangement of two sides; by default, none.
 
-    ``swapped`` says that the smaller side is the second one; ``pairs`` (k, 2) hold the row of the first side and of the
-    second, sorted by the first; ``log_chance`` is log10 of how many such arrangements chance would offer,
-    ``second_log_chance`` that of the best different match, in which ``second_best`` marks agree.
+    ``pairs`` (k, 2) hold the row of the first side and of the second, sorted by the first; with fewer than ``needed``
+    they may be chance. ``log_chance`` is log10 of how many such arrangements chance would offer, ``second_log_chance``
+    that of the best different match, in which ``second_best`` marks agree; ``stretch`` the share by which one direction
+    is longer than the other. ``landed`` and ``large`` are the marks of the smaller side, which is the second one if
+    ``swapped``, and of the larger side, in the frame of the latter.
     """
 
-    arrangements: Arrangements
-    best: int
-    swapped: bool
-    small: Complexes
-    large: Complexes
     pairs: Ints
-    log_chance: float
-    second_log_chance: float
-    second_best: int
-
-    @property
-    def mirrored(self) -> bool:
-        """True where one side is turned over."""
-        return bool(self.arrangements.mirrored[self.best])
-
-    @property
-    def needed(self) -> int:
-        """Number of marks that have to agree at least."""
-        if len(self.small) == 3:
-            return 3
-        in_common_field = np.count_nonzero(_inside(self.arrangements.landed[self.best], self.large, 0.05))
-        # Of the marks of the smaller side that lie in the field of the other, this share has to agree.
-        return max(4, int(np.ceil(0.35 * in_common_field)))
+    mirrored: bool = False
+    needed: int = 4
+    log_chance: float = 10.0
+    second_log_chance: float = np.inf
+    second_best: int = 0
+    stretch: float = 0.0
+    swapped: bool = False
+    landed: Complexes
+    large: Complexes
 
     def together(self) -> tuple[Complexes, tuple[int, int]]:
         """All marks of the field that both sides show, first the pairs; and how many each side alone shows."""
-        landed = self.arrangements.landed[self.best]
         rows, columns = self.pairs.T[::-1] if self.swapped else self.pairs.T
-        lonely, other = np.delete(landed, rows), np.delete(self.large, columns)
         # Marks of a larger map are no evidence about a smaller one.
         alone = [
-            points[_inside(points, self.large, 0.15) & _inside(points, landed, 0.15)] for points in (lonely, other)
+            points[_inside(points, self.large, 0.15) & _inside(points, self.landed, 0.15)]
+            for points in (np.delete(self.landed, rows), np.delete(self.large, columns))
         ]
         return np.concatenate([self.large[columns], *alone]), (len(alone[0]), len(alone[1]))
 
 
+NO_MATCH = BestMatch(pairs=np.empty((0, 2), np.intp), landed=np.empty(0, complex), large=np.empty(0, complex))
+
+
 def choose(
     source: Floats, target: Floats, scale_tolerance: float, tolerance_um: float, *, hands: tuple[bool, ...]
-) -> BestMatch | None:
-    """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um; None where none agree."""
+) -> BestMatch:
+    """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um."""
     swapped = len(source) > len(target)
     a, b = (as_complex(p, False) for p in ((target, source) if swapped else (source, target)))
     arrangements = search(a, b, scale_tolerance, tolerance_um, hands=hands)
-    if arrangements is None:
-        return None
+    if len(arrangements.inliers) == 0:
+        return NO_MATCH
     misfit = np.sum(np.minimum(arrangements.squares, tolerance_um**2), axis=1)
     best = int(np.lexsort((misfit, arrangements.log_chance))[0])
-    rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
     # Pairs are within the tolerance, or less where the others agree much better. The median distance of a normal
     # scatter in the plane is 1.18 standard deviations.
     squares = arrangements.squares[best]
@@ -79,16 +79,25 @@ def choose(
     rows = np.flatnonzero(squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2)
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
     pairs = pairs[:, ::-1] if swapped else pairs
+    landed = arrangements.landed[best]
+    # Of the marks of the smaller side that lie in the field of the other, 35 % have to agree.
+    in_common_field = np.count_nonzero(_inside(landed, b, 0.05))
+    needed = 3 if len(a) == 3 else max(4, int(np.ceil(0.35 * in_common_field)))
+    if len(pairs) < needed or arrangements.log_chance[best] > ACCEPTED:
+        by_chance = marks_needed(len(a), b, int(arrangements.tests[0]), tolerance_um)
+        needed = max(needed, by_chance, len(pairs) + 1)
+    rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
     return BestMatch(
-        arrangements=arrangements,
-        best=best,
-        swapped=swapped,
-        small=a,
-        large=b,
         pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
+        mirrored=bool(arrangements.mirrored[best]),
+        needed=needed,
         log_chance=float(arrangements.log_chance[best]),
         second_log_chance=rival_chance,
         second_best=rival_count,
+        stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
+        swapped=swapped,
+        landed=landed,
+        large=b,
     )
 
 
@@ -97,13 +106,14 @@ def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float
     used = arrangements.squares[best] <= tolerance * tolerance
     moved = np.max(np.abs(arrangements.landed[:, used] - arrangements.landed[best, used]), axis=1)
     turned_over = arrangements.mirrored != arrangements.mirrored[best]
-    rivals = arrangements.take(turned_over | (moved > 2.0 * tolerance))
-    if len(rivals.inliers) == 0:
+    is_rival = turned_over | (moved > 2.0 * tolerance)
+    if not is_rival.any():
         return np.inf, 0
+    rivals = arrangements.take(is_rival)
     # Pairs that both arrangements share support neither, unless one of the two is turned over.
-    over = (rivals.mirrored != arrangements.mirrored[best])[:, None]
-    shared = (rivals.partner == arrangements.partner[best]) & used & ~over
-    chance = chance_without(rivals, b, shared, tolerance)
+    shared = (rivals.partner == arrangements.partner[best]) & used & ~turned_over[is_rival, None]
+    squares = np.where(shared, np.inf, rivals.squares)
+    chance = log_chance(squares, b, int(rivals.tests[0]), tolerance, rivals.freedom, np.zeros(len(squares)))
     first = int(np.lexsort((-rivals.inliers, chance))[0])
     if np.isfinite(chance[first]):
         return float(chance[first]), int(rivals.inliers[first])
@@ -118,19 +128,9 @@ def _inside(points: Complexes, around: Complexes, border: float) -> Bools:
     return inside_x & (points.imag >= y0 - extra) & (points.imag <= y1 + extra)
 
 
-# log10 of how much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are
-# rare among those that people burn, but a wrong match is worse than none.
-_LOG_DOUBT = -2.0
-# Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
-_RARE = 1e-3
-# The same for marks found on both sides, of whose partners only those lost on both are missing. Their share is never
-# taken to be smaller than that of holes that were not burnt through.
-_RARE_OF_SURE = 3e-3
-_NOT_BURNT = 0.05
+_NOT_BURNT = 0.05  # share of holes that were not burnt through
 # Of the marks that one side alone shows, some are no holes at all, and no evidence of what the other side lost.
 _LOST_OF_ALONE = 0.75
-# Marks on one line meet by chance so often that what is plausible alone decides.
-_LOG_DOUBT_ON_A_LINE = -8.0
 
 
 def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
@@ -144,12 +144,7 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     if count < 4:
         return None
     # Scales up to 1 % off: under those a pattern may repeat itself.
-    arrangements = search(
-        points, points, 0.01, tolerance_um, hands=(False, True) if mirror else (False,), least_share=0.3,
-        most_tried=25_000,
-    )  # fmt: skip
-    if arrangements is None:
-        return None
+    arrangements = search(points, points, 0.01, tolerance_um, hands=(False, True) if mirror else (False,))
     is_moved = np.abs(arrangements.landed - points).max(axis=1) > 2.0 * tolerance_um
     symmetries = arrangements.take(arrangements.mirrored | is_moved)
     if len(symmetries.inliers) == 0:
@@ -159,17 +154,18 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     met, met_of_sure = np.count_nonzero(meets, axis=1), np.count_nonzero(meets[:, :sure], axis=1)
     gone = min(0.9, 0.1 + _LOST_OF_ALONE * (count - sure + 1.0) / (count + 2.0))
     lost = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (sure + c + 2.0) for c in alone]))
-    plausible = np.array([_at_least(count - k, count, gone) > _RARE for k in range(count + 1)])
-    # A wrong arrangement that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
-    of_sure = np.array(
-        [
-            _at_least(gap, sure, _NOT_BURNT + max(lost, (gap / max(sure + gap, 1)) ** 2)) > _RARE_OF_SURE
-            for gap in range(sure, -1, -1)
-        ]
-    )
-    limit = _LOG_DOUBT if extents(points)[1] > 4.0 * tolerance_um else _LOG_DOUBT_ON_A_LINE
+    # Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
+    plausible = np.array([_at_least(count - k, count, gone) > 1e-3 for k in range(count + 1)])
+    # The same for marks found on both sides, of whose partners only those lost on both are missing. A wrong arrangement
+    # that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
+    lost_of_sure = [max(lost, (gap / max(sure + gap, 1)) ** 2) for gap in range(sure + 1)]
+    of_sure = np.array([_at_least(gap, sure, _NOT_BURNT + p) > 3e-3 for gap, p in enumerate(lost_of_sure)])
+    # How much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are rare
+    # among those that people burn, but a wrong match is worse than none. Marks on one line meet by chance so often that
+    # what is plausible alone decides.
+    limit = -2.0 if extents(points)[1] > 4.0 * tolerance_um else -8.0
     alike = np.array([_lost_alike(count - k, count, alone) for k in range(count + 1)])
-    suspect = plausible[met] & of_sure[met_of_sure] & (doubt + alike[met] > limit)
+    suspect = plausible[met] & of_sure[sure - met_of_sure] & (doubt + alike[met] > limit)
     if not np.any(suspect):
         return None
     # The most complete one is the clearest to name.
@@ -177,8 +173,9 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     turn_deg = abs(float(np.degrees(np.angle(symmetries.alpha[worst]))))
     motion = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
     if not symmetries.mirrored[worst] and turn_deg < 5.0:
-        away = symmetries.alpha[worst] * points.mean() + symmetries.gamma[worst] * np.conj(points.mean())
-        motion = f"shifted by {abs(away + symmetries.beta[worst] - points.mean()):.0f} um"
+        middle = points.mean()
+        landed = symmetries.alpha[worst] * middle + symmetries.gamma[worst] * np.conj(middle) + symmetries.beta[worst]
+        motion = f"shifted by {abs(landed - middle):.0f} um"
     return f"of the {count} marks in all, {met[worst]} coincide with a mark again when the pattern is {motion}"
 
 

@@ -7,7 +7,6 @@ and the best are refitted with a little stretch allowed.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, fields
 from math import lgamma, log, log10
 from typing import Any, NamedTuple
 
@@ -23,13 +22,12 @@ REACH = 1.6
 STRETCH = 0.005
 # Scales so far outside the tolerance are still followed: they are named, and they stop worse ones being taken.
 SCALE_SPARE = 0.01
-# Hypotheses tried, hypotheses refined, cells of the raster.
-_MOST_TRIED = 40_000
-_MOST_REFINED = 400
+_MOST_REFINED = 400  # hypotheses
+# A chance agreement as good as the one accepted is expected in fewer than 10**-3 of all searches.
+ACCEPTED = -3.0
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class Arrangements:
+class Arrangements(NamedTuple):
     """Refined hypotheses between the smaller set ``a`` and the larger set ``b``, one a row."""
 
     # (h, n): mark of ``b`` within :data:`REACH` tolerances of each mark of ``a``; -1 where there is none.
@@ -44,38 +42,26 @@ class Arrangements:
     freedom: Floats  # (h,): marks' worth of freedom that the fit had: 2 without stretch, up to 3
     landed: Complexes  # (h, n), in um: marks of ``a`` in the frame of ``b``
     mirrored: Bools  # (h,)
-    tests: int  # hypotheses tried
+    tests: Ints  # (h,): hypotheses tried, the same in all rows
 
     def take(self, chosen: Ints | Bools) -> Arrangements:
         """Return some of the rows."""
-        rows = {name: getattr(self, name)[chosen] for name in _ARRAYS}
-        return Arrangements(tests=self.tests, **rows)
-
-
-_ARRAYS = tuple(f.name for f in fields(Arrangements) if f.name != "tests")
+        return Arrangements._make(column[chosen] for column in self)
 
 
 def search(
-    a: Complexes,
-    b: Complexes,
-    scale_tolerance: float,
-    tolerance_um: float,
-    *,
-    hands: Sequence[bool],
-    least_share: float | None = None,
-    most_tried: int = _MOST_TRIED,
-) -> Arrangements | None:
-    """Try every two-point hypothesis and refine those at which most marks agree; None where no three do.
+    a: Complexes, b: Complexes, scale_tolerance: float, tolerance_um: float, *, hands: Sequence[bool]
+) -> Arrangements:
+    """Try every two-point hypothesis and refine those at which most marks agree, three at least.
 
     ``a`` is the smaller set; of the ``hands`` True reverses its x. The scale may be :data:`SCALE_SPARE` outside of its
-    tolerance. With ``least_share`` only hypotheses with that share of ``a`` are refined, instead of 60 % of the best
-    count; beyond ``most_tried``, pairs of ``a`` are thinned out evenly by length.
+    tolerance. Refined is what reaches 60 % of the best count, or, where a set is laid on itself, 30 % of its marks.
     """
     from planish.register import _kernels
 
-    pairs = _like_lengths(a, b, scale_tolerance, tolerance_um, most_tried)
-    if pairs.start[-1] == 0:
-        return None
+    on_itself = a is b
+    pairs, seeds = _hypotheses(a, b, scale_tolerance + SCALE_SPARE, tolerance_um, 25_000 if on_itself else 40_000)
+    tests = len(seeds) * len(hands)
     reach = REACH * tolerance_um
     wide = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
     raster, cells = _raster(b, wide), _cells(b, wide)
@@ -85,74 +71,46 @@ def search(
     parts: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
-        # Only hypotheses with this share of the best count are refined.
-        share = 0.6 if least_share is None else 0.0
-        counts = _kernels.count_near(points, b, pairs.base, pairs.first, pairs.start, pairs.target, raster, share)
-        enough = max(3, int(share * counts.max()), int((least_share or 0.0) * len(a)))
-        if a is b and not hand:
-            counts[_still(pairs)] = 0
+        counts = _kernels.count_near(points, b, *pairs, raster, 0.0 if on_itself else 0.6)
+        enough = max(3, int(0.3 * len(a) if on_itself else 0.6 * counts.max(initial=0)))
+        if on_itself and not hand:
+            # These leave every mark where it is.
+            counts[(seeds[:, :2] == seeds[:, 2:]).all(axis=1)] = 0
         chosen = np.flatnonzero(counts >= enough)
         if len(chosen) > _MOST_REFINED:
             chosen = np.sort(chosen[np.argsort(-counts[chosen].astype(np.intp), kind="stable")[:_MOST_REFINED]])
-        if len(chosen):
-            refined = _kernels.refine(
-                _seeds(pairs, chosen), points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells
-            )
-            tests = int(pairs.start[-1]) * len(hands)
-            parts += _arrangements(refined, points, b, scale_tolerance, tolerance_um, ridge, hand=hand, tests=tests)
-    if len(parts) < 2:
-        return parts[0] if parts else None
-    joined = {name: np.concatenate([getattr(part, name) for part in parts]) for name in _ARRAYS}
-    return Arrangements(tests=parts[0].tests, **joined)
-
-
-def _seeds(pairs: _LikePairs, chosen: Ints) -> Ints:
-    """Marks ``i, j`` of ``a`` and ``k, q`` of ``b`` that each of the chosen hypotheses lays on one another: (h, 4)."""
-    row = np.searchsorted(pairs.start, chosen, side="right") - 1
-    half, turned = np.divmod(chosen - pairs.start[row], 2)
-    goal = pairs.target[pairs.first[row] + half]
-    goal = np.where(turned[:, None] == 1, goal[:, ::-1], goal)
-    return np.concatenate([pairs.base[row], goal], axis=1)
+        refined = _kernels.refine(seeds[chosen], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells)
+        is_possible = np.abs(np.abs(refined[2]) - 1.0) <= scale_tolerance + SCALE_SPARE
+        parts.append(_arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests))
+    return Arrangements._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
 
 
 def _arrangements(
-    refined: tuple[Any, ...], points: Complexes, b: Complexes, scale_tolerance: float, tolerance_um: float,
-    ridge: float, *, hand: bool, tests: int,
-) -> list[Arrangements]:  # fmt: skip
-    """Arrangements of the refined hypotheses whose scale and stretch are possible, each once; none or one table."""
-    partner, squares, alpha, gamma, beta, power = refined
-    scale = np.abs(alpha)
-    count = np.count_nonzero(partner >= 0, axis=1)
-    is_possible = (np.abs(scale - 1.0) <= scale_tolerance + SCALE_SPARE) & (count >= 3)
+    refined: tuple[Any, ...], is_possible: Bools, points: Complexes, b: Complexes, tolerance_um: float, ridge: float,
+    hand: bool, tests: int,
+) -> Arrangements:  # fmt: skip
+    """Arrangements of the refined hypotheses whose scale and stretch are possible, each once."""
+    partner, _, alpha, gamma, *_ = refined
     # Largest stretch that an arrangement may have; a wrong one often needs more.
-    is_possible &= np.abs(gamma) <= 0.5 * 0.012 * scale
+    is_possible &= np.abs(gamma) <= 0.5 * 0.012 * np.abs(alpha)
+    is_possible &= np.count_nonzero(partner >= 0, axis=1) >= 3
     _, once = np.unique(partner[is_possible], axis=0, return_index=True)
     rows = np.flatnonzero(is_possible)[once]
-    if len(rows) == 0:
-        return []
-    freedom = np.where(count > 3, 2.0 + power / (power + ridge), 2.0)[rows]
     partner, squares, alpha, gamma, beta, power = (column[rows] for column in refined)
-    return [
-        Arrangements(
-            partner=partner,
-            squares=squares,
-            inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
-            log_chance=_log_chance(squares, b, tests, tolerance_um, freedom, power),
-            alpha=alpha,
-            gamma=gamma,
-            beta=beta,
-            freedom=freedom,
-            landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
-            mirrored=np.full(len(rows), hand),
-            tests=tests,
-        )
-    ]
-
-
-def chance_without(arrangements: Arrangements, b: Complexes, shared: Bools, tolerance_um: float) -> Floats:
-    """Judge arrangements again without the marks that they share with another; ``shared (h, n)``."""
-    squares = np.where(shared, np.inf, arrangements.squares)
-    return _log_chance(squares, b, arrangements.tests, tolerance_um, arrangements.freedom, np.zeros(len(squares)))
+    freedom = np.where(np.count_nonzero(partner >= 0, axis=1) > 3, 2.0 + power / (power + ridge), 2.0)
+    return Arrangements(
+        partner=partner,
+        squares=squares,
+        inliers=np.count_nonzero(squares <= tolerance_um**2, axis=1).astype(np.intp),
+        log_chance=log_chance(squares, b, tests, tolerance_um, freedom, power),
+        alpha=alpha,
+        gamma=gamma,
+        beta=beta,
+        freedom=freedom,
+        landed=alpha[:, None] * points + gamma[:, None] * np.conj(points) + beta[:, None],
+        mirrored=np.full(len(rows), hand),
+        tests=np.full(len(rows), tests),
+    )
 
 
 def extents(b: Complexes) -> Pair:
@@ -171,49 +129,48 @@ def share_within(radius: Floats, b: Complexes, tolerance_um: float) -> Floats:
     return np.minimum(1.0, len(b) * along * across)
 
 
-def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float, log_chance: float) -> int:
+def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
     """Smallest number of ``n`` marks whose close agreement chance would not offer; ``n + 1`` where none is enough."""
     share = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
     for k in range(3 if n == 3 else 4, n + 1):
         value = log10(max(tests, 1) * max(n - 2, 1)) + _log10_choose(n - 2, k - 2) + (k - 2) * log10(share)
-        if value <= log_chance:
+        if value <= ACCEPTED:
             return k
     return n + 1
 
 
-class _LikePairs(NamedTuple):
-    """Pairs of marks of like length: row p of ``base`` is laid on rows ``first[p]`` on of ``target``.
+def _hypotheses(
+    a: Complexes, b: Complexes, give: float, tolerance: float, most: int
+) -> tuple[tuple[Ints, Ints, Ints, Ints], Ints]:
+    """Lay each pair of ``a`` on the pairs of ``b`` that are as long, up to the share ``give``, either end first.
 
-    Either end may come first, which gives the hypotheses ``start[p]`` up to ``start[p + 1]``.
+    Gives ``base``, ``first``, ``start`` and ``target`` as the kernel takes them; and of each hypothesis the marks
+    ``i, j`` of ``a`` and ``k, q`` of ``b``: (h, 4). Beyond ``most`` of them, pairs of ``a`` are thinned out evenly.
     """
-
-    base: Ints  # (p, 2): marks of ``a``
-    target: Ints  # (t, 2): marks of ``b``, by length
-    first: Ints
-    start: Ints
-
-
-def _like_lengths(a: Complexes, b: Complexes, scale_tolerance: float, tolerance: float, most: int) -> _LikePairs:
-    """Find the pairs of ``b`` that are as long as each pair of ``a``."""
-    i, j = np.triu_indices(len(a), 1)
-    k, q = np.triu_indices(len(b), 1)
-    length = np.abs(a[j] - a[i])
-    long_enough = length >= 3.0 * tolerance
-    i, j, length = i[long_enough], j[long_enough], length[long_enough]
-    order = np.argsort(length, kind="stable")
-    base, length = np.stack([i, j], axis=1)[order], length[order]
-    other = np.abs(b[q] - b[k])
-    order = np.argsort(other, kind="stable")
-    target, other = np.stack([k, q], axis=1)[order], other[order]
-    slack, give = 0.6 * tolerance, scale_tolerance + SCALE_SPARE
+    base, length = _by_length(a)
+    base, length = base[length >= 3.0 * tolerance], length[length >= 3.0 * tolerance]
+    target, other = _by_length(b)
+    slack = 0.6 * tolerance
     first = np.searchsorted(other, (1.0 - give) * length - slack, side="left")
     last = np.searchsorted(other, (1.0 + give) * length + slack, side="right")
     tried = 2 * int(np.sum(last - first))
     if tried > most:
         thinned = np.unique(np.linspace(0, len(base) - 1, max(1, len(base) * most // tried)).astype(np.intp))
         base, first, last = base[thinned], first[thinned], last[thinned]
-    start = np.concatenate([[0], np.cumsum(2 * (last - first))]).astype(np.intp)
-    return _LikePairs(base, target, first.astype(np.intp), start)
+    start = np.concatenate([[0], np.cumsum(2 * (last - first))])
+    row = np.repeat(np.arange(len(base)), 2 * (last - first))
+    half, turned = np.divmod(np.arange(start[-1]) - start[row], 2)
+    goal = target[first[row] + half]
+    goal[turned == 1] = goal[turned == 1, ::-1]
+    return (base, first, start, target), np.concatenate([base[row], goal], axis=1)
+
+
+def _by_length(points: Complexes) -> tuple[Ints, Floats]:
+    """All pairs of points (k, 2), the shortest first, and their lengths (k,)."""
+    pairs = np.stack(np.triu_indices(len(points), 1), axis=1)
+    length = np.abs(points[pairs[:, 1]] - points[pairs[:, 0]])
+    order = np.argsort(length, kind="stable")
+    return pairs[order], length[order]
 
 
 def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np.uint8]]:
@@ -247,16 +204,7 @@ def _cells(b: Complexes, reach: float) -> tuple[tuple[float, float, float, int, 
     return (x0, y0, size, rows, columns), start, index
 
 
-def _still(pairs: _LikePairs) -> Ints:
-    """Hypotheses that leave every mark where it is, where a set is laid on itself."""
-    base, target = pairs.base, pairs.target
-    code = target[:, 0] * (target.max() + 1) + target[:, 1]
-    order = np.argsort(code)
-    rows = order[np.searchsorted(code[order], base[:, 0] * (target.max() + 1) + base[:, 1])]
-    return (pairs.start[:-1] + 2 * (rows - pairs.first)).astype(np.intp)
-
-
-def _log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, freedom: Floats, power: Floats) -> Floats:
+def log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, freedom: Floats, power: Floats) -> Floats:
     """Return log10 of the expected number of chance arrangements as good as each row.
 
     The marks that agree best are taken, as many as make chance least likely.

@@ -123,7 +123,7 @@ def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, F
 
 def refuse_line(pairs: Pairs, name: str) -> None:
     """Refuse marks that lie on one line."""
-    share = pairs.weights / np.sum(pairs.weights)
+    share = pairs.share
     for side, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
         away = np.sqrt(share)[:, None] * (points - share @ points)
         long, across = np.linalg.svd(away, compute_uv=False)[:2]

@@ -37,6 +37,11 @@ class Pairs:
         return 0.5 * (self.information[:, 0, 0] + self.information[:, 1, 1])
 
     @property
+    def share(self) -> Floats:
+        """Weights whose sum is 1."""
+        return self.weights / np.sum(self.weights)
+
+    @property
     def isotropic(self) -> bool:
         """True where no pair knows a direction better than the other."""
         info = self.information
@@ -61,9 +66,8 @@ class Pairs:
 
     def frame(self) -> tuple[Floats, float]:
         """Return middle (2,) and rms distance from it of the moving marks, in um: coordinates near 1 start here."""
-        share = self.weights / np.sum(self.weights)
-        middle = share @ self.moving
-        return middle, float(np.sqrt(share @ np.sum((self.moving - middle) ** 2, axis=1)))
+        middle = self.share @ self.moving
+        return middle, float(np.sqrt(self.share @ np.sum((self.moving - middle) ** 2, axis=1)))
 
 
 def whitened(whitening: Floats, rows: Floats) -> Floats:
@@ -94,12 +98,15 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
         Wrong shapes, unequal counts, values that are not finite, weights that are no weights, fewer than two pairs,
         a mark with two partners, or all marks at one place.
     """
-    source, target = (points_of(p, name) for p, name in ((moving, "moving"), (fixed, "fixed")))
+    from scipy.spatial import KDTree
+
+    sides = {"moving": points_of(moving, "moving marks"), "fixed": points_of(fixed, "fixed marks")}
+    source, target = sides.values()
     if len(source) != len(target):
         raise MarkError(f"{len(source)} moving and {len(target)} fixed marks given; every mark needs its partner.")
     faults: list[str] = []
     information = _information(weights, len(source), faults)
-    for name, points in (("moving", source), ("fixed", target)):
+    for name, points in sides.items():
         bad = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
         if bad.size:
             faults.append(f"{name} mark{'s' * (bad.size > 1)} {listed(bad)} not finite")
@@ -112,16 +119,26 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
             f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2, and 3 to estimate "
             f"its error. Add {2 - used.size} or more, far apart."
         )
-    for name, points in (("moving", source[used]), ("fixed", target[used])):
-        if np.ptp(points, axis=0).max() <= COINCIDENT * max(1.0, float(np.abs(points).max())):
-            raise MarkError(
-                f"All {used.size} {name} marks lie at ({points[0, 0]:g}, {points[0, 1]:g}) um; at least two places are "
-                "needed."
-            )
-    repeats = _repeated_pairs(pairs, used)
-    if repeats.size:
-        pairs.information[repeats] = 0.0
-    return pairs, repeats
+    reach = {name: COINCIDENT * max(1.0, float(np.abs(points[used]).max())) for name, points in sides.items()}
+    for name, points in sides.items():
+        if np.ptp(points[used], axis=0).max() <= reach[name]:
+            x, y = points[used[0]]
+            raise MarkError(f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are needed.")
+    repeats: set[int] = set()
+    for (name, points), (other, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
+        for a, b in sorted(KDTree(points[used]).query_pairs(reach[name])):
+            first, second = used[a], used[b]
+            distance = float(np.linalg.norm(partners[first] - partners[second]))
+            if distance > reach[other]:
+                x, y = points[first]
+                raise MarkError(
+                    f"Marks {first} and {second} lie at one place on the {name} side, ({x:g}, {y:g}) um, and "
+                    f"{distance:.4g} um apart on the other. One of them is wrong: correct or remove it."
+                )
+            repeats.add(int(second))
+    rows = np.array(sorted(repeats), dtype=np.intp)
+    pairs.information[rows] = 0.0
+    return pairs, rows
 
 
 def listed(which: Sequence[int] | Ints) -> str:
@@ -142,9 +159,7 @@ def points_of(marks: ArrayLike, name: str) -> Floats:
         return np.empty((0, 2))
     if points.ndim != 2 or points.shape[1] != 2:
         transpose = " Transpose them." * (points.ndim == 2 and points.shape[0] == 2)
-        raise MarkError(
-            f"The {name} marks have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.{transpose}"
-        )
+        raise MarkError(f"The {name} have shape {points.shape}; (n, 2) is needed, one (x, y) in um a row.{transpose}")
     return points
 
 
@@ -170,66 +185,40 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     return inverse_of(0.5 * (weights + weights.swapaxes(1, 2)))
 
 
-def _repeated_pairs(pairs: Pairs, used: Ints) -> Ints:
-    """Numbers of pairs that were given before; two marks at one place on one side only are a wrong pair."""
-    from scipy.spatial import KDTree
-
-    sides = {"moving": pairs.moving[used], "fixed": pairs.fixed[used]}
-    limits = {side: COINCIDENT * max(1.0, float(np.abs(places).max())) for side, places in sides.items()}
-    repeats: set[int] = set()
-    for (side, places), (other_side, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
-        for a, b in sorted(KDTree(places).query_pairs(limits[side])):
-            distance = float(np.linalg.norm(partners[a] - partners[b]))
-            if distance > limits[other_side]:
-                raise MarkError(
-                    f"Marks {used[a]} and {used[b]} lie at one place on the {side} side, ({places[a, 0]:g}, "
-                    f"{places[a, 1]:g}) um, and {distance:.4g} um apart on the other. One of them is wrong: correct or "
-                    "remove it."
-                )
-            repeats.add(int(used[b]))
-    return np.array(sorted(repeats), dtype=np.intp)
-
-
-def rms_of_both_hands(pairs: Pairs) -> tuple[dict[bool, float], dict[bool, complex]]:
-    """Least-squares similarity with and without mirror: rms residual in um, and scale and turn, of each."""
-    share = pairs.weights / np.sum(pairs.weights)
-    missed: dict[bool, float] = {}
-    turns: dict[bool, complex] = {}
-    w = as_complex(pairs.fixed, False)
-    w = w - share @ w
-    for hand in (False, True):
-        z = as_complex(pairs.moving, hand)
-        z = z - share @ z
-        turns[hand] = np.sum(share * z.conj() * w) / np.sum(share * np.abs(z) ** 2)
-        missed[hand] = float(np.sqrt(np.sum(share * np.abs(w - turns[hand] * z) ** 2)))
-    return missed, turns
-
-
-def refuse_other_hand(pairs: Pairs, mirrored: bool) -> None:
-    """Refuse marks that only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
+def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
+    """Return ``mirrored``, or, where it is None, whether the marks fit better if one side is turned over.
 
     Raises
     ------
     MarkError
-        With the remedy that fits the linear part found.
+        If the marks only fit with the other handedness: columns swapped on one side, or an undeclared mirror.
     """
-    if len(pairs) < 3:
-        return
-    missed, turns = rms_of_both_hands(pairs)
-    mine, other = missed[mirrored], missed[not mirrored]
+    w = as_complex(pairs.fixed, False)
+    w = w - pairs.share @ w
+    rms: list[float] = []
+    turns: list[complex] = []
+    for hand in (False, True):
+        z = as_complex(pairs.moving, hand)
+        z = z - pairs.share @ z
+        turn = np.sum(pairs.share * z.conj() * w) / np.sum(pairs.share * np.abs(z) ** 2)
+        turns.append(turn)
+        rms.append(float(np.sqrt(np.sum(pairs.share * np.abs(w - turn * z) ** 2))))
+    if mirrored is None:
+        return rms[True] < rms[False]
+    mine, other = rms[mirrored], rms[not mirrored]
     away = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
     spread = np.sqrt(np.average(np.sum(away**2, axis=1), weights=pairs.weights))
     # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
-    if mine < 0.05 * spread or other > 0.2 * mine:
-        return
+    if len(pairs) < 3 or mine < 0.05 * spread or other > 0.2 * mine:
+        return mirrored
     # Exchanged columns are a mirror image that is turned by -90 degrees.
     turn = turns[not mirrored] / abs(turns[not mirrored])
     swapped = not mirrored and max(abs(turn.real), abs(turn.imag + 1.0)) < 0.2
     exchange = "x and y are exchanged on one side: exchange the two columns of that table"
     declare = (
-        "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"
-        if not mirrored
-        else "the maps are not mirrored after all: leave out mirrored=True, or --mirror"
+        "the maps are not mirrored after all: leave out mirrored=True, or --mirror"
+        if mirrored
+        else "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"
     )
     first, second = (exchange, declare) if swapped else (declare, exchange)
     raise MarkError(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import Any, get_origin, get_type_hints
 
@@ -18,6 +18,8 @@ from planish.register.bent import LocalStrain, strain_of
 from planish.register.field import DeviationField
 from planish.register.models import MODELS, model_named
 from planish.register.pairs import Pairs, points_of, weighted_rms
+
+_ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -56,11 +58,11 @@ class FittedTransform:
     residuals_um: Floats
     sentence: str
     warnings: tuple[str, ...] = ()
-    known: DeviationField | None = None  # the field, where the fit was just made
+    likely: DeviationField | None = None  # where it is there already
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
-        for name in ("moving", "fixed", "information", "robust_weights", "residuals_um"):
+        for name in _ARRAYS:
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
 
     def __call__(self, points: ArrayLike) -> Floats:
@@ -89,7 +91,7 @@ class FittedTransform:
     @cached_property
     def field(self) -> DeviationField:
         """The map and errors that the marks in use make likely, whichever model was fitted."""
-        return self.known or DeviationField(self._pairs.take(self.weights > 0), self.mirrored)
+        return self.likely or DeviationField(self._pairs.take(self.weights > 0), self.mirrored)
 
     @cached_property
     def leave_one_out_um(self) -> Floats:
@@ -116,16 +118,14 @@ class FittedTransform:
         """
         out, used = np.flatnonzero(self.robust_weights == 0), int(np.count_nonzero(self.weights > 0))
         rms = self.leave_one_out_rms_um
-        accuracy = f" to {rms:.2g} um" if np.isfinite(rms) else ""
-        if not out.size:
-            return f"{used} marks agree{accuracy}."
-        distances = np.linalg.norm(self.residuals_um[out], axis=1)
-        names, ums = _and([str(labels[int(k)]) for k in out]), _and([f"{d:.2g}" for d in distances])
-        plural = out.size > 1
-        return (
-            f"{used} of {used + out.size} marks agree{accuracy}; {names} {'are' if plural else 'is'} {ums} um off "
-            f"and {'were' if plural else 'was'} left out."
-        )
+        number = f"{used} of {used + out.size}" if out.size else f"{used}"
+        sentence = f"{number} marks agree" + (f" to {rms:.2g} um" if np.isfinite(rms) else "")
+        if out.size:
+            names = _and([str(labels[int(k)]) for k in out])
+            distances = _and([f"{distance:.2g}" for distance in np.linalg.norm(self.residuals_um[out], axis=1)])
+            verb, auxiliary = ("are", "were") if out.size > 1 else ("is", "was")
+            sentence += f"; {names} {verb} {distances} um off and {auxiliary} left out"
+        return sentence + "."
 
     @property
     def rms_um(self) -> float:
@@ -191,14 +191,14 @@ class FittedTransform:
         MarkError
             If the shape is another one or a place is not finite.
         """
-        places = points_of(moving, "moving")
+        places = points_of(moving, "moving marks")
         used = self.weights > 0
         if places.shape != self.moving.shape or not np.isfinite(places[used]).all():
             raise MarkError(
                 f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give one (x, y) in um "
                 "for each mark of the fit."
             )
-        pairs = Pairs(moving=places, fixed=self.fixed, information=self.information).take(used)
+        pairs = replace(self._pairs, moving=places).take(used)
         return MODELS[self.model].refit(pairs, self.transform, self.field)
 
     def jacobian(self, points: ArrayLike) -> Floats:
@@ -261,10 +261,10 @@ class Chain:
     @property
     def similarity(self) -> Similarity:
         """The closest similarity at the middle of the first link's marks."""
+        first = self.fits[0]
         if len(self.fits) == 1:
-            t = self.fits[0].transform
-            return Similarity(scale=t.scale, rotation_rad=t.rotation_rad, shift_um=t.shift_um, mirrored=t.mirrored)
-        middle = self.fits[0].moving.mean(axis=0)
+            return first.transform if isinstance(first.transform, Similarity) else first.transform.similarity
+        middle = first.moving.mean(axis=0)
         return nearest_similarity(self.jacobian(middle), middle, self(middle))
 
     @property
@@ -301,7 +301,6 @@ def _and(words: list[str]) -> str:
 
 
 FORMAT = "planish registration 1"
-_ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
 
 
 def registration_to_json(fit: FittedTransform) -> dict[str, Any]:

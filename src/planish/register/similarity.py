@@ -72,7 +72,7 @@ class SimilarityModel(ParametricModel):
             beta = w_mean - alpha * z_mean
             angle, shift_um = float(np.angle(alpha)), (beta.real, beta.imag)
             return Similarity(scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored)
-        share = pairs.weights / np.sum(pairs.weights)
+        share = pairs.share
         z = (as_complex(pairs.moving, mirrored) - as_complex(middle[None], mirrored)[0]) / size
         target = share @ pairs.fixed
         beta_x, beta_y, a, b = least_squares(pairs.whitening(), similarity_columns(z), pairs.fixed - target, self.name)
@@ -116,7 +116,7 @@ class AffineModel(ParametricModel):
 
 def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, float]:
     """Weighted means of both sides as complex numbers, and means of ``conj(z) w`` and ``|z|**2`` around them."""
-    share = pairs.weights / np.sum(pairs.weights)
+    share = pairs.share
     z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
     z_mean, w_mean = share @ z, share @ w
     zc, wc = z - z_mean, w - w_mean
@@ -161,7 +161,7 @@ class ProjectiveModel(ParametricModel):
         """Normalised direct linear transformation, then Gauss-Newton on the distances in the fixed map."""
         middle, size = pairs.frame()
         refuse_line(pairs, self.name)
-        share = pairs.weights / np.sum(pairs.weights)
+        share = pairs.share
         target = share @ pairs.fixed
         target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
 

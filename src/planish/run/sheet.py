@@ -70,9 +70,9 @@ def map_layer(
     }  # fmt: skip
     if sections is not None:
         groups["sections"] = sections
-    params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.mesh_um, map_um=map_um))
+    params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.quality.mesh_um, map_um=map_um))
     facts = SheetFacts(
-        surfaces=surface_facts(columns), properties=property_facts(columns), numbers=None, flatten=flattened.saved,
+        surfaces=surface_facts(columns), properties=property_facts(columns), numbers=None, flatten=flattened.quality,
         sections=None if sections is None else section_facts(sections),
     )  # fmt: skip
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
