@@ -67,7 +67,7 @@ def test_the_smoothing_is_the_one_that_misses_marks_left_out_least():
     system = Smoothing(pairs_of(moving, bent(moving) + rng.normal(0, 3, (20, 2))))
 
     def cost(smoothing):
-        return np.sum(system.missed(smoothing)[0] ** 2)
+        return np.sum(system.missed(smoothing) ** 2)
 
     best = cost(system.choose())
     assert all(best <= cost(s) * (1 + 1e-6) for s in [0.0, *np.logspace(0, 12, 200), np.inf])

@@ -150,15 +150,17 @@ def relax_grid(
         uv = _lay_on_target(level, target, pitch, team)
     if braces is not None:
         uv[braces] = np.nan
+    # Cells that the step rule held open are as good as folded.
+    floor = 1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0
     folded = np.zeros((level.rows - 1, level.cols - 1), dtype=bool)
-    if folds or outcome is Outcome.HELD_OPEN:
-        # Cells that the step rule held open are as good as folded.
-        folded = folded_cells(points, uv, side=side, floor=1.5 * OPEN if outcome is Outcome.HELD_OPEN else 0.0)
+    if folds or floor:
+        folded = folded_cells(points, uv, side=side, floor=floor)
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
-    return Relaxed(uv=uv, energy=float(energy) * pitch * pitch, springs=springs, outcome=outcome, steps=steps,
-                   history=history, folded=folded, imputed=imputed, straight_share=straight, pitch=pitch,
-                   dropped=dropped)  # fmt: skip
+    return Relaxed(
+        uv=uv, energy=energy * pitch * pitch, springs=springs, outcome=outcome, steps=steps, history=history,
+        folded=folded, imputed=imputed, straight_share=straight, pitch=pitch, dropped=dropped,
+    )  # fmt: skip
 
 
 def _check(
@@ -166,23 +168,22 @@ def _check(
     method: object, rest: object,
 ) -> None:  # fmt: skip
     """Refuse arguments that do not fit, all faults in one message."""
-    faults: list[str] = []
-    for name, value, choices in (("method", method, ("multigrid", "relaxation")), ("rest", rest, ("arc", "chord"))):
-        if value not in choices and not isinstance(value, RelaxationParams):
-            faults.append(f"{name} is {value!r}, needed is {' or '.join(map(repr, choices))}")
     if points.ndim != 3 or points.shape[2] != 3:
         raise CannotFlatten(f"Points of shape {points.shape} were given; needed is a grid (rows, cols, 3) of x, y, z.")
-    if min(points.shape[:2]) < 2:
-        faults.append(
-            f"the mesh has {points.shape[0]} rows and {points.shape[1]} columns; at least 2 rows and 2 columns are "
-            f"needed: use a finer mesh"
-        )
-    if start is not None and np.shape(start) != (*points.shape[:2], 2):
-        faults.append(f"the start has the shape {np.shape(start)}, needed is {(*points.shape[:2], 2)}")
+    rows, cols = shape = points.shape[:2]
+    faults: list[str] = []
+    if method not in ("multigrid", "relaxation") and not isinstance(method, RelaxationParams):
+        faults.append(f"method is {method!r}, needed is 'multigrid' or 'relaxation'")
+    if rest not in ("arc", "chord"):
+        faults.append(f"rest is {rest!r}, needed is 'arc' or 'chord'")
+    if min(shape) < 2:
+        faults.append(f"the mesh has {rows} rows and {cols} columns, at least 2 of both are needed: use a finer mesh")
+    if start is not None and np.shape(start) != (*shape, 2):
+        faults.append(f"the start has the shape {np.shape(start)}, needed is {(*shape, 2)}")
     elif start is not None and not np.isfinite(np.asarray(start)[np.isfinite(points).all(axis=-1)]).all():
         faults.append("the start is not finite at nodes of the sheet: give a place for each of them")
-    if weights is not None and np.shape(weights) != points.shape[:2]:
-        faults.append(f"the weights have the shape {np.shape(weights)}, needed is {points.shape[:2]}")
+    if weights is not None and np.shape(weights) != shape:
+        faults.append(f"the weights have the shape {np.shape(weights)}, needed is {shape}")
     if not 0 < tolerance < 1:
         faults.append(f"the tolerance is {tolerance}, needed is a share between 0 and 1")
     if not 0 <= least_share < 1:
@@ -195,47 +196,46 @@ def _drop_specks(points: Floats, least_share: float) -> tuple[Floats, Bools]:
     """Leave out pieces with less than ``least_share`` of all nodes; give the points, and which nodes were dropped."""
     is_node = np.isfinite(points).all(axis=-1)
     labels, count = ndimage.label(is_node, structure=np.ones((3, 3)))
-    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
-    is_small = sizes < least_share * sizes.sum()
-    if not is_small.any():
-        return points, np.zeros(is_node.shape, dtype=bool)
-    dropped = np.concatenate([[False], is_small])[labels]
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    is_small = sizes < least_share * sizes[1:].sum()
+    is_small[0] = False
+    dropped = is_small[labels]
     return np.where((is_node & ~dropped)[..., None], points, np.nan), dropped
 
 
 def _brace(points: Floats, weights: Floats | None) -> tuple[Floats, Floats | None, Bools | None]:
     """Add nodes around those that hang loosely on the sheet; give points, weights and the added nodes, if any."""
     is_node = np.asarray(np.isfinite(points).all(axis=-1))
-    if (nodes := np.count_nonzero(is_node)) < 4:
-        raise CannotFlatten(
-            f"The mesh has {nodes} nodes in {is_node.shape[0]} rows and {is_node.shape[1]} columns; at "
-            f"least 2 rows and 2 columns are needed. Use a finer mesh."
-        )
+    nodes = np.count_nonzero(is_node)
+    if nodes < 4:
+        raise CannotFlatten(f"The mesh has {nodes} nodes; at least 2 rows and 2 columns are needed. Use a finer mesh.")
     labels, count = ndimage.label(is_node, structure=np.ones((3, 3)))
+    if count > 1:
+        pieces = zip(np.bincount(labels.ravel())[1:], ndimage.find_objects(labels), strict=True)
+        places = [
+            f"{size} nodes in rows {rows.start}-{rows.stop - 1} and columns {cols.start}-{cols.stop - 1}"
+            for size, (rows, cols) in sorted(pieces, key=lambda piece: -piece[0])
+        ]
+        raise CannotFlatten(
+            f"The sheet falls into {count} unconnected pieces: {_six(places)}. Their distance in the plane is not "
+            "known: flatten each of them by itself, or drop the smaller ones with least_share."
+        )
     loose, stiff = loose_nodes(is_node)
     stiff = stiff[stiff > 0.02 * stiff.sum()]
-    if count > 1:
-        pieces = zip(ndimage.find_objects(labels), np.bincount(labels.ravel())[1:], strict=True)
-        largest = sorted(pieces, key=lambda piece: -piece[1])[:6]
-        places = ", ".join(
-            f"{size} nodes in rows {box[0].start}-{box[0].stop - 1} and columns {box[1].start}-{box[1].stop - 1}"
-            for box, size in largest
-        ) + (" ..." if count > 6 else "")
-        raise CannotFlatten(
-            f"The sheet falls into {count} unconnected pieces: {places}. Their distance in the plane is not known: "
-            "flatten each of them by itself, or drop the smaller ones with least_share."
-        )
     if stiff.size != 1:
-        largest_parts = ", ".join(map(str, np.sort(stiff)[:-7:-1])) + (" ..." if stiff.size > 6 else "")
+        sizes = _six([str(size) for size in np.sort(stiff)[::-1]])
         raise CannotFlatten(
-            f"The sheet falls into {stiff.size} pieces of {largest_parts} cells that hang together by single nodes at "
-            "most. How they are turned against each other is not known: cut them apart there, and flatten each by "
-            "itself."
+            f"The sheet falls into {stiff.size} pieces of {sizes} cells that hang together by single nodes at most. "
+            "How they are turned against each other is not known: cut them apart there, and flatten each by itself."
         )
     if not loose.any():
         return points, weights, None
     braces = ~is_node & ndimage.binary_dilation(loose, structure=np.ones((3, 3), dtype=bool), iterations=2)
     return (*impute_nodes(points, weights, is_node, braces), braces)
+
+
+def _six(words: list[str]) -> str:
+    return ", ".join(words[:6]) + " ..." * (len(words) > 6)
 
 
 def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | None, Bools]:
@@ -244,10 +244,11 @@ def _impute_doubtful(points: Floats, weights: Floats) -> tuple[Floats, Floats | 
     if not (np.isfinite(weights[is_node]).all() and (weights[is_node] >= 0).all() and (weights[is_node] > 0).any()):
         raise CannotFlatten("A weight is negative or not finite, or all are 0. Give a confidence from 0 upwards.")
     is_doubtful = is_node & (weights < TRUSTED * np.median(weights[is_node & (weights > 0)]))
-    if (trusted := np.count_nonzero(is_node & ~is_doubtful)) < 4:
+    trusted = np.count_nonzero(is_node & ~is_doubtful)
+    if trusted < 4:
         raise CannotFlatten(
-            f"{trusted} nodes have more than a tenth of the median weight; at least 4 are "
-            f"needed. Give the nodes that were measured a higher weight."
+            f"{trusted} nodes have more than a tenth of the median weight, at least 4 are needed. Give the nodes that "
+            "were measured a higher weight."
         )
     if is_doubtful.any():
         return (*impute_nodes(points, weights, is_node & ~is_doubtful, is_doubtful), is_doubtful)

@@ -14,9 +14,6 @@ from planish.flatten._relaxation_kernels import mix, set_force
 from planish.flatten.distortion import folded_cells, triangle_areas
 from planish.flatten.levels import of_springs
 
-# How the time step follows in the feedback reading of Eq. (4). The paper has no numbers for it; any come to a halt.
-_CUT, _GROW = 0.5, 1.1
-
 Springs = tuple[Floats, Floats]  # rest lengths and constants, framed
 
 
@@ -180,20 +177,28 @@ def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> t
     # Without any force there is no motion to wait for.
     outcome = Outcome.RESTED if largest == 0.0 else Outcome.OUT_OF_STEPS
     log: list[tuple[float, ...]] = []
+
+    def accelerate() -> tuple[float, float, float]:
+        """Set the velocities after ``dt``; give their largest gradient, the fastest, and their sum."""
+        if p.integrator == "euler":
+            return mix(v, 1.0 - c * dt, f, dt, side, next_v)
+        return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), side, next_v)
+
     while outcome is Outcome.OUT_OF_STEPS and len(log) < p.most_steps:
         if p.control != "fixed":
             c = max(p.c_min, gradient / p.b, p.c_fall * c)
         if p.control == "scale":
             dt = min(p.dt_max, p.a / gradient if gradient > 0.0 else np.inf)
         elif p.control == "feedback":
-            dt = dt * _CUT if gradient >= p.a else min(p.dt_max, dt * _GROW)
-        gradient, fastest, total = _accelerate(p, v, f, dt, c, side, next_v)
+            # The paper has no numbers for it; any come to a halt.
+            dt = dt * 0.5 if gradient >= p.a else min(p.dt_max, dt * 1.1)
+        gradient, fastest, total = accelerate()
         if p.control == "scale" and dt * gradient > p.a:
             dt = p.a / gradient
-            gradient, fastest, total = _accelerate(p, v, f, dt, c, side, next_v)
+            gradient, fastest, total = accelerate()
         if p.control != "fixed" and fastest * dt > p.most_move:
             dt *= p.most_move / (fastest * dt)
-            gradient, fastest, total = _accelerate(p, v, f, dt, c, side, next_v)
+            gradient, fastest, total = accelerate()
         if p.integrator == "rk4":
             x[:], next_v[:] = _runge_kutta(x, v, f, springs, dt, c)
             gradient, _, total = mix(next_v, 1.0, f, 0.0, side, next_v)
@@ -204,8 +209,9 @@ def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> t
         speed = total / nodes
         log.append((dt, c, gradient, speed, energy))
         time += dt
-        has_moved, calm_time = (True, 0.0) if speed > p.mean_speed else (has_moved, calm_time + dt)
-        rested = {
+        has_moved = has_moved or speed > p.mean_speed
+        calm_time = 0.0 if speed > p.mean_speed else calm_time + dt
+        has_come_to_rest = {
             # A mesh that has not been fast within a period of its slowest mode will never be.
             "first": (has_moved or time >= period) and calm_time > 0.0,
             "sustained": calm_time >= period,
@@ -213,18 +219,9 @@ def _motion(x: Floats, springs: Springs, mask: Floats, p: RelaxationParams) -> t
         }[p.stop]
         if not np.isfinite(speed + energy):
             outcome = Outcome.NOT_FINITE
-        elif rested:
+        elif has_come_to_rest:
             outcome = Outcome.RESTED
     return outcome, energy, np.array(log).reshape(-1, 5)
-
-
-def _accelerate(
-    p: RelaxationParams, v: Floats, f: Floats, dt: float, c: float, side: Floats, out: Floats
-) -> tuple[float, float, float]:
-    """Set ``out`` to the velocities after ``dt``; give their largest gradient, the fastest, and their sum."""
-    if p.integrator == "euler":
-        return mix(v, 1.0 - c * dt, f, dt, side, out)
-    return mix(v, 1.0 / (1.0 + c * dt), f, dt / (1.0 + c * dt), side, out)
 
 
 def _runge_kutta(x: Floats, v: Floats, f: Floats, springs: Springs, dt: float, c: float) -> tuple[Floats, Floats]:

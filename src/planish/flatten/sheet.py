@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -144,8 +144,7 @@ def flatten_sheet(surfaces: xr.Dataset, *, params: FlattenParams | None = None) 
     return Flattened(flat=flat, strain=strain.assign(_progress(relaxed)), quality=quality)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetMesh:
+class SheetMesh(NamedTuple):
     """Nodes of the spring mesh on the centre surface.
 
     ``rows``, ``cols``: the columns that it takes, at ``y_um``, ``x_um``; ``pitch_um``: between two rows; ``is_sheet``

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
-from typing import Any, ClassVar, cast
+from dataclasses import fields
+from typing import Any, ClassVar, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,9 +19,6 @@ from planish.core.transform import Affine, NearSimilarity, Similarity, Transform
 from planish.core.typing import Floats, Pair
 
 Kernel = Callable[[Floats], Floats]
-
-# Points at once, times nodes: what keeps the distances in the cache.
-_AT_ONCE = 1 << 18
 
 
 class Bent(NearSimilarity):
@@ -58,12 +55,11 @@ class Bent(NearSimilarity):
         places = np.asarray(points, dtype=np.float64)
         scaled = (places.reshape(-1, 2) - self.source) / self.size
         out = self.affine[0] + scaled @ self.affine[1:]
-        step = max(1, _AT_ONCE // len(self.nodes))
-        parts = [slice(k, k + step) for k in range(0, len(scaled), step)]
 
         def add(part: slice) -> None:
             self.add_bends(scaled[part], out[part])
 
+        parts = self._parts(scaled)
         # With fewer parts, starting threads takes longer than the work.
         if len(parts) < 4:
             for part in parts:
@@ -71,6 +67,11 @@ class Bent(NearSimilarity):
         else:
             map_threads(add, parts)
         return out.reshape(places.shape)
+
+    def _parts(self, scaled: Floats) -> list[slice]:
+        """Points at once, so that their distances from the nodes fit into the cache."""
+        step = max(1, (1 << 18) // len(self.nodes))
+        return [slice(k, k + step) for k in range(0, len(scaled), step)]
 
     def add_bends(self, scaled: Floats, out: Floats) -> None:
         """Add the local changes at scaled points (n, 2) to ``out`` (n, 2), in um."""
@@ -86,15 +87,14 @@ class Bent(NearSimilarity):
         places = np.asarray(points, dtype=np.float64)
         scaled = (places.reshape(-1, 2) - self.source) / self.size
         out = np.broadcast_to(self.affine[1:].T, (len(scaled), 2, 2)).copy()
-        step = max(1, _AT_ONCE // len(self.nodes))
         bends = [(slope, bend) for _, slope, bend in self.bends() if np.any(bend)]
-        for k in range(0, len(scaled) if bends else 0, step):
-            x, y = (scaled[k : k + step, None, i] - self.nodes[:, i] for i in range(2))
-            squares = x**2 + y**2
+        for part in self._parts(scaled) if bends else ():
+            away = [scaled[part, None, i] - self.nodes[:, i] for i in range(2)]
+            squares = away[0] ** 2 + away[1] ** 2
             for slope, bend in bends:
-                by = slope(squares)
-                out[k : k + step, :, 0] += (by * x) @ bend
-                out[k : k + step, :, 1] += (by * y) @ bend
+                factor = slope(squares)
+                for i in range(2):
+                    out[part, :, i] += (factor * away[i]) @ bend
         return (out / self.size).reshape(*places.shape[:-1], 2, 2)
 
     @property
@@ -122,11 +122,11 @@ class _Inverse:
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` back, in um; NaN where there is none."""
         places = np.asarray(points, dtype=np.float64)
-        sources = np.full((places.size // 2, 2), np.nan)
-        is_finite = np.isfinite(places.reshape(-1, 2)).all(axis=1)
+        sources = np.full(places.shape, np.nan)
+        is_finite = np.isfinite(places).all(axis=-1)
         if is_finite.any():
-            sources[is_finite] = self._newton(places.reshape(-1, 2)[is_finite])
-        return sources.reshape(places.shape)
+            sources[is_finite] = self._newton(places[is_finite])
+        return sources
 
     def _newton(self, targets: Floats) -> Floats:
         bent = self.bent
@@ -147,22 +147,20 @@ class _Inverse:
             # Far from the answer a whole step may overshoot a bend.
             length = np.linalg.norm(step, axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.125 * self.around / np.maximum(length, 1e-300))
-            trial = current - step
-            trial_error = bent(trial) - targets[active]
-            before, after = (np.linalg.norm(e, axis=1) for e in (error[active], trial_error))
-            is_better = after < before
-            sources[active[is_better]], error[active[is_better]] = trial[is_better], trial_error[is_better]
+            before = np.linalg.norm(error[active], axis=1)
+            is_better = np.zeros(active.size, dtype=np.bool_)
             # Where the whole step does not help, a quarter of it may.
-            worse = np.flatnonzero(~is_better & (before > tolerance))
-            if worse.size:
-                trial = current[worse] - 0.25 * step[worse]
-                trial_error = bent(trial) - targets[active[worse]]
-                helps = np.linalg.norm(trial_error, axis=1) < before[worse]
-                row = active[worse[helps]]
-                sources[row], error[row] = trial[helps], trial_error[helps]
-                is_better[worse[helps]] = True
-            distance = np.linalg.norm(error[active], axis=1)
-            active = active[is_better & (distance > tolerance)]
+            for share in (1.0, 0.25):
+                trying = np.flatnonzero(~is_better & ((before > tolerance) | (share == 1.0)))
+                if not trying.size:
+                    continue
+                trial = current[trying] - share * step[trying]
+                trial_error = bent(trial) - targets[active[trying]]
+                helps = np.linalg.norm(trial_error, axis=1) < before[trying]
+                rows = active[trying[helps]]
+                sources[rows], error[rows] = trial[helps], trial_error[helps]
+                is_better[trying[helps]] = True
+            active = active[is_better & (np.linalg.norm(error[active], axis=1) > tolerance)]
             if not active.size:
                 break
         outside = not bent.everywhere and np.any((sources < self.low) | (sources > self.high), axis=1)
@@ -183,8 +181,7 @@ def _solve(jacobian: Floats, error: Floats) -> Floats:
 NOTABLE = 0.01
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LocalStrain:
+class LocalStrain(NamedTuple):
     """Local strain between the marks, after the overall scale is taken off."""
 
     area: Pair  # least and largest ratio of local areas to their mean
@@ -206,29 +203,30 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     CannotRegister
         Where the map folds, or changes its handedness against what was declared.
     """
-    middle = marks.mean(axis=0)
-    middle_um = (float(middle[0]), float(middle[1]))
+    where = marks.mean(axis=0)
     if isinstance(transform, Similarity):
-        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=middle_um)
+        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(where[0]), float(where[1])))
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     derivatives = transform.jacobian(points)
-    sign = -1.0 if mirrored else 1.0
-    areas = sign * (derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0])
+    areas = (-1.0 if mirrored else 1.0) * (
+        derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
+    )
     worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
     if not areas[worst] > 0:
         if isinstance(transform, Affine):
             raise CannotRegister(
-                "The fitted affine transformation reverses the handedness against what was declared: many pairs are "
-                "probably wrong. Check that every row pairs the same hole on both sides."
+                "The fitted affine transformation reverses the handedness: many pairs are probably wrong. Check that "
+                "every row pairs the same hole on both sides."
             )
         x, y = points[worst]
         raise CannotRegister(
-            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map, between the marks. "
-            "Check the pairs around that place; if they are right, fit a model with fewer parameters."
+            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map. Check the pairs there; "
+            "if they are right, fit a model with fewer parameters."
         )
     mean = float(np.mean(areas))
     stretches = np.linalg.svd(derivatives, compute_uv=False) / np.sqrt(mean) - 1.0
-    where = points[int(np.argmax(np.abs(stretches).max(axis=1)))] if len(points) > 1 else middle
+    if len(points) > 1:
+        where = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
     return LocalStrain(
         area=(float(areas.min() / mean), float(areas.max() / mean)),
         stretch=(float(stretches.min()), float(stretches.max())),

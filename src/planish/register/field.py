@@ -14,9 +14,8 @@ Rasmussen and Williams (2006), Gaussian Processes for Machine Learning, sections
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -54,8 +53,7 @@ def covariance_slope(kernel: tuple[str, float], squares: Floats) -> Floats:
     return np.exp(-np.sqrt(squares * (3.0 / length**2))) * (-3.0 / length**2)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _KernelFit:
+class _KernelFit(NamedTuple):
     """The marks under one covariance, in its eigenvectors, for all ratios: axes (affine, field, ...)."""
 
     turn: Floats  # (2n, 2n): whitened marks to eigenvectors, as columns
@@ -170,13 +168,13 @@ class DeviationField:
         It is ``f' S f + c`` with ``f = (1, x, y, covariances with the nodes)``; ``S`` (3 + n, 3 + n), and ``b``
         (3 + n, 2), the mean deviation, for cross terms.
         """
+        from scipy.linalg import block_diag
+
         forms: dict[int, tuple[Floats, Floats, float]] = {}
         n = len(self._pairs)
         corner = np.linalg.lstsq(np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
                                  self._columns(self.nodes).reshape(-1, 6), rcond=None)[0]  # fmt: skip
-        back = np.zeros((2 * n, 2 * n))
-        for i, block in enumerate(self._whitening):
-            back[2 * i : 2 * i + 2, 2 * i : 2 * i + 2] = block.T
+        back = block_diag(*self._whitening.swapaxes(1, 2))
         for k, likely in self._likely.items():
             share, variance = self.mixture[k], self._variance[k]
             # Rows of which the products with (columns, eigenvectors) are squared and summed.
@@ -185,13 +183,11 @@ class DeviationField:
             rows = np.concatenate([root, root @ cross], axis=-1) * np.sqrt(share * variance)[..., None, None]
             means = np.concatenate([likely.coefficients, _FIELD[:, None] * self._scaled_residuals(likely)], axis=-1)
             scaled = np.sqrt(share)[..., None] * means
-            stack = np.concatenate([rows.reshape(-1, rows.shape[-1]), scaled.reshape(-1, rows.shape[-1])])
+            stack = np.concatenate([k.reshape(-1, 6 + 2 * n) for k in (rows, scaled)])
             form = stack.T @ stack
             away = np.einsum("ag,g,gk->k", share * variance, _FIELD**2, likely.shrink)
             form[6:, 6:] -= np.diag(away)
-            change = np.zeros((6 + 2 * n, 6 + 2 * n))
-            change[:6, :6] = corner
-            change[6:, 6:] = back @ likely.turn
+            change = block_diag(corner, back @ likely.turn)
             form = change @ form @ change.T
             form = form[0::2, 0::2] + form[1::2, 1::2]
             mean = change @ np.einsum("ag,agk->k", share, means)
@@ -229,10 +225,10 @@ class DeviationField:
         residual.
         """
         if len(self._all_pairs) > len(self._pairs):
-            scaled = (self._all_pairs.moving - self.middle) / self.size
             plane, kernels, bends = self.mean()
-            images = np.column_stack([np.ones(len(scaled)), scaled]) @ plane
+            scaled = (self._all_pairs.moving - self.middle) / self.size
             squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
+            images = np.column_stack([np.ones(len(scaled)), scaled]) @ plane
             for kernel, bend in zip(kernels, bends, strict=True):
                 images += covariance(kernel, squares) @ bend
             missed = self._all_pairs.fixed - images
@@ -277,16 +273,15 @@ class DeviationField:
 
 def _groups(places: Floats, most: int) -> Ints:
     """Number of the group of each place (n, 2): halves of halves along their longer side, at most ``most``."""
-    group = np.zeros(len(places), dtype=np.intp)
     if len(places) <= most:
         return np.arange(len(places))
+    group = np.zeros(len(places), dtype=np.intp)
     parts = [np.arange(len(places))]
     while 2 * len(parts) <= most:
         halves: list[Ints] = []
         for part in parts:
             axis = int(np.argmax(np.ptp(places[part], axis=0)))
-            sorted_ = part[np.argsort(places[part, axis], kind="stable")]
-            halves += [sorted_[: part.size // 2], sorted_[part.size // 2 :]]
+            halves += np.split(part[np.argsort(places[part, axis], kind="stable")], [part.size // 2])
         parts = halves
     for number, part in enumerate(parts):
         group[part] = number

@@ -124,12 +124,12 @@ def register_marks(
         ]
         weights = turn @ spread[0] @ turn.T + spread[1]
     fit = fit_transform(*marks, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
-    off = abs(fit.transform.scale - 1)
-    if off > params.scale_tolerance:
+    scale, most = fit.transform.scale, params.scale_tolerance
+    if abs(scale - 1) > most:
         raise CannotRegister(
-            f"The marks fit at a scale of {fit.transform.scale:.4f}, which is {100 * off:.1f} % off the calibration; "
-            f"{100 * params.scale_tolerance:.2g} % are allowed. Check --voxel-um and --pixel-um, and the marks; if a "
-            "calibration is that uncertain, allow more with --scale-tolerance."
+            f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off the calibration; "
+            f"{100 * most:.2g} % are allowed. Check --voxel-um, --pixel-um and the marks; if a calibration is that "
+            "uncertain, allow more with --scale-tolerance."
         )
     return HoleRegistration(fit=fit, pairs=pairs, **identity)
 

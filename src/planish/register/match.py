@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.transform import Similarity
 from planish.core.typing import Floats, Ints
-from planish.register.match_choose import NO_MATCH, BestMatch, choose, self_likeness
+from planish.register.match_choose import BestMatch, choose, self_likeness
 from planish.register.match_search import ACCEPTED
 from planish.register.pairs import Pairs, listed, points_of
 from planish.register.similarity import SimilarityModel
@@ -26,6 +26,10 @@ from planish.register.similarity import SimilarityModel
 _MARGIN = 3.0
 _HINT = "give the pattern that was burnt (--design) or pairs (--marks)"
 _PAIRS_HINT = "give the pairs with --marks"
+_WRONG_SIDE = (
+    "one is probably viewed from the wrong side. Check --image-side, --top and --through; if the slices are numbered "
+    "against the usual sense, pass --mirror."
+)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -117,13 +121,11 @@ def match_marks(
     sides = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
     limits = (scale_tolerance, tolerance_um)
     choice = choose(source, target, *limits, hands=(False, True) if mirror else (False,))
-    turned_over = NO_MATCH if mirror else choose(source, target, *limits, hands=(True,))
+    turned_over = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
     count, smaller = len(choice.pairs), min(len(source), len(target))
     if turned_over.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
         raise CannotRegister(
-            f"{sides}: {count} match, but {len(turned_over.pairs)} match if one side is mirrored: one is probably "
-            "viewed from the wrong side. Check --image-side, --top and --through; if the slices are numbered against "
-            "the usual sense, pass --mirror."
+            f"{sides}: {count} match, but {len(turned_over.pairs)} match if one side is mirrored: {_WRONG_SIDE}"
         )
     if count < choice.needed:
         raise CannotRegister(f"{sides}: {_no_match(choice, smaller, mirror)}")
@@ -159,12 +161,12 @@ def _no_match(choice: BestMatch, smaller: int, mirror: bool) -> str:
     if smaller == 3:
         return f"with three marks on a side a match may be chance. Add a fourth, or {_HINT}."
     needed = f"about {choice.needed}" if choice.needed <= smaller else f"more than the {smaller} of the smaller side"
-    turned = "" if mirror else "; if the slices are numbered against the usual sense pass --mirror"
+    turned = "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
     return (
         f"no match found: {_agreeing(choice)} agree at best, and {needed} have to, closer than chance brings them. "
-        "Printed dots as large as holes count as marks: give --printed, and raise the lower end of --hole-um above the "
-        "largest dot. Check the pixel and voxel sizes (if they are uncertain, allow more with --scale-tolerance), "
-        f"--top, and --image-side: the side that the image shows{turned}; find more of the marks, or {_HINT}."
+        "Printed dots as large as holes count as marks: give --printed, and raise the lower end of --hole-um above "
+        "them. Check the pixel and voxel sizes (if uncertain, allow more with --scale-tolerance), --top and "
+        f"--image-side{turned}; find more of the marks, or {_HINT}."
     )
 
 
@@ -260,9 +262,8 @@ def _choose_hands(
     best = min(allowed, key=lambda pair: (allowed[pair], pair))
     if min(sums.values()) < min(allowed[best], 2 * ACCEPTED) - 1.0:
         raise CannotRegister(
-            f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: one "
-            "is probably viewed from the wrong side. Check --top and --through; if the slices are numbered against the "
-            "usual sense, pass --mirror."
+            f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: "
+            f"{_WRONG_SIDE}"
         )
     is_ambiguous = any(pair != best and chance < allowed[best] + _MARGIN for pair, chance in allowed.items())
     return (on_first[best[0]], on_second[best[1]]), is_ambiguous
@@ -276,12 +277,11 @@ def _fit_on_design(
     if count < choice.needed:
         raise CannotRegister(
             f"{sides}: the design does not match the marks: {_agreeing(choice)} agree at best, and about "
-            f"{choice.needed} have to, closer than chance would bring them. Check that it is the design of this sheet, "
-            f"its unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
+            f"{choice.needed} have to, closer than chance brings them. Check that it is the design of this sheet, its "
+            f"unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
         )
-    transform, rms = _fit_choice(
-        choice, holes, points, sides, scale_tolerance, choice.second_log_chance, hint=_PAIRS_HINT
-    )
+    rival_chance = choice.second_log_chance
+    transform, rms = _fit_choice(choice, holes, points, sides, scale_tolerance, rival_chance, hint=_PAIRS_HINT)
     sentence = f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best}."
     return transform, sentence
 
@@ -305,8 +305,8 @@ def _fit_choice(
     if rival_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(
             f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, too close to "
-            "decide: the pattern is ambiguous, as it is symmetric or regular, or the marks that would decide are "
-            f"missing. Find more of the marks (range of hole diameters), remove false ones, or {hint}."
+            "decide: the pattern is ambiguous, symmetric or regular, or the marks that would decide are missing. Find "
+            f"more of the marks (range of hole diameters), remove false ones, or {hint}."
         )
     transform, rms = _fit_similarity(source[choice.pairs[:, 0]], target[choice.pairs[:, 1]], choice.mirrored)
     off = abs(transform.scale - 1.0)
@@ -350,7 +350,6 @@ def _usable_points(marks: ArrayLike, name: str, hint: str) -> Floats:
         places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in points)
         raise CannotRegister(
             f"{len(points)} {name}: at least 3 are needed to match them, 4 are better{'; they lie at' * bool(places)}"
-            f"{places}. Check that the holes are in the field and that the pixel and voxel sizes are right, widen the "
-            f"range of hole diameters, or {hint}."
+            f"{places}. Check the field, the pixel and voxel sizes, widen the range of hole diameters, or {hint}."
         )
     return points

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from math import comb, log10
+from typing import NamedTuple
 
 import numpy as np
 
@@ -22,8 +22,7 @@ from planish.register.match_search import (
 from planish.register.pairs import as_complex
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class BestMatch:
+class BestMatch(NamedTuple):
     """The best arrangement of two sides; by default, none.
 
     ``pairs`` (k, 2) hold the row of the first side and of the second, sorted by the first; with fewer than ``needed``
@@ -33,7 +32,9 @@ class BestMatch:
     ``swapped``, and of the larger side, in the frame of the latter.
     """
 
-    pairs: Ints
+    pairs: Ints = np.empty((0, 2), np.intp)
+    landed: Complexes = np.empty(0, complex)
+    large: Complexes = np.empty(0, complex)
     mirrored: bool = False
     needed: int = 4
     log_chance: float = 10.0
@@ -41,8 +42,6 @@ class BestMatch:
     second_best: int = 0
     stretch: float = 0.0
     swapped: bool = False
-    landed: Complexes
-    large: Complexes
 
     def together(self) -> tuple[Complexes, tuple[int, int]]:
         """All marks of the field that both sides show, first the pairs; and how many each side alone shows."""
@@ -55,9 +54,6 @@ class BestMatch:
         return np.concatenate([self.large[columns], *alone]), (len(alone[0]), len(alone[1]))
 
 
-NO_MATCH = BestMatch(pairs=np.empty((0, 2), np.intp), landed=np.empty(0, complex), large=np.empty(0, complex))
-
-
 def choose(
     source: Floats, target: Floats, scale_tolerance: float, tolerance_um: float, *, hands: tuple[bool, ...]
 ) -> BestMatch:
@@ -66,7 +62,7 @@ def choose(
     a, b = (as_complex(p, False) for p in ((target, source) if swapped else (source, target)))
     arrangements = search(a, b, scale_tolerance, tolerance_um, hands=hands)
     if len(arrangements.inliers) == 0:
-        return NO_MATCH
+        return BestMatch()
     misfit = np.sum(np.minimum(arrangements.squares, tolerance_um**2), axis=1)
     best = int(np.lexsort((misfit, arrangements.log_chance))[0])
     # Pairs are within the tolerance, or less where the others agree much better. The median distance of a normal

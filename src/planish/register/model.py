@@ -77,10 +77,10 @@ class ParametricModel(Model):
         if len(pairs) <= self.least:
             return np.full((len(pairs), 2), np.nan)
         if not self.linear:
-            missed, everyone = np.full((len(pairs), 2), np.nan), np.arange(len(pairs))
-            for k in everyone:
+            missed, numbers = np.full((len(pairs), 2), np.nan), np.arange(len(pairs))
+            for k in numbers:
                 with suppress(CannotRegister, MarkError):
-                    without = self.fit(pairs.take(everyone != k), transform.mirrored)
+                    without = self.fit(pairs.take(numbers != k), transform.mirrored)
                     missed[k] = pairs.fixed[k] - without(pairs.moving[k])
             return missed
         whitening = pairs.whitening()
@@ -103,8 +103,7 @@ def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) 
         If the marks leave a parameter free.
     """
     q, r = whitened_qr(whitening, design, name)
-    parameters = np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1))
-    return np.asarray(parameters, dtype=np.float64)
+    return np.asarray(np.linalg.solve(r, q.T @ (whitening @ target[..., None]).reshape(-1)), dtype=np.float64)
 
 
 def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
@@ -115,8 +114,8 @@ def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, F
     # Condition number of the scaled equations beyond which marks do not fix the parameters.
     if len(rows) < design.shape[-1] or not sizes[-1] > 1e-8 * sizes[0]:
         raise CannotRegister(
-            f"The marks do not fix one {name} transformation: their arrangement leaves at least one parameter free. "
-            "Add marks away from the lines that the others lie on, or choose a model with fewer parameters."
+            f"The marks do not fix one {name} transformation: at least one parameter stays free. Add marks away from "
+            "the lines that the others lie on, or choose a model with fewer parameters."
         )
     return q, r
 
@@ -130,6 +129,6 @@ def refuse_line(pairs: Pairs, name: str) -> None:
         # Marks whose spread across a line is below this share of that along it fix nothing across it.
         if across < 0.01 * long:
             raise CannotRegister(
-                f"The {side} marks lie on one line (they spread {long:.4g} um rms along it and {across:.2g} um across "
-                f"it); a model of type {name} needs marks away from it. Add some, or fit a similarity."
+                f"The {side} marks lie on one line (spread {long:.4g} um rms along it, {across:.2g} um across); a "
+                f"model of type {name} needs marks away from it. Add some, or fit a similarity."
             )

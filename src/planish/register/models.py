@@ -39,7 +39,8 @@ class Averaged(Bent):
 
     def bends(self) -> Iterator[tuple[Kernel, Kernel, Floats]]:
         """Gaussian and Matern kernels."""
-        kernels = [("gauss", float(v)) for v in self.gauss] + [("matern", float(v)) for v in self.matern]
+        kernels = [("gauss", length) for length in self.gauss.tolist()]
+        kernels += [("matern", length) for length in self.matern.tolist()]
         for kernel, bend in zip(kernels, self.bend, strict=True):
             yield partial(covariance, kernel), partial(covariance_slope, kernel), bend
 
@@ -59,11 +60,11 @@ class AveragedModel(Model):
     def of(self, field: DeviationField) -> Averaged:
         """The mean of a field."""
         affine, kernels, bend = field.mean()
-        lengths = {name: [v for n, v in kernels if n == name] for name in ("gauss", "matern")}
-        source = (float(field.middle[0]), float(field.middle[1]))
+        x, y = field.middle.tolist()
+        gauss, matern = (np.array([v for n, v in kernels if n == name]) for name in ("gauss", "matern"))
         return Averaged(
-            source=source, size=field.size, nodes=field.nodes, affine=affine + 0.0, bend=bend + 0.0,
-            gauss=np.array(lengths["gauss"]), matern=np.array(lengths["matern"]),
+            source=(x, y), size=field.size, nodes=field.nodes, affine=affine + 0.0, bend=bend + 0.0, gauss=gauss,
+            matern=matern,
         )  # fmt: skip
 
     def refit(self, pairs: Pairs, _transform: Averaged, field: DeviationField, /) -> Averaged:

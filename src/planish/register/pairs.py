@@ -62,7 +62,7 @@ class Pairs:
         with np.errstate(invalid="ignore", divide="ignore"):
             b = np.where(a > 0, info[:, 0, 1] / a, 0.0)
         c = np.sqrt(np.maximum(info[:, 1, 1] - b * b, 0.0))
-        return np.stack([np.stack([a, b], axis=-1), np.stack([np.zeros_like(c), c], axis=-1)], axis=-2)
+        return np.stack([a, b, 0.0 * c, c], axis=-1).reshape(-1, 2, 2)
 
     def frame(self) -> tuple[Floats, float]:
         """Return middle (2,) and rms distance from it of the moving marks, in um: coordinates near 1 start here."""
@@ -78,8 +78,7 @@ def whitened(whitening: Floats, rows: Floats) -> Floats:
 def inverse_of(blocks: Floats) -> Floats:
     """Inverse of symmetric 2 x 2 blocks (n, 2, 2); NaN stays NaN."""
     a, b, c = blocks[:, 0, 0], blocks[:, 0, 1], blocks[:, 1, 1]
-    turned = np.stack([np.stack([c, -b], axis=-1), np.stack([-b, a], axis=-1)], axis=-2)
-    return turned / (a * c - b * b)[:, None, None]
+    return np.stack([c, -b, -b, a], axis=-1).reshape(-1, 2, 2) / (a * c - b * b)[:, None, None]
 
 
 def as_complex(points: Floats, mirrored: bool) -> Complexes:

@@ -22,7 +22,6 @@ from planish.register.result import FittedTransform
 Refinement = Literal["affine", "bspline"]
 Metric = Literal["correlation", "mutual information"]
 
-_LEAST_PIXELS = 400
 _STEPS = 100
 
 
@@ -132,12 +131,12 @@ class Refined:
         """
         rows, cols = (np.arange(n) * p for n, p in zip(image.shape, pixel_um, strict=True))
         places = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
+        row_col = np.moveaxis(places[..., ::-1], -1, 0)
         is_known = np.isfinite(image)
         filled = np.where(is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0)
-        row_col = [places[..., 1], places[..., 0]]
-        values = ndimage.map_coordinates(filled, row_col, order=3, mode="nearest")
+        moved = ndimage.map_coordinates(filled, row_col, order=3, mode="nearest")
         whole = ndimage.map_coordinates(is_known.astype(np.float64), row_col, order=1, cval=0.0)
-        return np.where(whole > 0.999, values, np.nan)
+        return np.where(whole > 0.999, moved, np.nan)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -226,12 +225,10 @@ def refine(
         ) from error
     maps, masks, pixel_um, first_um = _prepared(linked, image, valid, pixel_um, options.grid_um)
     transform = _searched(itk, maps, masks, pixel_um, first_um, options)
-    is_shared = masks[0] & masks[1]
     # 65 places along either axis, where displacement and derivatives are looked at.
-    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in is_shared.shape)
-    y, x = np.meshgrid(rows, cols, indexing="ij")
-    is_used = is_shared[y, x]
-    points = np.stack([x[is_used], y[is_used]], axis=-1) * np.array(pixel_um)[::-1] + first_um
+    rows, cols = (np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in maps[0].shape)
+    used = np.argwhere((masks[0] & masks[1])[np.ix_(rows, cols)])
+    points = np.stack([cols[used[:, 1]], rows[used[:, 0]]], axis=-1) * np.array(pixel_um)[::-1] + first_um
     return _judged(transform, points, fit, options)
 
 
@@ -241,7 +238,8 @@ def _judged(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
     areas = derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
     length = np.linalg.norm(transform(points) - points, axis=1)
     expected = fit.expected_error_um(fit.inverse(points))
-    ratio = np.where(expected > 0, length / np.where(expected > 0, expected, 1.0), np.where(length > 0, np.inf, 0.0))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        ratio = np.where((expected == 0) & (length == 0), 0.0, length / expected)
     faults: list[str] = []
     worst = int(np.argmin(areas))
     if not areas[worst] > 0:
@@ -271,7 +269,7 @@ def _judged(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
             "lags of tiles before you believe it."
         )
     rms, largest = float(np.sqrt(np.mean(length**2))), float(length.max())
-    words = "affine" if options.model == "affine" else "B-spline"
+    model = {"affine": "affine", "bspline": "B-spline"}[options.model]
     return Refined(
         transform=transform,
         model=options.model,
@@ -281,7 +279,7 @@ def _judged(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
         area=(float(areas.min()), float(areas.max())),
         strain=strain,
         warnings=tuple(faults),
-        sentence=f"Refined on the maps ({words}, {options.metric}): points moved by {rms:.1f} um rms, {largest:.1f} um "
+        sentence=f"Refined on the maps ({model}, {options.metric}): points moved by {rms:.1f} um rms, {largest:.1f} um "
         f"at most, strain up to {100 * strain:.2f} %.",
     )
 
@@ -337,12 +335,10 @@ def _searched(
 def _transform_um(itk: Any, in_pixels: Any, unit: float, first_um: Pair) -> Affine | FreeForm:
     """Read a transformation in pixels of ``unit`` um as one in um."""
     if hasattr(in_pixels, "GetMatrix"):
-        matrix = np.array(in_pixels.GetMatrix()).reshape(2, 2)
+        a, b, c, d = in_pixels.GetMatrix()
         middle = np.array(in_pixels.GetCenter())
-        target = middle + np.array(in_pixels.GetTranslation())
-        (a, b), (c, d) = matrix.tolist()
-        source, target = ((float(x), float(y)) for x, y in (middle * unit + first_um, target * unit + first_um))
-        return Affine(linear=((a, b), (c, d)), source=source, target=target)
+        (x, y), (u, v) = (k * unit + first_um for k in (middle, middle + np.array(in_pixels.GetTranslation())))
+        return Affine(linear=((a, b), (c, d)), source=(float(x), float(y)), target=(float(u), float(v)))
     nodes = in_pixels.GetCoefficientImages()
     x, y = (np.array(nodes[0].GetOrigin()) * unit + first_um).tolist()
     across, down = (np.array(nodes[0].GetSpacing()) * unit).tolist()
@@ -356,23 +352,21 @@ def _prepared(
     """Both maps, averaged and filled with their means, their masks, the pixel, and (x, y) of the first one's middle."""
     if linked.ndim != 2 or linked.shape != image.shape or (valid is not None and valid.shape != linked.shape):
         raise CannotRegister(
-            f"The maps have the shapes {linked.shape} and {image.shape}. A refinement needs two maps and a mask on one "
-            "grid; link them first."
+            f"The maps have the shapes {linked.shape} and {image.shape}. Link them first: a refinement needs maps and "
+            "mask on one grid."
         )
     if not all(math.isfinite(v) and v > 0 for v in (*pixel_um, grid_um)):
         raise SizeError(f"Pixel {pixel_um} um and mesh {grid_um} um: positive lengths are needed.")
-    allowed = np.ones(linked.shape, dtype=bool) if valid is None else valid
-    maps = [np.where(np.isfinite(m) & allowed, m, np.nan).astype(np.float64) for m in (linked, image)]
+    is_allowed = True if valid is None else valid
+    maps = [np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)]
     factor = math.ceil(math.sqrt(linked.size / 60_000))
     first = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
     if factor > 1:
         maps = [area_mean(m, (factor, factor)) for m in maps]
     masks = [np.isfinite(m) for m in maps]
     count = int((masks[0] & masks[1]).sum())
-    if count < _LEAST_PIXELS:
-        raise CannotRegister(
-            f"{count} pixels are known in both maps; a refinement needs {_LEAST_PIXELS}. Keep the marks only."
-        )
+    if count < 400:
+        raise CannotRegister(f"{count} pixels are known in both maps; a refinement needs 400. Keep the marks only.")
     if any(float(m[k].std()) == 0 for m, k in zip(maps, masks, strict=True)):
         raise CannotRegister("One of the maps is constant: nothing can be refined on it. Keep the marks only.")
     filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, masks, strict=True)]

@@ -19,6 +19,7 @@ from planish.register.field import DeviationField
 from planish.register.models import MODELS, model_named
 from planish.register.pairs import Pairs, points_of, weighted_rms
 
+_ERRORS = ("rms_um", "localisation_error_um", "leave_one_out_um")
 _ARRAYS = ("moving", "fixed", "information", "robust_weights", "residuals_um")
 
 
@@ -101,8 +102,7 @@ class FittedTransform:
         the probabilities of an averaged map stay as they are in the fit to all marks. A mark that is left out of the
         fit is missed by its residual.
         """
-        used = self.weights > 0
-        missed = self.residuals_um.copy()
+        missed, used = self.residuals_um.copy(), self.weights > 0
         missed[used] = MODELS[self.model].left_out(self._pairs.take(used), self.transform, self.field)
         return np.linalg.norm(missed, axis=1)
 
@@ -191,8 +191,7 @@ class FittedTransform:
         MarkError
             If the shape is another one or a place is not finite.
         """
-        places = points_of(moving, "moving marks")
-        used = self.weights > 0
+        places, used = points_of(moving, "moving marks"), self.weights > 0
         if places.shape != self.moving.shape or not np.isfinite(places[used]).all():
             raise MarkError(
                 f"{len(places)} places given for {len(self.moving)} marks, or some not finite. Give one (x, y) in um "
@@ -312,16 +311,9 @@ def registration_to_json(fit: FittedTransform) -> dict[str, Any]:
     t = fit.transform
     return {
         "format": FORMAT,
-        "model": fit.model,
-        "sentence": fit.sentence,
-        "warnings": list(fit.warnings),
-        "scale": t.scale,
-        "rotation_rad": t.rotation_rad,
-        "shift_um": list(t.shift_um),
-        "mirrored": t.mirrored,
-        "rms_um": _plain(fit.rms_um),
-        "localisation_error_um": _plain(fit.localisation_error_um),
-        "leave_one_out_um": _plain(fit.leave_one_out_um),
+        **{name: _plain(getattr(fit, name)) for name in ("model", "sentence", "warnings")},
+        **{name: _plain(getattr(t, name)) for name in ("scale", "rotation_rad", "shift_um", "mirrored")},
+        **{name: _plain(getattr(fit, name)) for name in _ERRORS},
         "transform": {f.name: _plain(getattr(t, f.name)) for f in fields(model_named(fit.model).transform)},
         **{name: _plain(getattr(fit, name)) for name in _ARRAYS},
     }
@@ -340,9 +332,8 @@ def registration_from_json(data: Any) -> FittedTransform:
             raise MarkError(f"The registration has the format {data['format']!r}; {FORMAT!r} is read.")
         kind = model_named(data["model"]).transform
         hints = get_type_hints(kind)
-        values = {f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}
         return FittedTransform(
-            transform=kind(**values),
+            transform=kind(**{f.name: _read(data["transform"][f.name], hints[f.name]) for f in fields(kind)}),
             model=str(data["model"]),
             sentence=str(data["sentence"]),
             warnings=tuple(str(w) for w in data["warnings"]),

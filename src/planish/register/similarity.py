@@ -105,7 +105,7 @@ class AffineModel(ParametricModel):
         x, y, xx, xy, yx, yy = least_squares(pairs.whitening(), design, pairs.fixed - target, self.name)
         return Affine(
             linear=((float(xx / size), float(xy / size)), (float(yx / size), float(yy / size))),
-            source=(float(middle[0]), float(middle[1])),
+            source=tuple(middle.tolist()),
             target=(float(target[0] + x), float(target[1] + y)),
         )
 
@@ -127,18 +127,16 @@ def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, floa
 def _refuse_no_rotation(product: complex, square: float) -> None:
     if square <= 0.0 or abs(product) <= COINCIDENT * square:
         raise MarkError(
-            "The marks fix no rotation: the directions between them disagree completely on the two sides. "
-            "Check that every row pairs the same hole on both sides."
+            "The marks fix no rotation: the directions between them disagree on the two sides. Check that every row "
+            "pairs the same hole on both sides."
         )
 
 
 def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) -> Floats:
     """Derivatives of ``beta + alpha z`` by the parts of beta and alpha (or of the turn alone): (..., 2, 4 or 3)."""
-    ones, zeros = np.ones(z.shape), np.zeros(z.shape)
-    turn, stretch = (-z.imag, z.real), (z.real, z.imag)
-    rows = [[ones, zeros, *([] if only_turn else [stretch[0]]), turn[0]],
-            [zeros, ones, *([] if only_turn else [stretch[1]]), turn[1]]]  # fmt: skip
-    return np.stack([np.stack(row, axis=-1) for row in rows], axis=-2)
+    columns = [np.ones(z.shape), np.full(z.shape, 1j), *([] if only_turn else [z]), 1j * z]
+    design = np.stack(columns, axis=-1)
+    return np.stack([design.real, design.imag], axis=-2)
 
 
 def affine_columns(scaled: Floats) -> Floats:
@@ -166,16 +164,14 @@ class ProjectiveModel(ParametricModel):
         target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
 
         def build(h: Floats) -> Projective:
-            rows = (h / h[2, 2]).tolist()
+            first, second, third = (h / h[2, 2]).tolist()
             return Projective(
-                homography=(tuple(rows[0]), tuple(rows[1]), tuple(rows[2])),
-                source=(float(middle[0]), float(middle[1])), target=(float(target[0]), float(target[1])),
-                source_size=size, target_size=target_size,
+                homography=(tuple(first), tuple(second), tuple(third)), source=tuple(middle.tolist()),
+                target=tuple(target.tolist()), source_size=size, target_size=target_size,
             )  # fmt: skip
 
         def cost(trial: Projective) -> float:
-            error = whitening @ (pairs.fixed - trial(pairs.moving))[..., None]
-            return float(np.sum(error**2))
+            return float(np.sum((whitening @ (pairs.fixed - trial(pairs.moving))[..., None]) ** 2))
 
         scaled = (pairs.moving - middle) / size
         transform = build(_direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share)))
@@ -185,8 +181,8 @@ class ProjectiveModel(ParametricModel):
             error = pairs.fixed - transform(pairs.moving)
             if not np.isfinite(error).all():
                 raise CannotRegister(
-                    "The projective transformation puts some marks behind the camera: the pairs do not show one flat "
-                    "sheet. Check the pairs, or fit an affine transformation."
+                    "The projective transformation puts marks behind the camera: the pairs do not show one flat sheet. "
+                    "Check the pairs, or fit an affine transformation."
                 )
             step = least_squares(whitening, self.design(transform, (middle, size), pairs.moving), error, self.name)
             # Shortened until the error does not rise.
@@ -227,6 +223,6 @@ def _direct_linear(moving: Floats, fixed: Floats, root: Floats) -> Floats:
     if sizes[7] < 1e-7 * sizes[0] or abs(h[2, 2]) < 1e-6 or not (np.all(below > 0) or np.all(below < 0)):
         raise CannotRegister(
             "The marks do not fix one projective transformation: too many lie on one line, or the pairs do not show "
-            "one flat sheet. Check the pairs, add marks away from that line, or fit an affine transformation."
+            "one flat sheet. Check the pairs, add marks beside that line, or fit an affine transformation."
         )
     return h

@@ -22,7 +22,6 @@ from planish.register.model import Model, refuse_line
 from planish.register.pairs import Pairs, inverse_of, whitened
 
 _LEAST = 6
-_TRIALS = 33
 
 
 def bending(squares: Floats) -> Floats:
@@ -73,7 +72,7 @@ class SplineModel(Model):
     transform = ThinPlate
     parameters, least = 6, _LEAST
 
-    def fit(self, pairs: Pairs, _mirrored: bool = False, /) -> ThinPlate:
+    def fit(self, pairs: Pairs, _mirrored: bool, /) -> ThinPlate:
         """The spline with the smoothing under which marks left out are missed least."""
         system = Smoothing(pairs)
         return system.spline(system.choose())
@@ -85,7 +84,7 @@ class SplineModel(Model):
     def left_out(self, pairs: Pairs, transform: ThinPlate, _field: DeviationField, /) -> Floats:
         """Errors at the same smoothing."""
         system = Smoothing(pairs)
-        errors, _ = system.missed(transform.smoothing_um2)
+        errors = system.missed(transform.smoothing_um2)
         return np.asarray(np.linalg.solve(system.whitening, errors[..., None])[..., 0], dtype=np.float64)
 
 
@@ -113,54 +112,49 @@ class Smoothing:
         # Whitened covariance (2n, 2n) of both coordinates.
         bends = _on_both_axes(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
         self.kernel = whitened(self.whitening, whitened(self.whitening, bends).T)
-        affine = whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes])))
-        full, triangle = qr(affine)
-        self.span, self.complement, self.triangle = full[:, :6], full[:, 6:], triangle[:6]
+        full, triangle = qr(whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes]))))
+        self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         self.y = whitened(self.whitening, (pairs.fixed - self.target).reshape(-1, 1))[:, 0]
-        inner = self.complement.T @ self.kernel @ self.complement
-        values, vectors = eigh(0.5 * (inner + inner.T))
-        self.eigenvalues = np.maximum(values, 0.0)
-        self.vectors = self.complement @ vectors
+        complement = full[:, 6:]
+        inner = complement.T @ self.kernel @ complement
+        eigenvalues, vectors = eigh(0.5 * (inner + inner.T))
+        self.eigenvalues = np.maximum(eigenvalues, 0.0)
+        self.vectors = complement @ vectors
         self.z = self.vectors.T @ self.y
-        self.freedom = 2 * n - 6
 
-    def missed(self, smoothing_um2: float) -> tuple[Floats, Floats]:
-        """Errors (n, 2) of the marks left out at a fixed smoothing, whitened, and their expected covariance (n, 2, 2).
-
-        NaN where the other marks lie on one line; the covariance up to one factor common to all marks.
-        """
+    def missed(self, smoothing_um2: float) -> Floats:
+        """Whitened errors (n, 2) of the marks left out at a fixed smoothing; NaN where the others lie on one line."""
         # The share of each eigenvector that the spline leaves in the residuals, times a factor that keeps the numbers
         # near 1 also for an interpolating spline, which leaves nothing.
-        scaled, share = smoothing_um2 / self.size**2, np.ones(self.freedom)
+        scaled, share = smoothing_um2 / self.size**2, np.ones_like(self.eigenvalues)
         if np.isfinite(scaled):
             share = (float(np.median(self.eigenvalues)) + scaled) / (self.eigenvalues + scaled)
         rows = self.vectors.reshape(len(self.pairs), 2, -1)
         blocks = (rows * share) @ rows.swapaxes(1, 2)
         least = np.linalg.eigvalsh(blocks)[:, 0]
         blocks[least < 1e-12 * float(np.median(least))] = np.nan
-        covariance = inverse_of(blocks)
-        return (covariance @ (rows @ (share * self.z))[..., None])[..., 0], covariance
+        return (inverse_of(blocks) @ (rows @ (share * self.z))[..., None])[..., 0]
 
     def choose(self) -> float:
         """Return the smoothing with the least sum of squares of marks left out; the smoothest among equals."""
         from scipy.optimize import minimize_scalar
 
         def cost(smoothing_um2: float) -> float:
-            return float(np.nansum(self.missed(smoothing_um2)[0] ** 2))
+            return float(np.nansum(self.missed(smoothing_um2) ** 2))
 
         top = float(self.eigenvalues.max()) * self.size**2
-        logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), _TRIALS)
+        logs = np.linspace(np.log(1e-9 * top), np.log(1e3 * top), 33)
         costs = np.array([cost(float(np.exp(v))) for v in logs])
         best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
         chosen, least = float(np.exp(logs[best])), float(costs[best])
-        if 0 < best < _TRIALS - 1:
+        if 0 < best < len(logs) - 1:
             around = (float(logs[best - 1]), float(logs[best + 1]))
             optimum = minimize_scalar(lambda v: cost(float(np.exp(v))), bounds=around, method="bounded")
             if float(optimum.fun) < least:
                 chosen, least = float(np.exp(optimum.x)), float(optimum.fun)
-        if cost(float("inf")) <= least * (1 + 1e-9):
-            return float("inf")
+        if cost(np.inf) <= least * (1 + 1e-9):
+            return np.inf
         return 0.0 if cost(0.0) < least * (1 - 1e-6) else chosen
 
     def spline(self, smoothing_um2: float) -> ThinPlate:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 from itertools import product
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import special
 from scipy.interpolate import make_interp_spline
+from scipy.linalg import block_diag
 
 from planish.core.typing import Floats
 from planish.register.pairs import Pairs, as_complex, inverse_of
@@ -16,9 +18,7 @@ from planish.register.similarity import affine_columns, similarity_columns
 CHANCE = 0.0027  # that right marks exclude a scale of 1: three errors
 _LEAST = 4  # marks
 _MOST = 80  # marks: evenly spaced ones of more; the scale is certain long before
-_FIELD_REACH = (0.5, 1.0)  # of smooth displacements, over the spread of the marks
-_FIELD_SHARE = (1.0, 10.0, 100.0, 1000.0)  # their variance over that of a mark
-_STEPS, _VARIANCES = 181, 16
+_STEPS = 181
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -111,31 +111,31 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     best, unscaled = int(np.argmin(misfit)), int(np.searchsorted(fine, 1.0))
     limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
     wider = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
-    stretch, stretch_deg, stretched_misfit = _stretch((moved(1.0) - moved(1.0).mean(axis=0)) / spread, target, bare)
+    source = (moved(1.0) - moved(1.0).mean(axis=0)) / spread
+    (affine,), (stretched_misfit,) = _solved(affine_columns(source)[None], target, bare)
+    _, (most, least), turned = np.linalg.svd(affine[2:].reshape(2, 2))
     return ThroughScale(
-        scale=float(fine[best]), error=wider * _toward_one(fine, misfit, best, unscaled), limit=limit,
+        scale=float(fine[best]),
+        error=wider * _toward_one(fine, misfit, best, unscaled),
+        limit=limit,
         evidence=float(misfit[unscaled] - misfit[best]),
-        without_any=_without_any(designs, target, strained, unscaled), stretch=stretch, stretch_deg=stretch_deg,
-        over_stretch=float(stretched_misfit + np.log(2 * rows.size) - misfit[best]), marks=int(rows.size),
-    )  # fmt: skip
-
-
-def _stretch(source: Floats, target: Floats, precision: Floats) -> tuple[float, float, float]:
-    """Stretch of the linear map that fits best, its direction in degrees, and the misfit that it leaves."""
-    affine, misfit = _solved(affine_columns(source)[None], target, precision)
-    _, (most, least), turned = np.linalg.svd(affine[0, 2:].reshape(2, 2))
-    return float(most / least - 1), float(np.degrees(np.arctan2(turned[0, 1], turned[0, 0]))) % 180, misfit[0]
+        without_any=_without_any(designs, target, strained, unscaled),
+        stretch=float(most / least - 1),
+        stretch_deg=float(np.degrees(np.arctan2(turned[0, 1], turned[0, 0]))) % 180,
+        over_stretch=float(stretched_misfit + np.log(2 * rows.size) - misfit[best]),
+        marks=int(rows.size),
+    )
 
 
 def _without_any(designs: Floats, target: Floats, precision: Floats, unscaled: int) -> float:
     """Evidence against a scale of 1, the mark left out that speaks most for it; of four marks none can be spared."""
-    covariance = np.asarray(np.linalg.inv(precision), dtype=np.float64)
+    covariance = np.linalg.inv(precision)
+    numbers = np.arange(len(target))
     evidences: list[float] = []
-    for k in range(len(target)) if len(target) > _LEAST else ():
-        is_used = np.arange(len(target)) != k
-        is_used_axis = np.repeat(is_used, 2)
-        without = np.asarray(np.linalg.inv(covariance[np.ix_(is_used_axis, is_used_axis)]), dtype=np.float64)
-        misfit = _solved(designs[:, is_used], target[is_used], without)[1]
+    for k in numbers if len(target) > _LEAST else ():
+        axes = np.flatnonzero(np.repeat(numbers != k, 2))
+        without = np.linalg.inv(covariance[np.ix_(axes, axes)])
+        misfit = _solved(designs[:, numbers != k], target[numbers != k], without)[1]
         evidences.append(float(misfit[unscaled] - misfit.min()))
     return min(evidences, default=0.0)
 
@@ -145,7 +145,7 @@ def _centred(places: Floats, mirrored: bool) -> Floats:
     return similarity_columns(as_complex(places - places.mean(axis=1, keepdims=True), mirrored))
 
 
-def _solved(design: Floats, target: Floats, precision: Floats) -> tuple[Floats, Floats]:
+def _solved(design: Floats, target: Floats, precision: NDArray[np.floating]) -> tuple[Floats, Floats]:
     """Generalised least squares for each design (m, n, 2, p): parameters (m, p) and rest in variances (m,)."""
     m, n, _, p = design.shape
     rows = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1).reshape(2 * n, m * p)
@@ -154,8 +154,7 @@ def _solved(design: Floats, target: Floats, precision: Floats) -> tuple[Floats, 
     toward = wanted @ columns
     normal = columns.transpose(0, 2, 1) @ columns
     parameters = np.asarray(np.linalg.solve(normal, toward[..., None])[..., 0], dtype=np.float64)
-    misfit: Floats = np.maximum(wanted @ wanted - np.sum(toward * parameters, axis=1), 0.0)
-    return parameters, misfit
+    return parameters, np.maximum(wanted @ wanted - np.sum(toward * parameters, axis=1), 0.0)
 
 
 def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) -> tuple[Floats, Floats]:
@@ -164,36 +163,29 @@ def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) ->
     A scale is one of the parameters that are free, so that what it explains is no variance.
     """
     n = len(pairs)
-    noise, precision = (np.zeros((n, 2, n, 2)) for _ in range(2))
     information = pairs.information / np.mean(pairs.weights)
-    each = np.arange(n)
-    noise[each, :, each, :], precision[each, :, each, :] = inverse_of(information), information
-    noise, precision = (k.reshape(2 * n, 2 * n) for k in (noise, precision))
+    noise, precision = block_diag(*inverse_of(information)), block_diag(*information)
     free, misfit = _free_columns(designs, target, precision)
     # Standard deviation of either part of a shear of the paper: a stretch of 0.14 %, rms.
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
-    kinds = [*product(_FIELD_REACH, _FIELD_SHARE)]
-    fields = [(1 / len(kinds), share * np.exp(-squares / (2 * reach**2))) for reach, share in kinds]
-    fields.insert(0, (1.0, 0.0 * squares))
-    size = max(misfit / (2 * n - 5), 1e-6)
+    # Smooth displacements: their reach over the spread of the marks, and their variance over that of a mark.
+    fields = [share * np.exp(-squares / (2 * reach**2)) for reach in (0.5, 1.0) for share in (1.0, 10.0, 100.0, 1000.0)]
+    rows = free.reshape(2 * n, -1)
     logs: list[float] = []
     candidates: list[Floats] = []
-    for (weight, field), square in product(fields, size * np.geomspace(1e-3, 10, _VARIANCES)):
+    for field, square in product(
+        [0.0 * squares, *fields], max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
+    ):
         bare = square * (noise + np.kron(field, np.eye(2)))
         precisions = np.linalg.inv(np.stack([bare, bare + shears @ shears.T]))
-        logs.append(np.log(weight) - 0.5 * _deviance(free, target, precisions[1]))
+        rest = float(_solved(free[None], target, precisions[1])[1][0])
+        determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1] - np.linalg.slogdet(precisions[1])[1]
+        weight = 1 / len(fields) if field.any() else 1.0
+        logs.append(np.log(weight) - 0.5 * float(rest + determinants))
         candidates.append(precisions)
     shares = np.exp(np.array(logs) - max(logs))
     return np.einsum("k,kaij->aij", shares / shares.sum(), np.array(candidates))
-
-
-def _deviance(design: Floats, target: Floats, precision: Floats) -> float:
-    """Minus twice the logarithm of the restricted likelihood, but for a constant."""
-    (misfit,) = _solved(design[None], target, precision)[1]
-    rows = design.reshape(2 * len(target), -1)
-    determinants = np.linalg.slogdet(rows.T @ precision @ rows)[1] - np.linalg.slogdet(precision)[1]
-    return float(misfit + determinants)
 
 
 def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[Floats, float]:
@@ -203,19 +195,17 @@ def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[F
     change = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[best]
     change = change - designs[best] @ _solved(designs[[best]], change, precision)[0][0]
     length = float(np.linalg.norm(change))
-    free = designs[best]
-    if length > 1e-6:
-        free = np.concatenate([free, change[..., None] / length], axis=-1)
-    return free, float(misfit[best])
+    columns = [designs[best], change[..., None] / length] if length > 1e-6 else [designs[best]]
+    return np.concatenate(columns, axis=-1), float(misfit[best])
 
 
 def _toward_one(fine: Floats, misfit: Floats, best: int, unscaled: int) -> float:
     """Distance from the best scale towards 1 at which marks fit worse by one variance; infinite where nowhere."""
-    ends = [np.inf, np.inf]
-    for k, side in enumerate((slice(best, None), slice(best, None, -1))):
-        s, above = fine[side], misfit[side] - misfit[best] - 1.0
-        if (above > 0).any():
-            crossing = int(np.argmax(above > 0))
-            around = slice(crossing - 1, crossing + 1)
-            ends[k] = float(abs(np.interp(0.0, above[around], s[around]) - fine[best]))
-    return ends[0] if best < unscaled else ends[1] if best > unscaled else max(ends)
+    ends: list[float] = []
+    for step in [1] * (best <= unscaled) + [-1] * (best >= unscaled):
+        scales, above = fine[best::step], misfit[best::step] - misfit[best] - 1.0
+        crossing = int(np.argmax(above > 0))
+        around = slice(crossing - 1, crossing + 1)
+        end = abs(np.interp(0.0, above[around], scales[around]) - fine[best]) if crossing else np.inf
+        ends.append(float(end))
+    return max(ends)
