@@ -8,7 +8,7 @@ from __future__ import annotations
 import itertools
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any, Literal
 
 import numpy as np
@@ -67,7 +67,7 @@ def bordered(rows: int, cols: int, dtype: type) -> NDArray[Any]:
     return out
 
 
-@dataclass(slots=True)
+@dataclass
 class Level:
     """One mesh: the arrays of ``_kernels``, sums by rows, and the rows of each thread.
 
@@ -79,19 +79,12 @@ class Level:
     parts: list[tuple[int, int]]
     rest: Floats
     stiff: Single
-    xy: Floats = field(init=False)
-    near: Single = field(init=False)
-    ease: Single = field(init=False)
-    move: Single = field(init=False)
-    force: Single = field(init=False)
-    sums: Floats = field(init=False)
-    alone: Single = field(init=False)
 
     def open(self) -> None:
         """Make the arrays of the solver; ``xy`` and ``near`` have no values yet except in the padding."""
         self.xy, self.near = (bordered(self.rows, self.cols, dtype) for dtype in (np.float64, np.float32))
-        self.ease, self.move, self.force = (padded(n, self.rows, self.cols, np.float32) for n in (1, 2, 2))
-        self.ease = self.ease[0]
+        self.move, self.force = (padded(2, self.rows, self.cols, np.float32) for _ in range(2))
+        self.ease = padded(1, self.rows, self.cols, np.float32)[0]
         self.sums = np.zeros((self.rows + 2, 2))
         self.alone = np.zeros((2, 2, self.move.shape[2]), np.float32)
 

@@ -155,8 +155,8 @@ class Multigrid:
                 ratios = [b / a if a else 1.0 for a, b in itertools.pairwise(gains[-4 if slow else -2 :])]
                 self.rate = float(np.clip(max(ratios), 0.01, 0.95))
             # Excess of energy and, as its square root, distance from the minimum: the steps to come, summed.
-            excess, distance = gain * self.rate / (1 - self.rate), np.sqrt(square / count)
-            distance *= np.sqrt(self.rate) / (1 - np.sqrt(self.rate))
+            excess, root = gain * self.rate / (1 - self.rate), np.sqrt(self.rate)
+            distance = np.sqrt(square / count) * (root / (1 - root))
             if excess <= tolerance * energy or distance <= _STILL:
                 return Outcome.RESTED if wanted <= max(100 * tolerance * energy, gain) else Outcome.HELD_OPEN
             slow += slow > 0 or (len(gains) > 1 and gain > _SLOW * gains[-2])
@@ -235,16 +235,12 @@ class Multigrid:
 
     def _smooth(self, kind: int, level: Level, coarse: Level, first: np.float32, weight: np.float32) -> None:
         fixed = (kind, level.near, level.stiff, level.ease, level.force, coarse.move, level.move)
-        if len(level.parts) == 1:
-            smooth(*fixed, level.alone, first, weight, level.cols, *level.parts[0])
-            return
-        # Rows that two threads share are copied before either of them moves its own.
-        edges = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
-        self.team.each(
-            smooth,
-            [(*fixed, edge, first, weight, level.cols, r0, r1)
-             for edge, (r0, r1) in zip(edges, level.parts, strict=True)],
-        )  # fmt: skip
+        edges = [level.alone]
+        if len(level.parts) > 1:
+            # Rows that two threads share are copied before either of them moves its own.
+            edges = [np.ascontiguousarray(level.move[:, [r0 - 1, r1]]) for r0, r1 in level.parts]
+        calls = [(*fixed, edge, first, weight, level.cols) for edge in edges]
+        self.team.each(smooth, [(*call, *part) for call, part in zip(calls, level.parts, strict=True)])
 
 
 def count_folds(level: Level, team: Team, side: float) -> tuple[float, int]:

@@ -172,8 +172,7 @@ class SheetMesh(NamedTuple):
 
 def sheet_mesh(surfaces: xr.Dataset, mesh_um: float | None) -> SheetMesh:
     """Choose the nodes of the mesh; :func:`flatten_sheet` says what is raised."""
-    y, x = surfaces["y"].values, surfaces["x"].values
-    centre = surfaces["centre"].values
+    y, x, centre = (surfaces[name].values for name in ("y", "x", "centre"))
     is_sheet = _largest_piece(np.isfinite(centre))
     steps = pitch(surfaces)
     wanted = mesh_um or max(4 * max(steps), np.sqrt(np.count_nonzero(is_sheet) * steps[0] * steps[1] / _MOST_NODES))
@@ -226,11 +225,11 @@ def _largest_piece(mask: Bools) -> Bools:
 def _every(count: int, step: int) -> NDArray[np.intp]:
     """Indices of the mesh's nodes: every ``step``-th column, and the last one."""
     indices = np.arange(0, count, step)
-    if indices[-1] != count - 1:
-        # The last cell would be a sliver: it is widened instead.
-        is_sliver = count - 1 - indices[-1] < step / 2 and indices.size > 2
-        indices = np.append(indices[:-1] if is_sliver else indices, count - 1)
-    return indices
+    if indices[-1] == count - 1:
+        return indices
+    # The last cell would be a sliver: it is widened instead.
+    is_sliver = count - 1 - indices[-1] < step / 2 and indices.size > 2
+    return np.append(indices[:-1] if is_sliver else indices, count - 1)
 
 
 def _flat_columns(surfaces: xr.Dataset, mesh: SheetMesh, relaxed: Relaxed, frame: Frame) -> xr.Dataset:

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from collections.abc import Callable, Iterator
-from dataclasses import fields
-from typing import Any, ClassVar, NamedTuple, cast
+from dataclasses import dataclass, fields
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -21,20 +21,23 @@ from planish.core.typing import Floats, Pair
 Kernel = Callable[[Floats], Floats]
 
 
+@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Bent(NearSimilarity):
     """``(1, p') @ affine + sum_i U(|p' - node_i|) bend_i`` with ``p' = (p - source) / size``, for one or more ``U``.
 
     Attributes
     ----------
+    source : (float, float), in um
+        Middle of the marks.
     size : float, in um
-        Rms distance of the marks from their middle, ``source``.
+        Their rms distance from it.
     nodes : ndarray, shape (n, 2)
         Places of the marks, scaled.
     affine : ndarray, shape (3, 2), in um
         Constant and linear part.
     """
 
-    __slots__ = ()
+    source: Pair
     size: float
     nodes: Floats
     affine: Floats
@@ -43,7 +46,7 @@ class Bent(NearSimilarity):
 
     def __post_init__(self) -> None:
         """Lay the arrays out as they are read back from a file, so that sums have the same bytes."""
-        for name in (f.name for f in fields(cast("Any", self)) if isinstance(getattr(self, f.name), np.ndarray)):
+        for name in (f.name for f in fields(self) if isinstance(getattr(self, f.name), np.ndarray)):
             object.__setattr__(self, name, np.array(getattr(self, name), dtype=np.float64, order="C"))
 
     @abstractmethod
@@ -220,8 +223,8 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
             )
         x, y = points[worst]
         raise CannotRegister(
-            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map. Check the pairs there; "
-            "if they are right, fit a model with fewer parameters."
+            f"The fitted transformation folds the map near ({x:.5g}, {y:.5g}) um of the moving map. Check the pairs "
+            "there; if they are right, fit a model with fewer parameters."
         )
     mean = float(np.mean(areas))
     stretches = np.linalg.svd(derivatives, compute_uv=False) / np.sqrt(mean) - 1.0

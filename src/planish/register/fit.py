@@ -107,7 +107,7 @@ def fit_transform(
         share[used], field = agreeing(used_pairs, mirrored)
     elif inspect or model in ("auto", AVERAGED.name):
         field = DeviationField(used_pairs, mirrored)
-    weighted = pairs.times(share)
+    weighted = replace(pairs, information=pairs.information * share[:, None, None])
     fitted_pairs = weighted.take(weighted.weights > 0)
     if model == "auto":
         model = AVERAGED.name if len(fitted_pairs) >= 6 else "similarity" if len(fitted_pairs) >= 3 else lowest

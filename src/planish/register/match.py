@@ -130,7 +130,13 @@ def match_marks(
     if count < choice.needed:
         raise CannotRegister(f"{sides}: {_no_match(choice, smaller, mirror)}")
     if smaller == 3:
-        _refuse_confusable(sides, (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]), 3.0 * tolerance_um)
+        for corners in (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]):
+            lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+            if np.diff(lengths).min() < 3.0 * tolerance_um:
+                raise CannotRegister(
+                    f"{sides}: three marks match, but two of their three distances are alike within "
+                    f"{3.0 * tolerance_um:g} um, so they could be taken for one another. Add a fourth mark, or {_HINT}."
+                )
     rival_chance = min(choice.second_log_chance, turned_over.log_chance)
     hint = _HINT + ". Without --mirror, only one handedness competes" * mirror
     transform, rms = _fit_choice(choice, source, target, sides, scale_tolerance, rival_chance, hint=hint)
@@ -324,17 +330,6 @@ def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Sim
     information = np.broadcast_to(np.eye(2), (len(source), 2, 2))
     transform = SimilarityModel().fit(Pairs(moving=source, fixed=target, information=information), mirrored)
     return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
-
-
-def _refuse_confusable(sides: str, triangles: tuple[Floats, Floats], least_um: float) -> None:
-    """Three marks are not enough where two sides of the triangle are alike, on either side."""
-    for corners in triangles:
-        lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
-        if np.diff(lengths).min() < least_um:
-            raise CannotRegister(
-                f"{sides}: three marks match, but two of their three distances are alike within {least_um:g} um, so "
-                f"they could be taken for one another. Add a fourth mark, or {_HINT}."
-            )
 
 
 def _usable_points(marks: ArrayLike, name: str, hint: str) -> Floats:

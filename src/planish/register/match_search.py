@@ -116,9 +116,8 @@ def _arrangements(
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
     centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
-    axes = np.linalg.eigh(centred.T @ centred)[1]
-    sides = np.ptp(centred @ axes, axis=0)
-    return float(sides.max()), float(sides.min())
+    short, long = sorted(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0).tolist())
+    return long, short
 
 
 def share_within(radius: Floats, b: Complexes, tolerance_um: float) -> Floats:
@@ -133,8 +132,8 @@ def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
     """Smallest number of ``n`` marks whose close agreement chance would not offer; ``n + 1`` where none is enough."""
     share = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
     for k in range(3 if n == 3 else 4, n + 1):
-        value = log10(max(tests, 1) * max(n - 2, 1)) + _log10_choose(n - 2, k - 2) + (k - 2) * log10(share)
-        if value <= ACCEPTED:
+        log_tests = log10(max(tests, 1) * max(n - 2, 1)) + _log10_choose(n - 2, k - 2)
+        if log_tests + (k - 2) * log10(share) <= ACCEPTED:
             return k
     return n + 1
 
@@ -221,12 +220,9 @@ def log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, free
         spread = np.sqrt(power / np.maximum(np.sum(np.isfinite(ordered), axis=1), 1))
         stretches = np.where(freedom > 2.0, 0.5 * STRETCH * spread, 0.0)[:, None] / radius
         choices = np.array([_log10_choose(n - 2, int(c) - 2) if c >= 2 else 0.0 for c in k])
-        value = (
-            log10(max(tests, 1) * max(n - 2, 1)) + choices + (k - 2) * np.log10(share)
-            + np.log10(np.maximum(1.0, np.pi * stretches**2))
-        )  # fmt: skip
-    value = np.where((k >= 3) & np.isfinite(ordered), value, np.inf)
-    return value.min(axis=1)
+        log_tests = log10(max(tests, 1) * max(n - 2, 1)) + choices
+        logs = log_tests + (k - 2) * np.log10(share) + np.log10(np.maximum(1.0, np.pi * stretches**2))
+    return np.where((k >= 3) & np.isfinite(ordered), logs, np.inf).min(axis=1)
 
 
 def _log10_choose(n: int, k: int) -> float:

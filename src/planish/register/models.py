@@ -10,7 +10,7 @@ from typing import ClassVar
 import numpy as np
 
 from planish.core.errors import MarkError
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField, covariance, covariance_slope
 from planish.register.model import Model
@@ -29,10 +29,6 @@ class Averaged(Bent):
 
     everywhere: ClassVar[bool] = True
 
-    source: Pair  # in um: middle of the marks
-    size: float  # in um: their rms distance from it
-    nodes: Floats  # (m, 2): places of the marks, scaled
-    affine: Floats  # (3, 2), in um: constant and linear part
     bend: Floats  # (gauss + matern, m, 2), in um: coefficients of the kernels
     gauss: Floats  # lengths, scaled
     matern: Floats

@@ -44,16 +44,11 @@ class Pairs:
     @property
     def isotropic(self) -> bool:
         """True where no pair knows a direction better than the other."""
-        info = self.information
-        return bool(np.all(info[:, 0, 0] == info[:, 1, 1]) and np.all(info[:, 0, 1] == 0))
+        return bool(np.all(self.information == self.information[:, :1, :1] * np.eye(2)))
 
     def take(self, which: Ints | Bools) -> Pairs:
         """Return some of the pairs."""
         return Pairs(moving=self.moving[which], fixed=self.fixed[which], information=self.information[which])
-
-    def times(self, factor: Floats) -> Pairs:
-        """Return the pairs with each information multiplied by a factor, shape (n,)."""
-        return Pairs(moving=self.moving, fixed=self.fixed, information=self.information * factor[:, None, None])
 
     def whitening(self) -> Floats:
         """Return ``U`` of shape (n, 2, 2) with ``U.T @ U`` the information: ``U @ error`` has equal, free parts."""
@@ -172,14 +167,13 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     if weights.shape != (n, 2, 2):
         faults.append(f"the weights have shape {weights.shape}, {n} marks need ({n},), or ({n}, 2, 2) for covariances")
         return np.zeros((n, 2, 2))
-    det = weights[:, 0, 0] * weights[:, 1, 1] - weights[:, 0, 1] ** 2
-    largest = np.maximum(weights[:, 0, 0], weights[:, 1, 1])
-    even = np.abs(weights[:, 0, 1] - weights[:, 1, 0]) <= 1e-9 * largest
+    a, b, c, d = weights.reshape(n, 4).T
+    largest = np.maximum(a, d)
     with np.errstate(invalid="ignore"):
-        good = np.isfinite(weights).all(axis=(1, 2)) & even & (weights[:, 0, 0] > 0) & (det > 1e-12 * largest**2)
-    if not good.all():
-        which = np.flatnonzero(~good)
-        faults.append(f"covariance of mark {listed(which)} not symmetric and positive")
+        is_positive = (np.abs(b - c) <= 1e-9 * largest) & (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
+    bad = np.flatnonzero(~(is_positive & np.isfinite(weights).all(axis=(1, 2))))
+    if bad.size:
+        faults.append(f"covariance of mark {listed(bad)} not symmetric and positive")
         return np.zeros((n, 2, 2))
     return inverse_of(0.5 * (weights + weights.swapaxes(1, 2)))
 

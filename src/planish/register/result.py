@@ -116,7 +116,7 @@ class FittedTransform:
 
         ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
         """
-        out, used = np.flatnonzero(self.robust_weights == 0), int(np.count_nonzero(self.weights > 0))
+        out, used = np.flatnonzero(self.robust_weights == 0), np.count_nonzero(self.weights > 0)
         rms = self.leave_one_out_rms_um
         number = f"{used} of {used + out.size}" if out.size else f"{used}"
         sentence = f"{number} marks agree" + (f" to {rms:.2g} um" if np.isfinite(rms) else "")

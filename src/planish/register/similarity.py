@@ -27,13 +27,10 @@ class RigidModel(ParametricModel):
     def fit(self, pairs: Pairs, mirrored: bool, /) -> Similarity:
         """Closed form for equal weights of both axes; Gauss-Newton on the angle from there for covariances."""
         z_mean, middle, product, square = _sums(pairs, mirrored)
-        _refuse_no_rotation(product, square)
         turn = product / abs(product)
         if not pairs.isotropic:
             z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
-            whitening = pairs.whitening()
-            size = float(np.sqrt(square))
-            last = np.inf
+            whitening, size, last = pairs.whitening(), float(np.sqrt(square)), np.inf
             for _ in range(_STEPS):
                 turned = turn * (z - z_mean)
                 error = w - middle - turned
@@ -68,7 +65,6 @@ class SimilarityModel(ParametricModel):
         if pairs.isotropic:
             z_mean, w_mean, product, square = _sums(pairs, mirrored)
             alpha = product / square
-            _refuse_no_rotation(product, square)
             beta = w_mean - alpha * z_mean
             angle, shift_um = float(np.angle(alpha)), (beta.real, beta.imag)
             return Similarity(scale=abs(alpha), rotation_rad=angle, shift_um=shift_um, mirrored=mirrored)
@@ -121,6 +117,7 @@ def _sums(pairs: Pairs, mirrored: bool) -> tuple[complex, complex, complex, floa
     z_mean, w_mean = share @ z, share @ w
     zc, wc = z - z_mean, w - w_mean
     product, square = np.sum(share * zc.conj() * wc), np.sum(share * (zc.real**2 + zc.imag**2))
+    _refuse_no_rotation(product, square)
     return complex(z_mean), complex(w_mean), complex(product), float(square)
 
 

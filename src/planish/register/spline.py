@@ -14,7 +14,7 @@ from typing import ClassVar
 import numpy as np
 
 from planish.core.errors import CannotRegister
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Floats
 from planish.register._bent_kernels import add_thin_plate
 from planish.register.bent import Bent, Kernel
 from planish.register.field import DeviationField
@@ -46,10 +46,6 @@ class ThinPlate(Bent):
 
     everywhere: ClassVar[bool] = False
 
-    source: Pair  # in um: middle of the marks
-    size: float  # in um: their rms distance from it
-    nodes: Floats  # (m, 2): places of the marks, scaled
-    affine: Floats  # (3, 2), in um: constant and linear part
     bend: Floats  # (m, 2), in um: coefficients of the kernels
     # The parameter lambda of the spline in um**2: 0 goes through all marks, infinity is affine. It is what
     # ``scipy.interpolate.RBFInterpolator`` calls ``smoothing``.
