@@ -158,9 +158,18 @@ def relax_grid(
     if folded.any() and outcome is Outcome.RESTED:
         outcome = Outcome.FOLDED
     return Relaxed(
-        uv=uv, energy=energy * pitch * pitch, springs=springs, outcome=outcome, steps=steps, history=history,
-        folded=folded, imputed=imputed, straight_share=straight, pitch=pitch, dropped=dropped,
-    )  # fmt: skip
+        uv=uv,
+        energy=energy * pitch * pitch,
+        springs=springs,
+        outcome=outcome,
+        steps=steps,
+        history=history,
+        folded=folded,
+        imputed=imputed,
+        straight_share=straight,
+        pitch=pitch,
+        dropped=dropped,
+    )
 
 
 def _check(

@@ -181,10 +181,10 @@ def _warn_of_marks(fit: FittedTransform, repeats: Ints) -> Iterator[str]:
     out = np.flatnonzero(fit.robust_weights < 1.0)
     if out.size:
         distances = ", ".join(f"{length:.3g}" for length in np.linalg.norm(fit.residuals_um, axis=1)[out[:8]])
-        plural = out.size > 1
+        subject, verb = ("Marks", "do") if out.size > 1 else ("Mark", "does")
         yield (
-            f"Mark{'s' * plural} {listed(out)} (counted from 0) do{'es' * (not plural)} not agree with the others "
-            f"(off by {distances} um) and {'were' if plural else 'was'} left out. Check {'them' if plural else 'it'}."
+            f"{subject} {listed(out)} (counted from 0) {verb} not agree with the others, off by {distances} um: left "
+            "out. Check the place."
         )
     if repeats.size:
         subject, verb, end = (
