@@ -120,7 +120,7 @@ def test_coordinates_in_um_are_the_size():
         (GREYS, None, r"The volume states no voxel size. Give it with voxel_um=SIZE"),
         (GREYS, "1.5", "voxel_um: '1.5' is not a size"),
         (GREYS, (3, 1.5), r"voxel_um= has 2 values, it needs 1 or 3"),
-        (GREYS, float("inf"), "voxel_um: inf,inf,inf is not a size"),
+        (GREYS, float("inf"), "voxel_um: inf is not a size"),
         (GREYS, 0.0015, r"It looks like mm given as um \(0.0015 mm is 1.5 um\)"),
         (GREYS, 1500, r"It looks like nm given as um \(1500 nm is 1.5 um\)"),
     ],

@@ -350,7 +350,7 @@ def test_several_variables_are_listed(tmp_path: Path, new: bool) -> None:
             file["W"] = VALUES[:, :4]
     else:
         scipy.io.savemat(path, {"V": np.moveaxis(VALUES, 0, -1), "W": VALUES[:, :4], "voxel_um": 2.0})
-    words = r"v\.mat holds 2 volumes: V \(17 x 19 x 12 uint16\).*Choose one as v\.mat:V\."
+    words = r"v\.mat holds 2 volumes\. Its volumes are V \(17 x 19 x 12 uint16\).*choose one as v\.mat:V\."
     refused(VolumeError, words, read_volume, path)
     np.testing.assert_array_equal(read_volume(f"{path}:V").values, VALUES)
     refused(VolumeError, "has no volume 'X'", read_volume, f"{path}:X")

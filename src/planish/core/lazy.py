@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
-Where = tuple[slice, ...]  # one slice an axis, with a start and stop inside the array and a step above 0
+Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
 
 class LazyArray(ABC):
@@ -54,7 +54,7 @@ class LazyArray(ABC):
             if isinstance(index, slice):
                 places = range(n)[index]
                 ordered = places if places.step > 0 else places[::-1]
-                where.append(slice(ordered.start, ordered.stop, ordered.step))
+                where.append(slice(ordered.start, ordered[-1] + 1 if ordered else ordered.start, ordered.step))
                 after.append(slice(None, None, 1 if places.step > 0 else -1))
             else:
                 place = range(n)[int(index)]

@@ -158,9 +158,9 @@ def _labelled(
     # Without a unit they may count voxels: they have to fit a size that is given, and are none by themselves.
     plain = [axis for axis, step in steps.items() if step is not None and "units" not in named[axis].attrs]
     sizes = tuple(None if size_um is None and axis in plain else step for axis, step in steps.items())
-    stated = Stated(source="its coordinate grid", um=sizes, note="coordinates without a unit" if plain else "")
+    stated = Stated("its coordinate grid", sizes, "coordinates without a unit" if plain else "")
     if size_um is None and not any(sizes) and kind.size in named.attrs:
-        stated = Stated(source=f"its attribute {kind.size}", um=tuple(named.attrs[kind.size]))
+        stated = Stated(f"its attribute {kind.size}", tuple(named.attrs[kind.size]))
     asked = VOXEL if kind is VOLUME else PIXEL
     name = f"The {kind.name}"
     size, source = agreed_size([stated], size_um, file_name=name, asked=asked, override=override, unusual=unusual)

@@ -16,11 +16,11 @@ from planish.core.errors import FileError, VolumeError
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import quiet, reading
 from planish.io.headed import Header, axes_of, packing_of, unpacked_head, values_behind
-from planish.io.lazy import ChangedArray, FileArray, StoredArray
+from planish.io.lazy import ChangedArray, FileArray, stored_planes
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
-LEAST_OFFSETS = {1: 348, 2: 540}  # bytes of the header of each version
+LONGEST_NIFTI = 540  # bytes of the header of version 2
 MIRRORED = (
     "By its affine the axes of {} make a left-handed system: as a stack of slices it is a mirror image of the "
     "specimen. Flip one axis where you export it, or the sheet will lie on its image like its own reflection."
@@ -30,23 +30,23 @@ MIRRORED = (
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
     is_nifti = place.path.name.lower().endswith((".nii", ".nii.gz"))
-    return _load_nifti(place.path) if is_nifti else _load_mrc(place.path)
+    return (_load_nifti if is_nifti else _load_mrc)(place.path)
 
 
 def _header_of(
     path: Path, sizes: tuple[int, ...], order: tuple[int, ...], stored: np.dtype[Any], offset: int, stated: Stated
 ) -> Header:
     """Header of values that begin at a byte of a file, which may be packed as a whole."""
-    packing = packing_of(path)
+    packing, shape = packing_of(path), tuple(sizes[axis] for axis in order)
+    offset, skip = (0, offset) if packing else (offset, 0)
     return Header(
-        shape=tuple(sizes[axis] for axis in order), stored=stored, data=path, offset=0 if packing else offset,
-        packing=packing, stated=[stated], skip=offset if packing else 0,
-    )  # fmt: skip
+        path=path, data=path, shape=shape, stored=stored, offset=offset, packing=packing, skip=skip, stated=[stated]
+    )
 
 
 def _load_nifti(path: Path) -> LoadedVolume:
     """Values of a NIfTI file; those that the header scales become float32."""
-    keys, version = _nifti_header(unpacked_head(path, LEAST_OFFSETS[2]), path)
+    keys, header_bytes = _nifti_header(unpacked_head(path, LONGEST_NIFTI), path)
     with reading(path):
         sizes = tuple(int(n) for n in keys.get_data_shape())
         stored, offset = np.dtype(keys.get_data_dtype()), int(keys.get_data_offset())
@@ -57,33 +57,32 @@ def _load_nifti(path: Path) -> LoadedVolume:
         # Without a code no affine was written, and nibabel would make one up.
         has_affine = any(int(keys[name]) > 0 for name in ("sform_code", "qform_code"))
         mirrored = has_affine and bool(np.linalg.det(keys.get_best_affine()[:3, :3]) < 0)
-    if min(sizes, default=0) < 0 or offset < LEAST_OFFSETS[version]:
+    if min(sizes, default=0) < 0 or offset < header_bytes:
         raise damaged(path, f"its sizes are {sizes}, its values begin at byte {offset}")
     order = axes_of(sizes, "", path)
     stated = stated_in("the NIfTI pixdim", lengths, [unit] * len(sizes), order)
     header = _header_of(path, sizes, order, stored, offset, stated)
-    values = values_behind(path, header)
+    values = values_behind(header)
     if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
-        inner = values if isinstance(values, FileArray) else StoredArray(path, header.shape, stored, offset=offset)
+        inner = values if isinstance(values, FileArray) else stored_planes(path, header.shape, stored, offset=offset)
         values = ChangedArray(inner, partial(_scaled, slope=slope, intercept=intercept), np.dtype(np.float32))
     hand = {"hand": "left, by the affine"} if mirrored else {}
-    notes = [MIRRORED.format(path.name)] if mirrored else []
-    return LoadedVolume(values=values, stated=header.stated, files=[path], attrs=hand, notes=notes)
+    return header.volume(values, attrs=hand, notes=[MIRRORED.format(path.name)] if mirrored else [])
 
 
 def _nifti_header(head: bytes, path: Path) -> tuple[Any, int]:
-    """Read the header alone: what nibabel opens may name other files and extensions of any size."""
+    """Read the header alone, and its length: what nibabel opens may name other files and extensions of any size."""
     with quiet:
-        import nibabel
-    version = 2 if head[:4] in ((540).to_bytes(4, "little"), (540).to_bytes(4, "big")) else 1
-    header_class: Any = (nibabel.Nifti1Header, nibabel.Nifti2Header)[version - 1]
-    magic = head[344:348] if version == 1 else head[4:8]
-    if magic[:3] in (b"ni1", b"ni2"):
+        from nibabel import Nifti1Header, Nifti2Header
+    header_class, length, magic = Nifti1Header, 348, head[344:347]
+    if head[:4] in (LONGEST_NIFTI.to_bytes(4, "little"), LONGEST_NIFTI.to_bytes(4, "big")):
+        header_class, length, magic = Nifti2Header, LONGEST_NIFTI, head[4:7]
+    if magic in (b"ni1", b"ni2"):
         raise FileError(f"{path.name} has its values in another file (.img). Save it as one file, .nii or .nii.gz.")
-    if len(head) < LEAST_OFFSETS[version] or magic[:3] not in (b"n+1", b"n+2"):
+    if len(head) < length or magic not in (b"n+1", b"n+2"):
         raise FileError(f"{path.name} is no NIfTI file. Check its name, or export it again.")
     with reading(path):
-        return header_class(head[: LEAST_OFFSETS[version]], check=False), version
+        return header_class(head[:length], check=False), length
 
 
 def _scaled(values: NDArray[Any], *, slope: float, intercept: float) -> NDArray[Any]:
@@ -102,7 +101,7 @@ def _load_mrc(path: Path) -> LoadedVolume:
         raise damaged(path, f"its sizes are {sizes}, its extended header has {more} bytes")
     order = axes_of(sizes, "", path)
     header = _header_of(path, sizes, order, _type_of(keys, path), HEADER_BYTES + more, _stated(keys, order))
-    return LoadedVolume(values=values_behind(path, header), stated=header.stated, files=[path])
+    return header.volume(values_behind(header))
 
 
 def _mrc_header(head: bytes, path: Path) -> Any:
@@ -136,13 +135,12 @@ def _type_of(keys: Any, path: Path) -> np.dtype[Any]:
 
 def _stated(keys: Any, order: tuple[int, ...]) -> Stated:
     """Size of a voxel: the cell by its intervals; its axes may stand in another order than those of the array."""
-    cell = {1: ("x", "mx"), 2: ("y", "my"), 3: ("z", "mz")}
     lengths: list[float | None] = []
     for name in ("mapc", "mapr", "maps"):
-        along, count = cell.get(int(keys[name]), ("", ""))
-        number = int(keys[count]) if count else 0
-        lengths.append(float(keys["cella"][along]) / number if number > 0 else None)
-    if all(v in (0.0, 1.0) for v in lengths):
+        axis = {1: "x", 2: "y", 3: "z"}.get(int(keys[name]), "")
+        number = int(keys[f"m{axis}"]) if axis else 0
+        lengths.append(float(keys["cella"][axis]) / number if number > 0 else None)
+    if all(length in (0.0, 1.0) for length in lengths):
         note = "1 Angstrom is what programs write when they do not know" if lengths[0] else "it is 0"
-        return Stated(source="the MRC cell", um=(None, None, None), note=note)
+        return Stated("the MRC cell", (None, None, None), note)
     return stated_in("the MRC cell", lengths, ["angstrom"] * 3, order)

@@ -17,7 +17,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import ModuleType
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,39 +30,35 @@ from planish.io.sizes import Stated
 from planish.io.tiff import size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
+EXPORT_AGAIN = "It is damaged: copy or export it again."
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
 COLOURS = {"red": 0, "green": 1, "blue": 2}
 CHANNELS = ("luminance", *COLOURS)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class VolumeFormat:
+class VolumeFormat(NamedTuple):
     """A format of volumes."""
 
     name: str
     module: str  # of this package
-    suffixes: tuple[str, ...]  # ends of the names of its files or folders, in small letters
+    suffixes: tuple[str, ...] = ()  # ends of the names of its files or folders, in small letters
     members: tuple[str, ...] = ()  # names of files that mark a folder of this format, whatever its own name
     parts: bool = False  # whether ``path:part`` chooses one volume of several
 
 
-ZARR_MEMBERS = ("zarr.json", ".zgroup", ".zarray")
-MRC_SUFFIXES = (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")
-HDF5_SUFFIXES = (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx")
-
 # The first line that fits is taken, so longer suffixes stand before shorter ones.
 FORMATS = (
-    VolumeFormat(name="raw with a header", module="header_volume", suffixes=(".toml", ".raw", ".vol")),
-    VolumeFormat(name="OME-Zarr", module="zarr_volume", suffixes=(".zarr",), members=ZARR_MEMBERS, parts=True),
-    VolumeFormat(name="NRRD", module="header_volume", suffixes=(".nrrd", ".nhdr")),
-    VolumeFormat(name="MetaImage", module="header_volume", suffixes=(".mha", ".mhd")),
-    VolumeFormat(name="HDF5 or NeXus", module="hdf5_volume", suffixes=HDF5_SUFFIXES, parts=True),
-    VolumeFormat(name="NIfTI", module="binary_volume", suffixes=(".nii", ".nii.gz")),
-    VolumeFormat(name="MRC", module="binary_volume", suffixes=MRC_SUFFIXES),
-    VolumeFormat(name="MATLAB", module="matlab_volume", suffixes=(".mat",), parts=True),
+    VolumeFormat("raw with a header", "header_volume", (".toml", ".raw", ".vol")),
+    VolumeFormat("OME-Zarr", "zarr_volume", (".zarr",), ("zarr.json", ".zgroup", ".zarray"), parts=True),
+    VolumeFormat("NRRD", "header_volume", (".nrrd", ".nhdr")),
+    VolumeFormat("MetaImage", "header_volume", (".mha", ".mhd")),
+    VolumeFormat("HDF5 or NeXus", "hdf5_volume", (".h5", ".hdf5", ".hdf", ".he5", ".nxs", ".nx"), parts=True),
+    VolumeFormat("NIfTI", "binary_volume", (".nii", ".nii.gz")),
+    VolumeFormat("MRC", "binary_volume", (".mrc", ".rec", ".st", ".ali", ".map", ".mrc.gz", ".mrc.bz2")),
+    VolumeFormat("MATLAB", "matlab_volume", (".mat",), parts=True),
 )
-TIFF = VolumeFormat(name="TIFF", module="tiff_volume", suffixes=(".tif", ".tiff", ".btf", ".tf8"))
-SLICES = VolumeFormat(name="folder of slices", module="slice_volume", suffixes=())
+TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
+SLICES = VolumeFormat("folder of slices", "slice_volume")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -106,10 +102,7 @@ def find_place(path: str | Path) -> Place:
     """
     text = str(path)
     if printable(text) != text:
-        raise FileError(
-            f"The name {printable(text)} holds what is no text. Planish writes names of inputs into its results: give "
-            "the file another name."
-        )
+        raise FileError(f"The name {printable(text)} holds what is no text. Results hold names: give it another.")
     if not exists(Path(text)):
         for colon in range(len(text) - 1, 0, -1):
             front = text[:colon]
@@ -131,11 +124,11 @@ def exists(path: Path) -> bool:
 def format_of(place: Place) -> VolumeFormat:
     """Find the format by the name, or for folders by what lies in them; everything else is an image file."""
     path = place.path
-    name = path.name.lower()
-    file_format = next((f for f in FORMATS if name.endswith(f.suffixes) and path.is_dir() == bool(f.members)), None)
-    if path.is_dir():
-        file_format = file_format or next((f for f in FORMATS if any((path / m).is_file() for m in f.members)), SLICES)
-    file_format = file_format or TIFF
+    name, is_folder = path.name.lower(), path.is_dir()
+    candidates = [f for f in FORMATS if name.endswith(f.suffixes) and is_folder == bool(f.members)]
+    if is_folder:
+        candidates += [f for f in FORMATS if any((path / member).is_file() for member in f.members)]
+    file_format = (*candidates, SLICES if is_folder else TIFF)[0]
     if place.part and not file_format.parts:
         raise FileError(
             f"{path.name} is {file_format.name}, in which {place.part!r} chooses nothing. Leave out ':{place.part}'."
@@ -194,10 +187,7 @@ def checked_volume(volume: LoadedVolume, path: Path, *, memory_bytes: int | None
     shape = volume.values.shape
     # No scan has more; a larger number is damage.
     if 0 in shape or math.prod(shape) > 2**50:
-        raise FileError(
-            f"{path.name} declares {size_words(shape)} voxels, which no volume has. It is damaged: copy or export it "
-            "again."
-        )
+        raise FileError(f"{path.name} declares {size_words(shape)} voxels, which no volume has. {EXPORT_AGAIN}")
     if len(shape) != 3 or min(shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
     check_type(volume.values.dtype, path)
@@ -221,21 +211,36 @@ def referenced_file(folder: Path, name: str, path: Path, *, base: Path | None = 
         within = False
     if not within:
         raise FileError(
-            f"{path.name} takes data from {name!r}, outside its folder, which planish does not open. "
-            "Put the files into one folder and name them without a path."
+            f"{path.name} takes data from {name!r}, outside its folder, which planish does not open. Put the files "
+            "into one folder and name them without a path."
         )
     if not target.is_file():
         raise FileError(f"{path.name} takes data from {name!r}, which does not exist. Put it beside {path.name}.")
     return target
 
 
+def describe_volumes(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: str) -> str:
+    """List the volumes (name, shape, type) of a file, and say how one is chosen."""
+    if not volumes:
+        return ADVICE
+    listed = ", ".join(f"{volume} ({size_words(shape)} {dtype})" for volume, shape, dtype in volumes[:8])
+    more = f" and {len(volumes) - 8} more" if len(volumes) > 8 else ""
+    return f"Its volumes are {listed}{more}: choose one as {name}:{volumes[0][0]}."
+
+
+def only_volume(volumes: Sequence[tuple[str, tuple[int, ...], str]], name: str) -> str:
+    """Name of the only volume of a file."""
+    if len(volumes) != 1:
+        many = f"{len(volumes)} volumes" if volumes else "no volume"
+        raise VolumeError(f"{name} holds {many}. {describe_volumes(volumes, name)}")
+    return volumes[0][0]
+
+
 def check_channel(channel: str | None) -> str | None:
     """Return the name of a channel in small letters."""
     word = None if channel is None else channel.strip().casefold()
     if word not in (None, *CHANNELS):
-        raise InputError(
-            f"{channel!r} is no channel of a volume. Choose one of {', '.join(CHANNELS)} with --volume-channel."
-        )
+        raise InputError(f"{channel!r} is no channel of a volume. Choose {', '.join(CHANNELS)} with --volume-channel.")
     return word
 
 
@@ -268,21 +273,17 @@ def check_chunks(
     """
     grid = tuple(-(-n // c) for n, c in zip(shape, chunk, strict=True))
     stored = [p for p in present if len(p) == len(grid) and all(0 <= i < n for i, n in zip(p, grid, strict=True))]
-    lost, total = math.prod(grid) - len(stored), math.prod(grid)
-    remedy = "It is cut off, or its shape is wrong: copy or export it again."
-    if not stored:
-        raise FileError(f"{name} has no values: none of its {total} chunks is stored. {remedy}")
+    total = math.prod(grid)
+    lost = f"{total - len(stored)} of its {total} chunks are not stored"
     names = "tczyx"[-len(grid) :] if len(grid) <= 5 else range(len(grid))
-    for axis, (places, n, c) in enumerate(zip(map(set, zip(*stored, strict=True)), grid, chunk, strict=True)):
-        missing = next((p for p in range(n) if p not in places), None)
-        if missing is not None:
+    for axis, (n, c) in enumerate(zip(grid, chunk, strict=True)):
+        places = {position[axis] for position in stored}
+        if len(places) < n:
+            missing = c * next(p for p in range(n) if p not in places)
             raise FileError(
-                f"{name} has no values for {names[axis]} from {missing * c} to "
-                f"{min((missing + 1) * c, shape[axis]) - 1}: {lost} of its {total} chunks are not stored. {remedy}"
+                f"{name} has no values for {names[axis]} {missing} to {min(missing + c, shape[axis]) - 1}: {lost}. "
+                "It is cut off, or its shape is wrong: copy or export it again."
             )
-    if not lost:
+    if len(stored) == total:
         return ()
-    return (
-        f"{lost} of its {total} chunks are not stored and read as one constant: either they are empty, or "
-        "they were lost when it was copied.",
-    )
+    return (f"{lost} and read as one constant: they are empty, or were lost when it was copied.",)

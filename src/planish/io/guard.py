@@ -18,8 +18,6 @@ from planish.core.threads import control_groups
 MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
 # Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below.
 BLOWN_UP_RATIO = 2000
-# Below this size a decoded image does no harm whatever its ratio, so small constant images pass.
-BLOWN_UP_FROM_BYTES = 16 * 2**20
 
 
 class _Quiet:
@@ -28,8 +26,6 @@ class _Quiet:
     Filters of warnings and switches of loggers belong to the whole process. Threads that set and reset them in turn
     would leave them as another thread had found them, so the first one in sets them and the last one out resets them.
     """
-
-    LOGGERS = ("tifffile", "SurfaceTopography", "PIL", "h5py")
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -43,7 +39,7 @@ class _Quiet:
                 return
             self._undo.enter_context(warnings.catch_warnings())
             warnings.simplefilter("ignore")
-            for name in self.LOGGERS:
+            for name in ("tifffile", "SurfaceTopography", "PIL", "h5py"):
                 log = logging.getLogger(name)
                 self._undo.callback(setattr, log, "disabled", log.disabled)
                 log.disabled = True
@@ -67,9 +63,7 @@ def reading(path: Path) -> Generator[None]:
     except PlanishError:
         raise
     except MemoryError as error:
-        raise ResourceError(
-            f"{path.name} does not fit into the memory. Crop or bin it, or use a machine with more memory."
-        ) from error
+        raise ResourceError(f"{path.name} does not fit into the memory. Crop or bin it, or add memory.") from error
     except PermissionError as error:
         raise FileError(f"{path.name} may not be read. Give yourself the right to read it.") from error
     except Exception as error:  # broken files make the decoders raise almost every type there is
@@ -94,7 +88,8 @@ def size_of_file(path: Path) -> int:
 
 def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
     """Refuse compressed data that claim far more than so few bytes can hold."""
-    if decoded_bytes > BLOWN_UP_FROM_BYTES and decoded_bytes > BLOWN_UP_RATIO * stored_bytes:
+    # A small image does no harm whatever its ratio: constant ones pass.
+    if decoded_bytes > 16 * 2**20 and decoded_bytes > BLOWN_UP_RATIO * stored_bytes:
         raise FileError(
             f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, "
             f"more than {BLOWN_UP_RATIO} to 1. It is damaged: copy or export it again."
@@ -103,7 +98,7 @@ def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None
 
 def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> None:
     """Refuse what does not fit into the memory before it is asked for."""
-    limit = default_memory_limit() if limit_bytes is None else limit_bytes
+    limit = memory_limit(limit_bytes)
     if needed_bytes > limit:
         raise ResourceError(
             f"{path.name} needs {needed_bytes / 2**30:.3g} GiB of memory, {limit / 2**30:.3g} GiB may be used. "
@@ -111,24 +106,27 @@ def check_memory(path: Path, *, needed_bytes: int, limit_bytes: int | None) -> N
         )
 
 
+def memory_limit(limit_bytes: int | None) -> int:
+    """Bytes that one file may fill where no limit is given."""
+    return default_memory_limit() if limit_bytes is None else limit_bytes
+
+
 def default_memory_limit() -> int:
-    """Bytes that one file may fill: three quarters of the memory that is available now."""
-    # The rest is for the work on it.
-    return int(0.75 * min(_available_memory_bytes(), _control_group_limit_bytes()))
-
-
-def _available_memory_bytes() -> int:
-    """Physical memory that is free or can be freed, or a cautious number where the system does not report it."""
+    """Bytes that one file may fill: three quarters of the memory that is free, or can be freed."""
+    available_bytes = 0
     with suppress(OSError):
         for line in Path("/proc/meminfo").read_text(encoding="ascii", errors="replace").splitlines():
             if line.startswith("MemAvailable:"):
-                return int(line.split()[1]) * 1024
-    if os.name == "nt":
-        return _available_on_windows(getattr(ctypes, "windll").kernel32)  # noqa: B009  # not known to checkers elsewhere
-    try:
-        return os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
-    except (AttributeError, ValueError, OSError):
-        return MEMORY_UNKNOWN_BYTES
+                available_bytes = int(line.split()[1]) * 1024
+    if not available_bytes and os.name == "nt":
+        available_bytes = _available_on_windows(getattr(ctypes, "windll").kernel32)  # noqa: B009  # unknown elsewhere
+    if not available_bytes:
+        try:
+            available_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+        except (AttributeError, ValueError, OSError):
+            available_bytes = MEMORY_UNKNOWN_BYTES
+    # The rest is for the work on it.
+    return int(0.75 * min(available_bytes, _control_group_limit_bytes()))
 
 
 class _MemoryStatus(ctypes.Structure):

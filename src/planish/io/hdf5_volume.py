@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import math
 import os
+import re
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from itertools import count
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import h5py  # pyright: ignore[reportMissingTypeStubs]
 import numpy as np
@@ -22,7 +23,15 @@ from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
-from planish.io.formats import ADVICE, LoadedVolume, Place, check_chunks, referenced_file
+from planish.io.formats import (
+    ADVICE,
+    LoadedVolume,
+    Place,
+    check_chunks,
+    describe_volumes,
+    only_volume,
+    referenced_file,
+)
 from planish.io.guard import reading, size_of_file
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
@@ -39,83 +48,74 @@ def opened(path: Path) -> Generator[h5py.File]:
         yield file
 
 
-class Hdf5Link(NamedTuple):
-    """A member of a group: the thing itself, or the name of another place, perhaps in another file."""
-
-    hard: bool
-    target: str = ""
-    file: str = ""
-
-
-def link_of(group: Any, name: str) -> Hdf5Link | None:
-    """Look at a member of a group without following it; None where there is none."""
+def link_of(group: Any, name: str) -> Any:
+    """A HardLink, SoftLink or ExternalLink of h5py, which is not followed; None where a group has no such member."""
     # To ask h5py whether the group holds it would open the file that an external link names.
-    if not isinstance(group, h5py.Group):
+    key = name.encode()
+    if not key or "/" in name or not isinstance(group, h5py.Group) or not group.id.links.exists(key):
         return None
     links: Any = group.id.links
-    key = name.encode()
-    if not key or "/" in name or not links.exists(key):
-        return None
     kind = links.get_info(key).type
     if kind == h5py.h5l.TYPE_HARD:  # pyright: ignore[reportAttributeAccessIssue]
-        return Hdf5Link(hard=True)
-    value: Any = links.get_val(key)
+        return h5py.HardLink()
+    target: Any = links.get_val(key)
     if kind == h5py.h5l.TYPE_SOFT:  # pyright: ignore[reportAttributeAccessIssue]
-        return Hdf5Link(hard=False, target=os.fsdecode(value))
-    return Hdf5Link(hard=False, target=os.fsdecode(value[1]), file=os.fsdecode(value[0]))
+        return h5py.SoftLink(os.fsdecode(target))
+    return h5py.ExternalLink(os.fsdecode(target[0]), os.fsdecode(target[1]))
 
 
 def find_dataset(path: Path, name: str) -> tuple[Path, str]:
     """Follow a path through groups and links."""
-    folder, here, where = path.parent, path, ""
-    remaining = [part for part in name.split("/") if part not in ("", ".")]
+    here, place, remaining = path, "", _words(name)
     for _ in range(MOST_LINKS):
         with opened(here) as file:
             while remaining:
-                part = remaining[0]
-                link = link_of(file[where or "/"], part)
+                part, *remaining = remaining
+                link = link_of(file[place or "/"], part)
                 if link is None:
-                    raise VolumeError(f"{path.name} has no {name!r}: {part!r} is not there. {describe_volumes(path)}")
-                if link.hard:
-                    where, remaining = f"{where}/{part}", remaining[1:]
-                    continue
-                target = [p for p in link.target.split("/") if p not in ("", ".")]
-                relative = not link.file and not link.target.startswith("/")
-                remaining = ([p for p in where.split("/") if p] if relative else []) + target + remaining[1:]
-                where = ""
-                if link.file:
-                    here = referenced_file(folder, link.file, path, base=here.parent)
-                break
+                    volumes = describe_volumes(volumes_in(path), path.name)
+                    raise VolumeError(f"{path.name} has no {name!r}: {part!r} is not there. {volumes}")
+                if not isinstance(link, h5py.HardLink):
+                    break
+                place = f"{place}/{part}"
             else:
-                return here, where
+                return here, place
+        is_external = isinstance(link, h5py.ExternalLink)
+        base = [] if is_external or link.path.startswith("/") else _words(place)
+        place, remaining = "", [*base, *_words(link.path), *remaining]
+        if is_external:
+            here = referenced_file(path.parent, link.filename, path, base=here.parent)
     raise FileError(
         f"{path.name}: {name!r} leads through more than {MOST_LINKS} links. Copy the data set into one file."
     )
 
 
+def _words(name: str) -> list[str]:
+    return [part for part in name.split("/") if part not in ("", ".")]
+
+
 def check_storage(dataset: h5py.Dataset, path: Path, *, depth: int = 0) -> None:
     """Refuse a data set whose values lie outside the folder, or in files that are not there."""
+    fault = ""
     if dataset.external:
-        raise FileError(
-            f"{path.name}: {dataset.name} keeps its values in another file ({dataset.external[0][0]!r}), which planish "
-            "does not open. Copy it into one file, for example with h5repack."
-        )
-    if not dataset.is_virtual:
-        return
-    if depth > 4:
-        raise FileError(f"{path.name}: {dataset.name} is virtual over virtual data sets. Copy it into one file.")
-    for source, name in sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()}):
+        fault = f"keeps its values in another file ({dataset.external[0][0]!r}), which planish does not open"
+    elif dataset.is_virtual and depth > 4:
+        fault = "is virtual over virtual data sets"
+    parts = sorted({(s.file_name, s.dset_name) for s in dataset.virtual_sources()} if dataset.is_virtual else ())
+    for source, name in parts if not fault else ():
         if "%" in source or "%" in name:
-            raise FileError(
-                f"{path.name}: {dataset.name} takes its parts from a pattern of files. Copy it into one file."
-            )
+            fault = "takes its parts from a pattern of files"
+            break
         file = path if source == "." else referenced_file(path.parent, source, path)
         target, target_name = find_dataset(file, name)
         if target.resolve() != file.resolve() or target_name.strip("/") != name.strip("/"):
-            raise FileError(f"{path.name}: {dataset.name} reaches its parts through links. Copy it into one file.")
+            fault = "reaches its parts through links"
+            break
         with opened(file) as source_file:
             part: Any = source_file[name]
             check_storage(part, file, depth=depth + 1)
+    if fault:
+        raise FileError(f"{path.name}: {dataset.name} {fault}. Copy it into one file, for example with h5repack.")
 
 
 def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
@@ -135,28 +135,18 @@ def volumes_in(path: Path) -> list[tuple[str, tuple[int, ...], str]]:
     return volumes
 
 
-def describe_volumes(path: Path) -> str:
-    """Name the volumes of a file, and how to choose one."""
-    volumes = volumes_in(path)
-    if not volumes:
-        return "It holds no data set with three axes."
-    names = ", ".join(f"{name} ({size_words(shape)} {dtype})" for name, shape, dtype in volumes[:8])
-    more = f" and {len(volumes) - 8} more" if len(volumes) > 8 else ""
-    return f"Its volumes are {names}{more}: choose one as {path.name}:{volumes[0][0]}."
-
-
-# Attributes in which programs write the voxel size, with ``_um`` or another unit at the end, or the unit beside.
-SIZE_NAMES = ("voxel_size", "element_size", "pixel_size", "spacing", "resolution", "voxel_um")
-
-
 def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> LoadedVolume:
     """Read the data set that was chosen, that NeXus names, or the only one with three axes."""
-    path = place.path
-    file_path, name = find_dataset(path, place.part) if place.part.strip("/") else _choose(path)
+    path, wanted = place.path, place.part.strip("/")
+    if not wanted:
+        with opened(path) as file:
+            wanted = _default_dataset(file, path) or ""
+    file_path, name = find_dataset(path, wanted) if wanted else (path, only_volume(volumes_in(path), path.name))
     with opened(file_path) as file:
         dataset: Any = file[name]
         if not isinstance(dataset, h5py.Dataset):
-            raise VolumeError(f"{path.name}: {place.part!r} is a group. {describe_volumes(path)}")
+            volumes = describe_volumes(volumes_in(path), path.name)
+            raise VolumeError(f"{path.name}: {place.part!r} is a group. {volumes}")
         long = [axis for axis, n in enumerate(dataset.shape or ()) if n > 1]
         if len(long) != 3:
             extent = size_words(dataset.shape or ()) or "one value"
@@ -181,14 +171,15 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     """Return an array that reads a data set in parts, and what looks wrong; refuse one without values."""
     check_storage(dataset, path)
-    shape, chunks, name = tuple(int(n) for n in dataset.shape), dataset.chunks, f"{path.name}: {dataset.name}"
-    chunk_bytes = 0 if chunks is None else math.prod(chunks) * dataset.dtype.itemsize
-    array = Hdf5Array(path, dataset.name, shape, dataset.dtype, chunk_bytes)
-    if not dataset.is_virtual and dataset.id.get_storage_size() == 0:
-        raise FileError(f"{name} has no values stored. It is cut off: copy or export it again.")
-    if dataset.is_virtual or chunks is None:
+    chunks, name = dataset.chunks, f"{path.name}: {dataset.name}"
+    array = Hdf5Array(path, dataset)
+    if dataset.is_virtual:
         return array, ()
-    if dataset.id.get_num_chunks() == math.prod(-(-n // c) for n, c in zip(shape, chunks, strict=True)):
+    if dataset.id.get_storage_size() == 0:
+        raise FileError(f"{name} has no values stored. It is cut off: copy or export it again.")
+    if chunks is None or dataset.id.get_num_chunks() == math.prod(
+        -(-n // c) for n, c in zip(array.shape, chunks, strict=True)
+    ):
         return array, ()
     present: list[tuple[int, ...]] = []
 
@@ -196,15 +187,16 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
         present.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
 
     dataset.id.chunk_iter(note)
-    return array, check_chunks(present, shape, chunks, name=name)
+    return array, check_chunks(present, array.shape, chunks, name=name)
 
 
 class Hdf5Array(FileArray):
     """A data set, whose file is open only while it is read."""
 
-    def __init__(self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], piece_bytes: int) -> None:
-        self.path, self.name, self.shape = path, name, shape
-        self.dtype, self.piece_bytes = dtype.newbyteorder("="), piece_bytes
+    def __init__(self, path: Path, dataset: Any) -> None:
+        self.path, self.name, self.shape = path, dataset.name, tuple(int(n) for n in dataset.shape)
+        self.dtype = dataset.dtype.newbyteorder("=")
+        self.piece_bytes = 0 if dataset.chunks is None else math.prod(dataset.chunks) * dataset.dtype.itemsize
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
@@ -218,29 +210,12 @@ class Hdf5Array(FileArray):
             return np.asarray(dataset[where], self.dtype)
 
 
-def _choose(path: Path) -> tuple[Path, str]:
-    """Data set that NeXus names as the default one, or the only volume there is."""
-    with opened(path) as file:
-        default = _default_dataset(file, path)
-    if default is not None:
-        return find_dataset(path, default)
-    volumes = volumes_in(path)
-    if len(volumes) != 1:
-        many = f"{len(volumes)} volumes" if volumes else "no volume"
-        raise VolumeError(f"{path.name} holds {many}. {describe_volumes(path)}")
-    return path, volumes[0][0]
-
-
 def _default_dataset(file: h5py.File, path: Path) -> str | None:
     """Follow ``default`` and ``signal`` from the root; None where the file is no NeXus file."""
     entry = _default_group(file, "NXentry")
-    if entry is None:
-        return None
     definition = _child(entry, "definition")
     if isinstance(definition, h5py.Dataset) and _word(definition[()]) == "NXtomo":
-        raise VolumeError(
-            f"{path.name} holds raw projections (NXtomo). Give the reconstructed volume, a file with NXtomoproc."
-        )
+        raise VolumeError(f"{path.name} holds raw projections (NXtomo). Give the reconstructed volume (NXtomoproc).")
     data = _default_group(entry, "NXdata")
     if data is None:
         return None
@@ -252,7 +227,9 @@ def _default_dataset(file: h5py.File, path: Path) -> str | None:
 
 
 def _default_group(group: Any, kind: str) -> Any:
-    """Group of a NeXus class that ``default`` names, or the only one there is."""
+    """Group of a NeXus class that ``default`` names, or the only one there is; None in no group."""
+    if group is None:
+        return None
     default = _child(group, _attribute(group, "default"))
     for members in ([default], [_child(group, key) for key in group]):
         of_class = [m for m in members if isinstance(m, h5py.Group) and _attribute(m, "NX_class") == kind]
@@ -263,8 +240,7 @@ def _default_group(group: Any, kind: str) -> Any:
 
 def _child(group: Any, name: str) -> Any:
     """Member of a group that is no link; None where there is none."""
-    link = link_of(group, name)
-    return group[name] if link is not None and link.hard else None
+    return group[name] if isinstance(link_of(group, name), h5py.HardLink) else None
 
 
 def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -> list[Stated]:
@@ -273,23 +249,23 @@ def _stated_by_nexus(dataset: Any, names: Sequence[str], order: Sequence[int]) -
     units = [""] * len(dataset.shape)
     notes: list[str] = []
     for axis in order if names else ():
-        values: Any = _child(dataset.parent, names[axis])
+        places: Any = _child(dataset.parent, names[axis])
         n = dataset.shape[axis]
-        if not isinstance(values, h5py.Dataset) or values.shape != (n,) or n > 10_000_000:
+        if not isinstance(places, h5py.Dataset) or places.shape != (n,) or n > 10_000_000:
             continue
-        if values.dtype.kind not in "uif" or values.is_virtual or values.external:
+        if places.dtype.kind not in "uif" or places.is_virtual or places.external:
             continue
-        differences = np.abs(np.diff(np.asarray(values[()], np.float64)))
+        differences = np.abs(np.diff(np.asarray(places[()], np.float64)))
         step = float(np.median(differences))
         # The steps of an axis may differ by 1 %.
-        if not np.isfinite(differences).all() or step <= 0 or np.any(np.abs(differences - step) > 0.01 * step):
-            notes.append(f"{names[axis]} is not evenly spaced")
+        if step > 0 and np.isfinite(differences).all() and np.all(np.abs(differences - step) <= 0.01 * step):
+            steps[axis], units[axis] = step, _attribute(places, "units")
         else:
-            steps[axis], units[axis] = step, _attribute(values, "units")
+            notes.append(f"{names[axis]} is not evenly spaced")
     if not notes and steps == [None] * len(steps):
         return []
     stated = stated_in("the NeXus axes", steps, units, order)
-    return [Stated(source=stated.source, um=stated.um, note=", ".join([*notes, stated.note] if stated.note else notes))]
+    return [stated._replace(note=", ".join(filter(None, [*notes, stated.note])))]
 
 
 def _stated_by_attributes(dataset: Any) -> list[Stated]:
@@ -298,16 +274,18 @@ def _stated_by_attributes(dataset: Any) -> list[Stated]:
     for owner in (dataset, dataset.parent):
         keys = {str(key).casefold(): str(key) for key in owner.attrs}
         for folded, key in keys.items():
-            base = next((b for b in SIZE_NAMES if folded == b or folded.startswith(b + "_")), None)
-            values = np.ravel(owner.attrs[key])
-            if base is None or "unit" in folded or values.dtype.kind not in "uif" or values.size not in (1, 3):
+            # Names that programs use, with ``_um`` or another unit at the end, or the unit beside.
+            name = re.fullmatch(r"(voxel_size|element_size|pixel_size|spacing|resolution|voxel)(_.*)?", folded)
+            numbers = np.ravel(owner.attrs[key])
+            if name is None or "unit" in folded or numbers.dtype.kind not in "uif" or numbers.size not in (1, 3):
                 continue
-            unit = "um" if folded == "voxel_um" else folded[len(base) + 1 :]
+            base, unit = name[1], (name[2] or "")[1:]
+            if base == "voxel" and unit != "um":
+                continue
             if not unit:
                 unit_key = next((u for u in (f"{base}_units", f"{base}_unit", "units", "unit") if u in keys), "")
                 unit = _attribute(owner, keys.get(unit_key, ""))
-            sizes = [float(v) for v in np.broadcast_to(values, 3)]
-            stated.append(stated_in(f"the attribute {key}", sizes, [unit] * 3))
+            stated.append(stated_in(f"the attribute {key}", np.broadcast_to(numbers, 3).tolist(), [unit] * 3))
     return stated
 
 

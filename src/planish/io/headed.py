@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
-from planish.io.formats import ADVICE
+from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, reading, size_of_file
 from planish.io.lazy import Values, WholeArray, mapped
 from planish.io.sizes import Stated
@@ -28,18 +28,23 @@ READ_BYTES = 4 * 2**20
 class Header:
     """Contents of a header."""
 
+    path: Path  # its file
+    data: Path  # file with the values
     shape: tuple[int, ...]  # z, y, x
     stored: np.dtype[Any]
-    data: Path  # file with the values
     offset: int  # byte at which they begin; -1 where they end with the file
-    packing: str  # "", "deflate" or "bzip2"
-    stated: list[Stated]
+    packing: str = ""  # or "deflate" or "bzip2"
     skip: int = 0  # unpacked bytes before the values
+    stated: list[Stated]
 
     @property
     def needed_bytes(self) -> int:
         """Size of the values without compression."""
         return math.prod(self.shape) * self.stored.itemsize
+
+    def volume(self, values: Values, **more: Any) -> LoadedVolume:
+        """The volume of these values, with further fields."""
+        return LoadedVolume(values=values, stated=self.stated, files=[self.path, self.data], **more)
 
 
 def head_of(path: Path, most: int) -> bytes:
@@ -63,41 +68,35 @@ def packing_of(path: Path) -> str:
     return {".gz": "deflate", ".bz2": "bzip2"}.get(path.suffix.lower(), "")
 
 
-def values_behind(path: Path, header: Header) -> Values:
+def values_behind(header: Header) -> Values:
     """Map values, or leave them to be unpacked."""
-    data, needed = header.data, header.needed_bytes
-    if not header.packing:
-        offset = max(size_of_file(data) - needed, 0) if header.offset < 0 else header.offset
-        return raw_values(path, data, header.shape, header.stored, offset=offset)
-    check_blown_up(data, decoded_bytes=needed, stored_bytes=max(size_of_file(data) - header.offset, 0))
-    return WholeArray(path, header.shape, header.stored.newbyteorder("="), partial(_unpacked, path, header))
-
-
-def raw_values(path: Path, data: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> Values:
-    """Map values that lie in a file as they are and fill it from an offset to its end."""
-    needed = math.prod(shape) * stored.itemsize
-    stored_bytes = size_of_file(data) - offset
+    data, needed, size = header.data, header.needed_bytes, size_of_file(header.data)
+    offset = max(size - needed, 0) if header.offset < 0 else header.offset
+    stored_bytes = size - offset
+    if header.packing:
+        check_blown_up(data, decoded_bytes=needed, stored_bytes=max(stored_bytes, 0))
+        return WholeArray(header.path, header.shape, header.stored.newbyteorder("="), partial(_unpacked, header))
     if stored_bytes != needed:
         fault = "It was cut off" if stored_bytes < needed else "The header is wrong"
         raise FileError(
-            f"{path.name} declares {size_words(shape)} values of {stored.itemsize} bytes, {needed} bytes; {data.name} "
-            f"has {max(stored_bytes, 0)} from byte {offset} on. {fault}: copy or export it again, or correct the "
-            "header."
+            f"{header.path.name} declares {size_words(header.shape)} values of {header.stored.itemsize} bytes, "
+            f"{needed} bytes; {data.name} has {max(stored_bytes, 0)} from byte {offset} on. {fault}: copy or export it "
+            "again, or correct the header."
         )
-    return mapped(data, shape, stored, offset=offset)
+    return mapped(data, header.shape, header.stored, offset=offset)
 
 
-def _unpacked(path: Path, header: Header) -> NDArray[Any]:
+def _unpacked(header: Header) -> NDArray[Any]:
     """Unpack values that fill a file from an offset to its end."""
     values = np.empty(header.needed_bytes, np.uint8)
     filled = 0
-    for part in unpacked_parts(path, header):
+    for part in unpacked_parts(header):
         values[filled : filled + len(part)] = np.frombuffer(part, np.uint8)
         filled += len(part)
     return values.view(header.stored).reshape(header.shape).astype(header.stored.newbyteorder("="), copy=False)
 
 
-def unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
+def unpacked_parts(header: Header) -> Iterator[bytes]:
     """Unpack values bit by bit; in the end they were as many as declared, or an error is raised."""
     bzip2, needed = header.packing == "bzip2", header.needed_bytes
     unpacker = _unpacker(header.packing)
@@ -119,8 +118,8 @@ def unpacked_parts(path: Path, header: Header) -> Iterator[bytes]:
     if filled != needed or not unpacker.eof:
         amount = f"more than the {needed}" if filled > needed else f"{max(filled, 0)} of the {needed}"
         raise FileError(
-            f"{path.name}: the packed values in {header.data.name} hold {amount} bytes declared. It is cut off or "
-            "damaged, or its header is wrong: copy or export it again."
+            f"{header.path.name}: the packed values in {header.data.name} hold {amount} bytes declared. It is cut off "
+            "or damaged, or its header is wrong: copy or export it again."
         )
 
 

@@ -25,13 +25,11 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
-from planish.io.guard import default_memory_limit, reading, size_of_file
-from planish.io.headed import Header, axes_of, head_of, raw_values, unpacked_parts, values_behind
+from planish.io.guard import memory_limit, reading, size_of_file
+from planish.io.headed import Header, axes_of, head_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray, Values
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
-
-LARGEST_HEADER = 2**20
 
 TYPES = {
     "int8": "signed char, int8, int8_t, MET_CHAR",
@@ -51,19 +49,17 @@ PACKINGS = {"raw": "", "gzip": "deflate", "gz": "deflate", "bzip2": "bzip2", "bz
 
 def load(place: Place, _channel: str | None, memory_bytes: int | None) -> LoadedVolume:
     """Map the values, or leave them to be unpacked."""
-    path = place.path
-    if path.suffix.lower() not in (".nrrd", ".nhdr", ".mha", ".mhd"):
-        return _load_raw(path)
-    head = head_of(path, LARGEST_HEADER)
-    header = (_nrrd_header if path.suffix.lower() in (".nrrd", ".nhdr") else _meta_header)(head, path)
-    limit = default_memory_limit() if memory_bytes is None else memory_bytes
-    values: Values = values_behind(path, header)
-    if header.packing and header.needed_bytes > limit and path.suffix.lower() in (".mha", ".mhd"):
+    path, suffix = place.path, place.path.suffix.lower()
+    readers = {".nrrd": _nrrd_header, ".nhdr": _nrrd_header, ".mha": _meta_header, ".mhd": _meta_header}
+    header = readers[suffix](head_of(path, 2**20), path) if suffix in readers else _raw_header(path)
+    values: Values = values_behind(header)
+    too_large = header.needed_bytes > memory_limit(memory_bytes)
+    if header.packing and suffix in (".mha", ".mhd") and too_large:
         # SimpleITK reads on behind the end of values that are shorter than declared.
-        for _ in unpacked_parts(path, header):
+        for _ in unpacked_parts(header):
             pass
         values = MetaArray(path, header.shape, header.stored.newbyteorder("="))
-    return LoadedVolume(values=values, stated=header.stated, files=[path, header.data])
+    return header.volume(values)
 
 
 def _type_of(word: str, path: Path) -> np.dtype[Any]:
@@ -102,8 +98,8 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
     spatial = ("domain", "space", "???", "none", "")
     several = [f"{n} of kind {kind!r}" for n, kind in zip(sizes, kinds, strict=True) if n > 1 and kind not in spatial]
     order = axes_of(sizes, f"{' and '.join(several)} in each voxel" if several else "", path)
-    dtype = _type_of(str(keys.get("type", "")).strip(), path)
-    if dtype.itemsize > 1 and keys.get("endian") not in ("little", "big"):
+    dtype, endian = _type_of(str(keys.get("type", "")).strip(), path), keys.get("endian")
+    if dtype.itemsize > 1 and endian not in ("little", "big"):
         raise damaged(path, "its header does not state the byte order (endian)")
     encoding = str(keys.get("encoding", "")).casefold()
     if line_skip != 0 or byte_skip < -1 or (byte_skip and encoding != "raw"):
@@ -112,13 +108,11 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
     name = keys.get("data file", keys.get("datafile"))
     return Header(
-        shape=tuple(sizes[axis] for axis in order),
-        stored=dtype.newbyteorder(">" if keys.get("endian") == "big" else "<"),
-        data=path if name is None else _data_file(str(name), path),
-        offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0),
-        packing=PACKINGS[encoding],
+        path=path, data=path if name is None else _data_file(str(name), path),
+        shape=tuple(sizes[axis] for axis in order), stored=dtype.newbyteorder(">" if endian == "big" else "<"),
+        offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0), packing=PACKINGS[encoding],
         stated=_stated_by_nrrd(keys, order),
-    )
+    )  # fmt: skip
 
 
 def _stated_by_nrrd(keys: Mapping[str, Any], order: tuple[int, ...]) -> list[Stated]:
@@ -143,22 +137,22 @@ def _meta_header(head: bytes, path: Path) -> Header:
     keys: dict[str, str] = {}
     end = 0
     for line in BytesIO(head):
-        key, equals, value = line.decode("utf-8", errors="replace").partition("=")
-        if not equals and key.strip():
+        key, equals, text = map(str.strip, line.decode("utf-8", errors="replace").partition("="))
+        if key and not equals:
             break
         end += len(line)
-        keys.setdefault(key.strip().casefold(), value.strip())
+        keys.setdefault(key.casefold(), text)
         if "elementdatafile" in keys:
             break
     name = keys.get("elementdatafile")
     if name is None:
         raise FileError(
-            f"{path.name} is no MetaImage or has a damaged header: its line ElementDataFile is missing. Export it "
+            f"{path.name} is no MetaImage, or its header is damaged: the line ElementDataFile is missing. Export it "
             "again."
         )
 
     def switched(key: str, default: str) -> bool:
-        return keys.get(key, default).strip().casefold() in {"true", "t", "1"}
+        return keys.get(key, default).casefold() in {"true", "t", "1"}
 
     words = keys.get("dimsize", "").split()
     whole = all(word.isascii() and word.isdecimal() and len(word) < 16 for word in words)
@@ -178,19 +172,16 @@ def _meta_header(head: bytes, path: Path) -> Header:
     unit = keys.get("distanceunits", "")
     stated: list[Stated] = []
     for key in ("ElementSpacing", "ElementSize"):
-        words = keys.get(key.casefold(), "").split()
-        if words:
+        if words := keys.get(key.casefold(), "").split():
             source = f"the MetaImage {key} ({unit or 'no unit written; mm, as ITK has it'})"
             with reading(path):
                 stated.append(stated_in(source, [float(w) for w in words], [unit or "mm"] * len(sizes), order))
     return Header(
-        shape=tuple(sizes[axis] for axis in order),
-        stored=dtype.newbyteorder(">" if big else "<"),
-        data=path if local else _data_file(name, path),
-        offset=-1 if skip == "-1" and not packed else end if local else 0,
-        packing="deflate" if packed else "",
+        path=path, data=path if local else _data_file(name, path),
+        shape=tuple(sizes[axis] for axis in order), stored=dtype.newbyteorder(">" if big else "<"),
+        offset=-1 if skip == "-1" and not packed else end if local else 0, packing="deflate" if packed else "",
         stated=stated,
-    )
+    )  # fmt: skip
 
 
 class MetaArray(FileArray):
@@ -209,41 +200,33 @@ class MetaArray(FileArray):
         reader.SetFileName(str(self.path))
         reader.ReadImageInformation()
         # Axes of length 1 that were left out above lie before the others or after them; here they come back.
-        sizes = tuple(int(n) for n in reader.GetSize())
-        long = [axis for axis, n in enumerate(sizes) if n > 1]
-        start, size = [0] * len(sizes), [1] * len(sizes)
-        for part, axis in zip(reversed(where), long, strict=True):
-            start[axis], size[axis] = part.start, range(part.start, part.stop, part.step)[-1] + 1 - part.start
-        reader.SetExtractIndex(start)
-        reader.SetExtractSize(size)
-        values = np.asarray(itk.GetArrayFromImage(reader.Execute()))
-        values = values.reshape([range(s.start, s.stop, s.step)[-1] + 1 - s.start for s in where])
+        sizes = [int(n) for n in reader.GetSize()]
+        parts = iter(reversed(where))
+        spans = [next(parts) if n > 1 else slice(0, 1) for n in sizes]
+        reader.SetExtractIndex([span.start for span in spans])
+        reader.SetExtractSize([span.stop - span.start for span in spans])
+        values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape([s.stop - s.start for s in where])
         return values[tuple(slice(None, None, s.step) for s in where)]
 
 
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")
 KEYS = ("file", "shape", "dtype", "byte_order", "offset", "voxel_um")
-LARGEST_TOML = 100_000
-EXAMPLE = 'shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
+EXAMPLE = 'with lines such as: shape = [z, y, x], dtype = "uint16", byte_order = "little", voxel_um = 1.65'
 
 
-def _load_raw(path: Path) -> LoadedVolume:
-    """Map raw values as their TOML header says; either of the two files is given."""
+def _raw_header(path: Path) -> Header:
+    """Header of raw values in a TOML file; either of the two files is given."""
     header = path if path.suffix.lower() == ".toml" else path.with_name(path.name + ".toml")
     if not header.is_file() and header != path:
         size_of_file(path)
-        raise FileError(
-            f"{path.name} has raw values and no header. Write {header.name} beside it, with lines such as: {EXAMPLE}."
-        )
-    if size_of_file(header) > LARGEST_TOML:
-        raise FileError(
-            f"{header.name} is larger than {LARGEST_TOML // 1000} kB and no header. Give lines such as: {EXAMPLE}."
-        )
+        raise FileError(f"{path.name} has raw values and no header. Write {header.name} beside it, {EXAMPLE}.")
+    if size_of_file(header) > 100_000:
+        raise FileError(f"{header.name} is larger than 100 kB and no header. Write one {EXAMPLE}.")
     with reading(header), header.open("rb") as file:
         keys = tomllib.load(file)
     data = referenced_file(header.parent, str(keys.get("file", header.name[: -len(".toml")])), header)
     faults = [f"unknown key {key!r}" for key in keys if key not in KEYS]
-    shape, dtype, order = keys.get("shape"), keys.get("dtype"), keys.get("byte_order")
+    shape, dtype, order = (keys.get(key) for key in ("shape", "dtype", "byte_order"))
     offset, voxel_um = keys.get("offset", 0), keys.get("voxel_um")
     if not (isinstance(shape, list) and len(shape) == 3 and all(type(n) is int and n > 0 for n in shape)):
         faults.append(f"shape is {shape!r}, needed are three whole numbers [z, y, x]")
@@ -259,9 +242,10 @@ def _load_raw(path: Path) -> LoadedVolume:
     if not isinstance(keys.get("file", ""), str):
         faults.append("file is no name")
     if faults:
-        raise FileError(f"{header.name}: {'; '.join(faults)}. Correct the header; it has lines such as: {EXAMPLE}.")
-    stored = np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<")
-    values = raw_values(header, data, tuple(int(n) for n in shape or ()), stored, offset=int(offset))
+        raise FileError(f"{header.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
     voxel = tuple(None if v is None else float(v) for v in sizes)
-    stated = Stated(source="the TOML header", um=voxel, note="" if None not in voxel else "it has no voxel_um")
-    return LoadedVolume(values=values, stated=[stated], files=[header, data])
+    return Header(
+        path=header, data=data, shape=tuple(int(n) for n in shape or ()), offset=int(offset),
+        stored=np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<"),
+        stated=[Stated("the TOML header", voxel, "it has no voxel_um" if None in voxel else "")],
+    )  # fmt: skip

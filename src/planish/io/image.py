@@ -107,7 +107,7 @@ def read_image(
 
 def across(stated: Sequence[Stated]) -> list[Stated]:
     """Leave out what is stated about z."""
-    return [Stated(source=s.source, um=s.um[1:], note=s.note if None in s.um[1:] else "") for s in stated]
+    return [s._replace(um=s.um[1:], note=s.note if None in s.um[1:] else "") for s in stated]
 
 
 def pick_channel(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:

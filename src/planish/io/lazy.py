@@ -5,6 +5,7 @@ Nothing that was read stays in memory, except the last few slices of formats tha
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
@@ -16,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.lazy import LazyArray, Where
-from planish.io.guard import check_memory, default_memory_limit, reading
+from planish.io.guard import check_memory, memory_limit, reading
+from planish.io.tiff import damaged
 
 EAGER_BYTES = 2**30  # up to this size what can be read in parts is read at once: it then never waits for the disk again
 CACHE_BYTES = 256 * 2**20  # decoded slices that are kept, because the next part often lies in the same ones
@@ -39,11 +41,11 @@ Values = NDArray[Any] | FileArray  # values in memory, mapped, or left in their 
 
 
 class PagedArray(FileArray):
-    """A volume stored page by page, in strips of `unit_rows` rows; 1 where single rows can be read without loss."""
+    """A volume stored page by page, in strips of `unit_rows` rows, the last of which stay decoded."""
 
-    def __init__(self, path: Path, shape: tuple[int, int, int], dtype: np.dtype[Any], unit_rows: int) -> None:
+    def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], unit_rows: int) -> None:
         self.path, self.shape, self.dtype, self.unit_rows = path, shape, dtype, unit_rows
-        self.piece_bytes = min(unit_rows, shape[1]) * shape[2] * dtype.itemsize
+        self.piece_bytes = min(unit_rows, shape[1]) * math.prod(shape[2:]) * dtype.itemsize
         self.whole_slices = unit_rows >= shape[1]
         self._strip = lru_cache(max(CACHE_BYTES // self.piece_bytes, 1))(self._decoded)
 
@@ -53,18 +55,17 @@ class PagedArray(FileArray):
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part page by page."""
-        pages, rows, columns = where
-        last = range(rows.start, rows.stop, rows.step)[-1] + 1
-        values = np.empty([len(range(w.start, w.stop, w.step)) for w in where], self.dtype)
-        first = rows.start // self.unit_rows
-        begin, end = rows.start - first * self.unit_rows, last - first * self.unit_rows
+        pages, rows, *across = where
+        first, last = rows.start // self.unit_rows, -(-rows.stop // self.unit_rows)
+        begin = first * self.unit_rows
+        values = np.empty(lengths(where), self.dtype)
         for i, page in enumerate(range(pages.start, pages.stop, pages.step)):
             if self.unit_rows == 1:
-                block = self.rows(page, rows.start, last)
+                block = self.rows(page, rows.start, rows.stop)
             else:
-                strips = [self._strip(page, k) for k in range(first, (last - 1) // self.unit_rows + 1)]
-                block = (strips[0] if len(strips) == 1 else np.concatenate(strips))[begin:end]
-            values[i] = block[:: rows.step, columns]
+                strips = [self._strip(page, k) for k in range(first, last)]
+                block = strips[0] if len(strips) == 1 else np.concatenate(strips)
+            values[i] = block[(slice(rows.start - begin, rows.stop - begin, rows.step), *across)]
         return values
 
     def _decoded(self, page: int, number: int) -> NDArray[Any]:
@@ -72,34 +73,40 @@ class PagedArray(FileArray):
 
 
 class StoredArray(FileArray):
-    """Values that lie in a file as they are, in whatever byte order; the file is open only while it is read.
+    """Planes that lie in files as they are, each in a file from a byte on, in whatever byte order.
 
-    Mapping it would count all that was ever touched, and its surroundings, as memory in use.
+    The files are open only while they are read. Mapping them would count all that was ever touched, and its
+    surroundings, as memory in use.
     """
 
-    def __init__(self, path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> None:
-        self.path, self.shape, self.stored, self.offset = path, shape, stored, offset
-        self.dtype = stored.newbyteorder("=")
+    def __init__(self, planes: Sequence[tuple[Path, int]], shape: tuple[int, ...], stored: np.dtype[Any]) -> None:
+        self.planes, self.shape, self.stored = planes, shape, stored
+        self.path, self.dtype = planes[0][0], stored.newbyteorder("=")
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read whole rows, plane by plane, and keep a part of them."""
-        planes, rows, *rest = where
-        out = np.empty([len(range(w.start, w.stop, w.step)) for w in where], self.dtype)
-        last = range(rows.start, rows.stop, rows.step)[-1] + 1
-        part = np.empty((last - rows.start, *self.shape[2:]), self.stored)
-        row_bytes = part.nbytes // len(part)
-        view = part.reshape(-1).view(np.uint8).data
-        with self.path.open("rb", buffering=0) as file:
-            for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
-                file.seek(self.offset + (k * self.shape[1] + rows.start) * row_bytes)
-                done = 0
-                while done < len(view):
-                    count = file.readinto(view[done:])
-                    if not count:
-                        raise EOFError("it ends too early")
-                    done += count
-                out[i] = part[(slice(None, None, rows.step), *rest)]
-        return out
+        planes, rows, *across = where
+        values = np.empty(lengths(where), self.dtype)
+        shape = (rows.stop - rows.start, *self.shape[2:])
+        skip = rows.start * math.prod(self.shape[2:]) * self.stored.itemsize
+        for i, k in enumerate(range(planes.start, planes.stop, planes.step)):
+            path, offset = self.planes[k]
+            part = np.fromfile(path, self.stored, math.prod(shape), offset=offset + skip)
+            if part.size < math.prod(shape):
+                raise damaged(path, f"it ends within the rows at byte {offset + skip}")
+            values[i] = part.reshape(shape)[(slice(None, None, rows.step), *across)]
+        return values
+
+
+def stored_planes(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> StoredArray:
+    """An array whose planes lie in a file one after the other."""
+    plane_bytes = math.prod(shape[1:]) * stored.itemsize
+    return StoredArray([(path, offset + k * plane_bytes) for k in range(shape[0])], shape, stored)
+
+
+def lengths(where: Where) -> list[int]:
+    """Places along each axis of a part."""
+    return [len(range(s.start, s.stop, s.step)) for s in where]
 
 
 def unmapped(array: Values) -> Values:
@@ -107,7 +114,7 @@ def unmapped(array: Values) -> Values:
     # A part or a turned view of a mapped file still carries its name and offset, but lies elsewhere in it.
     if not isinstance(array, np.memmap) or array.filename is None or not array.flags.c_contiguous:
         return array
-    return StoredArray(Path(array.filename), array.shape, array.dtype, offset=array.offset)
+    return stored_planes(Path(array.filename), array.shape, array.dtype, offset=array.offset)
 
 
 def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset: int) -> Values:
@@ -115,7 +122,7 @@ def mapped(path: Path, shape: tuple[int, ...], stored: np.dtype[Any], *, offset:
     if stored == stored.newbyteorder("=") and stored != np.float16:
         with reading(path):
             return np.memmap(path, stored, mode="r", offset=offset, shape=shape)
-    return StoredArray(path, shape, stored, offset=offset)
+    return stored_planes(path, shape, stored, offset=offset)
 
 
 class WholeArray(FileArray):
@@ -142,8 +149,7 @@ class ChangedArray(FileArray):
 
     def __init__(self, inner: FileArray, change: Callable[[NDArray[Any]], NDArray[Any]], dtype: np.dtype[Any]) -> None:
         self.inner, self.change, self.dtype, self.path = inner, change, dtype, inner.path
-        self.shape = inner.shape[:3]
-        self.chunks = None if inner.chunks is None else inner.chunks[:3]
+        self.shape, self.chunks = inner.shape[:3], None if inner.chunks is None else inner.chunks[:3]
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 
     def read(self, where: Where) -> NDArray[Any]:
@@ -156,10 +162,9 @@ class TransposedArray(FileArray):
     """An array with its axes in another order, without those of length 1 that are left out of `order`."""
 
     def __init__(self, inner: FileArray, order: Sequence[int]) -> None:
-        self.inner, self.order = inner, tuple(order)
+        self.inner, self.order, self.dtype, self.path = inner, tuple(order), inner.dtype, inner.path
         self.shape = tuple(inner.shape[axis] for axis in order)
         self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
-        self.dtype, self.path = inner.dtype, inner.path
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 
     def read(self, where: Where) -> NDArray[Any]:
@@ -167,10 +172,8 @@ class TransposedArray(FileArray):
         inside = [slice(0, 1, 1)] * len(self.inner.shape)
         for part, axis in zip(where, self.order, strict=True):
             inside[axis] = part
-        left_out = [axis for axis in range(len(inside)) if axis not in self.order]
-        return np.transpose(self.inner.read(tuple(inside)), (*self.order, *left_out)).reshape(
-            [len(range(s.start, s.stop, s.step)) for s in where]
-        )
+        turned = np.moveaxis(self.inner.read(tuple(inside)), self.order, range(len(self.order)))
+        return turned.reshape(lengths(where))
 
 
 def transposed(inner: FileArray, order: Sequence[int]) -> FileArray:
@@ -185,15 +188,13 @@ def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
 
 def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
     """Read an array at once where it is small, and leave it in its file otherwise; float16 becomes float32."""
-    wide = supported_type(array.dtype)
-    limit = default_memory_limit() if memory_bytes is None else memory_bytes
+    limit = memory_limit(memory_bytes)
     array = unmapped(array) if array.nbytes > limit else array
     if not isinstance(array, FileArray):
-        return array.astype(wide, copy=False)
-    if wide != array.dtype:
-        array = ChangedArray(array, np.asarray, wide)
-    if not is_small(array, memory_bytes=memory_bytes):
-        check_memory(array.path, needed_bytes=array.piece_bytes, limit_bytes=memory_bytes)
+        return array.astype(supported_type(array.dtype), copy=False)
+    array = widened(array)
+    if not is_small(array, limit):
+        check_memory(array.path, needed_bytes=array.piece_bytes, limit_bytes=limit)
         return array
     if not isinstance(array, WholeArray):
         return array[...]
@@ -201,7 +202,12 @@ def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
         return array.decode()
 
 
-def is_small(array: FileArray, *, memory_bytes: int | None) -> bool:
-    """True if an array is read at once."""
-    limit = default_memory_limit() if memory_bytes is None else memory_bytes
+def widened(array: FileArray) -> FileArray:
+    """An array whose values the kernels can compute with."""
+    dtype = supported_type(array.dtype)
+    return array if dtype == array.dtype else ChangedArray(array, np.asarray, dtype)
+
+
+def is_small(array: FileArray, limit: int) -> bool:
+    """True if an array is read at once where ``limit`` bytes may be filled."""
     return array.nbytes <= (limit if array.whole_slices else min(limit, EAGER_BYTES))

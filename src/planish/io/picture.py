@@ -18,7 +18,7 @@ from tifffile import PHOTOMETRIC, TiffPageSeries
 from planish.core.errors import FileError
 from planish.io.formats import full_scale
 from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
-from planish.io.sizes import UNKNOWN_NOTE, Stated, from_density, stated_by_tiff
+from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import has_rgb, is_tiff, long_axes, map_or_decode, mapped_from, open_series, shape_words
 
 PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
@@ -173,11 +173,7 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
     else:
         colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
-    try:  # dots per inch along x, y
-        across = [from_density(float(dpi[axis]), "inch") for axis in (1, 0)]
-    except (TypeError, ValueError, IndexError):
-        across = [None, None]
-    note = UNKNOWN_NOTE if None in across else ""
-    stated = (Stated(source=f"the {kind.upper()} resolution", um=(None, *across), note=note),)
+    density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)  # along x, y in the file
+    stated = (stated_density(f"the {kind.upper()} resolution", density, "inch"),)
     orientation = orientation if isinstance(orientation, int) else 1
     return DecodedPicture(values=values, colour=colour, bits=bits, stated=stated, orientation=orientation)

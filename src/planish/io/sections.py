@@ -137,7 +137,7 @@ class Sections:
         """Join the median step of the counter with the pixel size of metadata and user."""
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))
-        flat = [Stated(source=s.source, um=(None, *s.um[1:]), note=s.note) for s in self.first.stated]
+        flat = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
         if voxel_um is not None:
             sizes = size_per_axis(voxel_um, VOXEL)
             single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
@@ -147,7 +147,7 @@ class Sections:
                     f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
                 )
             voxel_um = (pitch_um, sizes[1], sizes[2])
-        stated = [Stated(source="the cut counter", um=(pitch_um, None, None)), *flat]
+        stated = [Stated("the cut counter", (pitch_um, None, None)), *flat]
         return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
 
 

@@ -7,10 +7,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from numbers import Real
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 from xml.etree import ElementTree
 
 import numpy as np
@@ -39,11 +38,9 @@ UNITS_UM = {
 
 OVERRIDE = "--override-size"
 POSSIBLE_UM = (1e-4, 1000.0)  # of any pixel; outside of it there is no instrument
-UNKNOWN_NOTE = "missing, or a default such as 72 dpi"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Stated:
+class Stated(NamedTuple):
     """Size as one kind of metadata states it."""
 
     source: str  # for example "ImageJ metadata"
@@ -51,8 +48,7 @@ class Stated:
     note: str = ""  # why, if there is something to say
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Asked:
+class Asked(NamedTuple):
     """Kind of size that is needed: names, option, and the usual range; outside of it the unit is probably wrong."""
 
     name: str
@@ -60,9 +56,18 @@ class Asked:
     option: str
     usual_um: Pair
 
+    def in_words(self, size: Sequence[float | None]) -> str:
+        """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
+        parts = [f"{axis} {um:.6g}" for axis, um in zip(self.axes, size, strict=True) if um is not None]
+        return ", ".join(parts) + " um"
 
-VOXEL = Asked(name="voxel", axes=("z", "y", "x"), option="--voxel-um", usual_um=(0.01, 100.0))
-PIXEL = Asked(name="pixel", axes=("y", "x"), option="--pixel-um", usual_um=(0.01, 500.0))
+    def statements(self, stated: Sequence[Stated]) -> str:
+        """Write what several kinds of metadata state."""
+        return and_join(f"{s.source} states {self.in_words(s.um)}" for s in stated)
+
+
+VOXEL = Asked("voxel", ("z", "y", "x"), "--voxel-um", (0.01, 100.0))
+PIXEL = Asked("pixel", ("y", "x"), "--pixel-um", (0.01, 500.0))
 """What is asked of the size of a pixel: axes, option, and what is usual."""
 
 
@@ -79,22 +84,21 @@ def unit_um(unit: str) -> float | None:
 
 
 def stated_in(
-    source: str, values: Sequence[float | None], units: Sequence[str], order: Sequence[int] = (0, 1, 2)
+    source: str, lengths: Sequence[float | None], units: Sequence[str], order: Sequence[int] = (0, 1, 2)
 ) -> Stated:
     """Turn lengths with their units into um along the axes in `order`; what is no length is noted."""
-    lengths: list[float | None] = []
+    sizes: list[float | None] = []
     notes: list[str] = []
     for axis in order:
-        value = values[axis] if axis < len(values) else None
+        length = lengths[axis] if axis < len(lengths) else None
         unit = units[axis] if axis < len(units) else ""
-        length = unit_um(unit)
-        usable = value is not None and math.isfinite(value) and value > 0
-        lengths.append(value * length if usable and value is not None and length is not None else None)
-        if value is not None and not usable:
-            notes.append(f"{value:g} is no size")
-        elif usable and length is None:
-            notes.append(f"{unit!r} is no unit of length" if unit else f"{value:g} without a unit")
-    return Stated(source=source, um=tuple(lengths), note=", ".join(dict.fromkeys(notes)))
+        size, of_unit = _number(length), unit_um(unit)
+        sizes.append(None if size is None or of_unit is None else size * of_unit)
+        if length is not None and size is None:
+            notes.append(f"{length:g} is no size")
+        elif length is not None and of_unit is None:
+            notes.append(f"{unit!r} is no unit of length" if unit else f"{length:g} without a unit")
+    return Stated(source, tuple(sizes), ", ".join(dict.fromkeys(notes)))
 
 
 def from_density(per_unit: float | None, unit: str) -> float | None:
@@ -103,10 +107,10 @@ def from_density(per_unit: float | None, unit: str) -> float | None:
     Exactly 1 pixel per unit, and 72 or 96 pixels per inch in whatever unit, are what programs write when they
     do not know.
     """
-    length = unit_um(unit)
-    if per_unit is None or length is None or not math.isfinite(per_unit) or per_unit <= 0 or per_unit == 1:
+    length, density = unit_um(unit), _number(per_unit)
+    if density is None or length is None or density == 1:
         return None
-    um = length / per_unit
+    um = length / density
     # What programs write when they do not know the resolution, within the rounding of whole pixels per cm.
     return None if any(abs(25400.0 / um - dpi) <= 1.0 for dpi in (72.0, 96.0)) else um
 
@@ -134,15 +138,15 @@ def agreed_size(
     sources = " and ".join(s.source for s in stating)
     if user_um is None:
         merged = _merge_stated(stating, file_name=file_name, asked=asked)
-        missing = [axis for axis, value in zip(asked.axes, merged, strict=True) if value is None]
-        if missing:
+        size = tuple(um for um in merged if um is not None)
+        if len(size) < len(merged):
+            missing = and_join(axis for axis, um in zip(asked.axes, merged, strict=True) if um is None)
             notes = "; ".join(f"{s.source}: {s.note}" for s in stated if s.note)
-            along = f" along {and_join(missing)}: {_in_words(stating, asked)} only" if stating else ""
+            along = f" along {missing}: {asked.statements(stating)} only" if stating else ""
             raise SizeError(
                 f"{file_name} states no {asked.name} size{along}{f' ({notes})' if notes else ''}. Give it with "
-                f"{asked.option} SIZE (or {','.join(a.upper() for a in asked.axes)}), in um."
+                f"{asked.option} SIZE (or {','.join(asked.axes).upper()}), in um."
             )
-        size = tuple(value for value in merged if value is not None)
         _check_range(size, file_name=file_name, asked=asked, unusual=unusual, more=f", and add {OVERRIDE}")
         return size, sources
     size = size_per_axis(user_um, asked)
@@ -151,12 +155,12 @@ def agreed_size(
     ]
     if contradicting and not override:
         raise SizeError(
-            f"{file_name}: {asked.option} gives {_axes_words(size, asked)}, but {_in_words(contradicting, asked)}. "
+            f"{file_name}: {asked.option} gives {asked.in_words(size)}, but {asked.statements(contradicting)}. "
             f"Correct one of them, or add {OVERRIDE} to take the given size."
         )
     _check_range(size, file_name=file_name, asked=asked, unusual=unusual)
     if contradicting:
-        replaced = and_join(f"{s.source} ({_axes_words(s.um, asked)})" for s in contradicting)
+        replaced = and_join(f"{s.source} ({asked.in_words(s.um)})" for s in contradicting)
         return size, f"given, in place of {replaced}"
     # A repeated run gives the very size that the metadata stated the first time; it still comes from there.
     return size, sources if _merge_stated(stating, file_name=file_name, asked=asked) == size else "given"
@@ -166,31 +170,26 @@ def size_per_axis(size_um: float | Sequence[float], asked: Asked) -> tuple[float
     """Spread a given size over the axes."""
     listed: Any = size_um.tolist() if isinstance(size_um, np.ndarray) else size_um
     sizes: tuple[Any, ...] = tuple(listed) if isinstance(listed, (list, tuple)) else (listed,)
-    if not all(not isinstance(v, bool) and isinstance(v, Real) for v in sizes):
+    if not all(not isinstance(v, bool) and isinstance(v, Real) and _number(v) for v in sizes):
         raise SizeError(f"{asked.option}: {size_um!r} is not a size. Give numbers above 0, in um.")
-    if len(sizes) == 1:
-        sizes = sizes * len(asked.axes)
-    if len(sizes) != len(asked.axes):
+    if len(sizes) not in (1, len(asked.axes)):
         raise SizeError(
             f"{asked.option} has {len(sizes)} values, it needs 1 or {len(asked.axes)} ({','.join(asked.axes)}), in um."
         )
-    if not all(math.isfinite(v) and v > 0 for v in sizes):
-        raise SizeError(
-            f"{asked.option}: {','.join(f'{v:g}' for v in sizes)} is not a size. Give numbers above 0, in um."
-        )
-    return tuple(float(v) for v in sizes)
+    return tuple(float(v) for v in (sizes if len(sizes) > 1 else sizes * len(asked.axes)))
 
 
 def _merge_stated(stating: Sequence[Stated], *, file_name: str, asked: Asked) -> tuple[float | None, ...]:
     """Join what several kinds of metadata state; the first that states an axis gives its number."""
     sizes: list[float | None] = [None] * len(asked.axes)
-    for metadata in stating:
-        for i, (size, value) in enumerate(zip(sizes, metadata.um, strict=True)):
+    for statement in stating:
+        for i, um in enumerate(statement.um):
+            size = sizes[i]
             if size is None:
-                sizes[i] = value
-            elif value is not None and not agree(size, value):
+                sizes[i] = um
+            elif um is not None and not agree(size, um):
                 raise SizeError(
-                    f"{file_name} contradicts itself: {_in_words(stating, asked)}. Give the right {asked.name} size "
+                    f"{file_name} contradicts itself: {asked.statements(stating)}. Give the right {asked.name} size "
                     f"with {asked.option} and add {OVERRIDE}."
                 )
     return tuple(sizes)
@@ -199,31 +198,21 @@ def _merge_stated(stating: Sequence[Stated], *, file_name: str, asked: Asked) ->
 def _check_range(size: Sequence[float], *, file_name: str, asked: Asked, unusual: bool, more: str = "") -> None:
     """Ask about sizes that no image of paper has, and refuse those that no image has."""
     low, high = asked.usual_um
-    for axis, value in zip(asked.axes, size, strict=True):
-        possible = POSSIBLE_UM[0] <= value <= POSSIBLE_UM[1]
-        if low <= value <= high or (unusual and possible):
+    for axis, um in zip(asked.axes, size, strict=True):
+        possible = POSSIBLE_UM[0] <= um <= POSSIBLE_UM[1]
+        if low <= um <= high or (unusual and possible):
             continue
         guess = "The unit is probably wrong"
-        for unit, factor in (("nm", 1e-3), ("mm", 1e3), ("m", 1e6)):
-            if low <= value * factor <= high:
-                guess = f"It looks like {unit} given as um ({value:g} {unit} is {value * factor:g} um)"
-                break
-        range_words = f"usual are {low:g} to {high:g} um" if possible else f"possible are {POSSIBLE_UM[0]:g} to 1000 um"
-        meant = " If it is meant, add --unusual-size." if possible else ""
+        for unit, factor in (("m", 1e6), ("mm", 1e3), ("nm", 1e-3)):
+            if low <= um * factor <= high:
+                guess = f"It looks like {unit} given as um ({um:g} {unit} is {um * factor:g} um)"
+        limits, meant = f"possible are {POSSIBLE_UM[0]:g} to 1000 um", ""
+        if possible:
+            limits, meant = f"usual are {low:g} to {high:g} um", " If it is meant, add --unusual-size."
         raise SizeError(
-            f"{file_name}: the {asked.name} size along {axis} is {value:g} um, {range_words}. {guess}. Give the right "
-            f"one with {asked.option}, in um{more}.{meant}"
+            f"{file_name}: the {asked.name} size along {axis} is {um:g} um, {limits}. {guess}. Give the right one with "
+            f"{asked.option}, in um{more}.{meant}"
         )
-
-
-def _in_words(stated: Sequence[Stated], asked: Asked) -> str:
-    return and_join(f"{s.source} states {_axes_words(s.um, asked)}" for s in stated)
-
-
-def _axes_words(size: Sequence[float | None], asked: Asked) -> str:
-    """Write a size with its axes, for example ``z 2, y 1.5, x 1.5 um``."""
-    parts = [f"{axis} {value:.6g}" for axis, value in zip(asked.axes, size, strict=True) if value is not None]
-    return ", ".join(parts) + " um"
 
 
 def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, ...]:
@@ -231,13 +220,11 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
     with reading(path):
         ome = tif.ome_metadata
         imagej: Mapping[str, Any] | None = tif.imagej_metadata
-        density = _rational(page, 283), _rational(page, 282)
+        density = [_fraction(page.tags.valueof(code)) for code in (283, 282)]
         stated: list[Stated] = []
         if ome is not None:  # the first image; the unit is um where none is written, as OME has it
             if "<!ENTITY" in ome or "<!DOCTYPE" in ome:
-                raise FileError(
-                    f"{path.name}: its OME metadata define entities, which OME never does. Export it again."
-                )
+                raise FileError(f"{path.name}: its OME metadata define entities, as OME never does. Export it again.")
             pixels = (e.attrib for e in ElementTree.fromstring(ome).iter() if e.tag.rpartition("}")[2] == "Pixels")
             keys: Mapping[str, str] = next(pixels, {})
             sizes = [_number(keys.get(f"PhysicalSize{axis}")) for axis in "ZYX"]
@@ -247,18 +234,20 @@ def stated_by_tiff(tif: TiffFile, page: TiffPage, path: Path) -> tuple[Stated, .
             return (*stated, _stated_by_imagej(imagej, density))
         # The resolution tags, with their unit, never state z.
         code: Any = page.tags.valueof(296)
-        unit = {2: "inch", 3: "cm"}.get(code, "") if isinstance(code, int) else ""
-        across = [from_density(per_unit, unit) for per_unit in density]
-        return *stated, Stated(
-            source="the TIFF resolution", um=(None, *across), note=UNKNOWN_NOTE if None in across else ""
-        )
+        return (*stated, stated_density("the TIFF resolution", density, {2: "inch", 3: "cm"}.get(code, "")))
 
 
-def _stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, float | None]) -> Stated:
+def stated_density(source: str, density: Sequence[float | None], unit: str) -> Stated:
+    """Size along z, y, x by pixels per unit of length along y, x."""
+    across = [from_density(per_unit, unit) for per_unit in density]
+    return Stated(source, (None, *across), "missing, or a default such as 72 dpi" if None in across else "")
+
+
+def _stated_by_imagej(meta: Mapping[str, Any], density: Sequence[float | None]) -> Stated:
     """Read `unit` (`yunit`, `zunit`), `spacing`, and pixels per unit from the resolution tags."""
     unit = str(meta.get("unit", ""))
     if unit_um(unit) is None:
-        return Stated(source="ImageJ metadata", um=(None, None, None), note=f"{unit!r} is no unit of length")
+        return Stated("ImageJ metadata", (None, None, None), f"{unit!r} is no unit of length")
     unit_y, unit_z = (str(meta.get(key) or unit) for key in ("yunit", "zunit"))
     across: list[float | None] = []
     for per_unit, its_unit in zip(density, (unit_y, unit), strict=True):
@@ -267,25 +256,23 @@ def _stated_by_imagej(meta: Mapping[str, Any], density: tuple[float | None, floa
             across.append(from_density(per_unit, its_unit))
         else:
             across.append(None if per_unit is None or length is None else length / per_unit)
-    spacing, length = _number(meta.get("spacing")), unit_um(unit_z)
-    z = None if spacing is None or length is None else spacing * length
+    z = stated_in("", [_number(meta.get("spacing"))], [unit_z], (0,)).um[0]
     note = "" if z is not None else "it has no slice spacing (ImageJ leaves out a spacing of exactly 1)"
-    return Stated(source="ImageJ metadata", um=(z, *across), note=note)
+    return Stated("ImageJ metadata", (z, *across), note)
 
 
-def _rational(page: TiffPage, code: int) -> float | None:
-    """Value of a tag that holds a fraction; None where it is no positive number."""
-    value: Any = page.tags.valueof(code)
-    if not isinstance(value, tuple) or len(value) != 2:  # pyright: ignore[reportUnknownArgumentType]
+def _fraction(stored: Any) -> float | None:
+    """A fraction of a tag; None where it is no positive number."""
+    if not isinstance(stored, tuple) or len(stored) != 2:  # pyright: ignore[reportUnknownArgumentType]
         return None
-    top, bottom = _number(value[0]), _number(value[1])
+    top, bottom = map(_number, stored)
     return None if top is None or bottom is None else top / bottom
 
 
-def _number(value: Any) -> float | None:
+def _number(stated: Any) -> float | None:
     """Read a positive finite number, or None."""
     try:
-        number = float(value)
+        number = float(stated)
     except (TypeError, ValueError):
         return None
     return number if math.isfinite(number) and number > 0 else None

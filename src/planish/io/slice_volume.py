@@ -13,7 +13,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from itertools import islice, pairwise
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -26,15 +26,16 @@ from planish.core.errors import FileError, SizeError, VolumeError
 from planish.core.tables import finite
 from planish.core.typing import Pair
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
-from planish.io.guard import check_memory, default_memory_limit, reading
-from planish.io.lazy import EAGER_BYTES, PagedArray, supported_type
+from planish.io.guard import check_memory, memory_limit, reading
+from planish.io.lazy import EAGER_BYTES, PagedArray, StoredArray, Values, supported_type, widened
 from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
 from planish.io.sizes import Stated
-from planish.io.tiff import open_series, size_words, stored_rows
+from planish.io.tiff import open_series, size_words
 
 # Files with other extensions (logs, licences, thumbnails of the system) are no slices.
 EXTENSIONS = frozenset({".tif", ".tiff", ".png", ".bmp", ".jpg", ".jpeg"})
 MOST_NAMES = 8  # names or numbers written out in a message
+ELSEWHERE = "or move the log elsewhere and give --voxel-um."
 
 # Keys of a log that describe how the volume was made.
 DETAIL_KEYS = {
@@ -58,19 +59,16 @@ def list_slices(folder: Path) -> list[Path]:
         raise FileError(f"{folder.name} is not a folder. Check the name.")
     files = sorted(p for p in folder.iterdir() if is_slice_name(p.name) and p.is_file())
     if not files:
-        raise FileError(
-            f"{folder.name} holds no slices. Needed are TIFF, PNG, BMP or JPEG files with numbers in their names."
-        )
+        raise FileError(f"{folder.name} holds no slices: TIFF, PNG, BMP or JPEG files with numbers in their names.")
     # A preview, a second scan: names that differ in more than numbers.
     patterns = [re.sub(r"\d+", "#", p.stem) + p.suffix.lower() for p in files]
     (main, count), *_ = Counter(patterns).most_common(1)
     if odd := [p for p, pattern in zip(files, patterns, strict=True) if pattern != main]:
         raise VolumeError(
             f"{folder.name} holds {count} images named like {files[patterns.index(main)].name}, and {len(odd)} named "
-            f"otherwise, first {odd[0].name}. Leave only the slices of one volume in the folder."
+            f"otherwise, first {odd[0].name}. Leave only the slices of one volume there."
         )
-    if len(files) == 1:
-        raise VolumeError(f"{folder.name} holds one slice only, {files[0].name}. Needed are all slices of the volume.")
+    _check_several(files)
     numbers = slice_numbers(files, folder)
     check_no_gap(numbers, folder)
     return [file for _, file in sorted(zip(numbers, files, strict=True))]
@@ -83,12 +81,12 @@ def is_slice_name(name: str) -> bool:
 
 def slice_numbers(files: list[Path], folder: Path) -> list[int]:
     """Find the number that counts the slices: the only one in the names that changes."""
-    columns = list(zip(*(re.findall(r"\d+", p.stem) for p in files), strict=True))
-    changing = [[int(text) for text in column] for column in columns if len({int(text) for text in column}) > 1]
+    columns = zip(*(map(int, re.findall(r"\d+", p.stem)) for p in files), strict=True)
+    changing = [[*column] for column in columns if len({*column}) > 1]
     if len(changing) != 1:
         raise VolumeError(
-            f"{folder.name}: {len(changing)} numbers change from {files[0].name} to {files[-1].name}, "
-            "the slices need exactly one. Rename them with one running number."
+            f"{folder.name}: {len(changing)} numbers change from {files[0].name} to {files[-1].name}. Rename the "
+            "slices with one running number."
         )
     return changing[0]
 
@@ -98,21 +96,24 @@ def check_no_gap(numbers: list[int], folder: Path) -> None:
     ordered = sorted(numbers)
     if repeated := sorted(n for n, times in Counter(ordered).items() if times > 1):
         raise VolumeError(
-            f"{folder.name} has more than one slice with the number {first_few(repeated)}. Remove the copies."
+            f"{folder.name} has more than one slice with the number {first_few(repeated)}. Remove copies."
         )
-    wanted, present = range(ordered[0], ordered[-1] + 1, slice_step(ordered)), set(ordered)
+    wanted = range(ordered[0], ordered[-1] + 1, slice_step(ordered))
     if count := len(wanted) - len(ordered):
-        missing = list(islice((n for n in wanted if n not in present), MOST_NAMES + 1))
         raise VolumeError(
             f"{folder.name} has {len(ordered)} slices from {ordered[0]} to {ordered[-1]}, {count} missing: "
-            f"{first_few(missing)}. Add them, or move the slices before or after the gap elsewhere."
+            f"{_first_missing(wanted, ordered)}. Add them, or move the slices before or after the gap elsewhere."
         )
+
+
+def _first_missing(wanted: range, numbers: list[int]) -> str:
+    present = set(numbers)
+    return first_few(list(islice((n for n in wanted if n not in present), MOST_NAMES + 1)))
 
 
 def slice_step(numbers: list[int]) -> int:
     """Largest step that meets every number."""
-    ordered = sorted(numbers)
-    return math.gcd(*(b - a for a, b in pairwise(ordered)))
+    return math.gcd(*np.diff(sorted(numbers)).tolist())
 
 
 def first_few(items: Sequence[object]) -> str:
@@ -137,45 +138,18 @@ class Scan:
     details: dict[str, str]  # further keys, as written
 
 
-def _read_log(path: Path) -> dict[str, dict[str, str]]:
-    """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
-    with reading(path):
-        if path.stat().st_size > 10_000_000:
-            raise FileError(f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere.")
-        raw = path.read_bytes()
-    try:
-        text = raw.decode("utf-8-sig")
-    except UnicodeDecodeError:
-        text = raw.decode("cp1252", errors="replace")  # names of people and folders, never numbers
-    sections: dict[str, dict[str, str]] = {}
-    section: dict[str, str] = {}
-    for line in text.splitlines():
-        line = line.strip()
-        if line.startswith("[") and line.endswith("]"):
-            section = sections.setdefault(line[1:-1].strip().casefold(), {})
-        elif "=" in line:
-            key, value = line.split("=", 1)
-            section.setdefault(key.strip().casefold(), value.strip())
-    return sections
-
-
 def read_scan(folder: Path) -> Scan | None:
     """Read the log of a folder; None where there is none of a reconstruction."""
     logs = sorted(p for p in folder.iterdir() if p.name.casefold().endswith("_rec.log"))
     if len(logs) > 1:
-        raise VolumeError(
-            f"{folder.name} holds {len(logs)} NRecon logs: {', '.join(p.name for p in logs)}. "
-            "Keep the one of this scan."
-        )
-    sections = _read_log(logs[0]) if logs else {}
+        names = ", ".join(p.name for p in logs)
+        raise VolumeError(f"{folder.name} holds {len(logs)} NRecon logs: {names}. Keep the one of this scan.")
+    sections = _log_sections(logs[0]) if logs else {}
     keys = sections.get("reconstruction")
     if keys is None:
         return None
     log = logs[0]
-    size, step = (
-        finite(keys.get("pixel size (um)"), decimal_comma=True),
-        _count(keys.get("section to section step", "1")),
-    )
+    size, step = _number(keys.get("pixel size (um)")), _count(keys.get("section to section step", "1"))
     if not size or size < 0 or not step:
         raise SizeError(
             f"{log.name} has no number for '{'Section to Section Step' if size else 'Pixel Size (um)'}' under "
@@ -188,32 +162,43 @@ def read_scan(folder: Path) -> Scan | None:
             "Correct the log, or move it elsewhere and give --voxel-um."
         )
     rows, columns = (_count(keys.get(f"result image {side} (pixels)")) for side in ("height", "width"))
-    low, high = (
-        finite(keys.get(f"{end} for cs to image conversion"), decimal_comma=True) for end in ("minimum", "maximum")
-    )
+    low, high = (_number(keys.get(f"{end} for cs to image conversion")) for end in ("minimum", "maximum"))
+    details: dict[str, str] = {}
+    for section, names in DETAIL_KEYS.items():
+        written = sections.get(section, {})
+        details |= {name: written[name.casefold()] for name in names if name.casefold() in written}
     return Scan(
-        log=log,
-        stated=Stated(source="NRecon log", um=(size * step, size, size)),
+        log=log, stated=Stated("NRecon log", (size * step, size, size)),
         prefix=sections.get("file name convention", {}).get("filename prefix") or None,
-        count=count,
-        first=first,
-        last=last,
-        step=step,
-        extent=(rows, columns),
-        window=None if low is None or high is None or low >= high else (low, high),
-        details={
-            name: sections[section][name.casefold()]
-            for section, names in DETAIL_KEYS.items()
-            for name in names
-            if name.casefold() in sections.get(section, {})
-        },
-    )
+        count=count, first=first, last=last, step=step, extent=(rows, columns),
+        window=None if low is None or high is None or low >= high else (low, high), details=details,
+    )  # fmt: skip
+
+
+def _log_sections(path: Path) -> dict[str, dict[str, str]]:
+    """Sections and keys of a log, case-folded; the first of keys that occur twice in a section counts."""
+    with reading(path):
+        if path.stat().st_size > 10_000_000:
+            raise FileError(f"{path.name} is larger than 10 MB and no log of NRecon. Move it elsewhere.")
+        raw = path.read_bytes()
+    try:
+        text = raw.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        text = raw.decode("cp1252", errors="replace")  # names of people and folders, never numbers
+    sections: dict[str, dict[str, str]] = {}
+    section: dict[str, str] = {}
+    for line in map(str.strip, text.splitlines()):
+        key, equals, value = line.partition("=")
+        if line.startswith("[") and line.endswith("]"):
+            section = sections.setdefault(line[1:-1].strip().casefold(), {})
+        elif equals:
+            section.setdefault(key.strip().casefold(), value.strip())
+    return sections
 
 
 def named_slices(scan: Scan, folder: Path) -> list[Path]:
     """Slices with the prefix of a log, in their order; other pictures, such as NRecon's own preview, are left aside."""
-    prefix = scan.prefix or ""
-    numbered: list[tuple[int, Path]] = []
+    prefix, numbered = scan.prefix or "", list[tuple[int, Path]]()
     for path in folder.iterdir():
         digits = path.stem[len(prefix) :]
         if path.stem.casefold().startswith(prefix.casefold()) and digits.isdecimal() and is_slice_name(path.name):
@@ -221,16 +206,16 @@ def named_slices(scan: Scan, folder: Path) -> list[Path]:
     numbered.sort()
     if not numbered:
         raise VolumeError(
-            f"{folder.name} holds no slice named {prefix} and a number, as {scan.log.name} states. Give the "
-            "slices their names back, or move the log elsewhere and give --voxel-um."
+            f"{folder.name} holds no slice named {prefix} and a number, as {scan.log.name} states. Rename the slices, "
+            f"{ELSEWHERE}"
         )
     numbers = [number for number, _ in numbered]
     if scan.first is not None and scan.last is not None:
-        present, wanted = set(numbers), range(scan.first, scan.last + 1, scan.step)
-        if missing := list(islice((n for n in wanted if n not in present), 9)):
+        wanted = range(scan.first, scan.last + 1, scan.step)
+        if missing := _first_missing(wanted, numbers):
             raise VolumeError(
                 f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. Missing: "
-                f"{first_few(missing)}. Add the missing slices, or move the log elsewhere and give --voxel-um."
+                f"{missing}. Add the missing slices, {ELSEWHERE}"
             )
         if odd := [n for n in numbers if n not in wanted]:
             raise VolumeError(
@@ -241,9 +226,13 @@ def named_slices(scan: Scan, folder: Path) -> list[Path]:
     return [path for _, path in numbered]
 
 
+def _number(text: str | None) -> float | None:
+    return finite(text, decimal_comma=True)
+
+
 def _count(text: str | None) -> int | None:
-    value = finite(text, decimal_comma=True)
-    return int(value) if value is not None and value >= 0 and value == int(value) and value < 1e9 else None
+    number = _number(text)
+    return int(number) if number is not None and 0 <= number < 1e9 and number == int(number) else None
 
 
 def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedVolume:
@@ -256,8 +245,8 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     if scan is not None:
         if any(wanted not in (None, n) for wanted, n in zip(scan.extent, values.shape[1:], strict=True)):
             raise VolumeError(
-                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states {scan.extent[0]} x "
-                f"{scan.extent[1]}. If the slices were cropped, move the log elsewhere and give --voxel-um."
+                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states "
+                f"{size_words(scan.extent)}. If the slices were cropped, move the log elsewhere and give --voxel-um."
             )
         attrs |= {"nrecon": scan.details} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
         stated = (scan.stated, *stated)
@@ -270,91 +259,79 @@ def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
     if scan is not None and scan.count not in (None, len(files)):
         raise VolumeError(
             f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(files)}. Add the missing slices, "
-            "or move the log elsewhere and give --voxel-um."
+            f"{ELSEWHERE}"
         )
-    if len(files) < 2:
-        raise VolumeError(f"{folder.name} holds one slice only, {files[0].name}. Needed are all slices of the volume.")
+    _check_several(files)
     return files
+
+
+def _check_several(files: list[Path]) -> None:
+    if len(files) < 2:
+        raise VolumeError(f"{files[0].parent.name} holds one slice only, {files[0].name}. Give all of the volume.")
 
 
 def load_pictures(
     files: list[Path], *, channel: str | None, memory_bytes: int | None, photographs: bool = False
-) -> tuple[NDArray[Any] | PagedArray, DecodedPicture]:
+) -> tuple[Values, DecodedPicture]:
     """Grey values of pictures that are alike, dims (picture, y, x), and the first picture.
 
     What does not fit into the memory, or can be read where it lies, stays in the files. Photographs of sections are
     compared with each other several times, so they are only left there where they do not fit.
     """
-    folder = files[0].parent
-    first = load_picture(files[0], memory_bytes=memory_bytes)
+    folder, limit = files[0].parent, memory_limit(memory_bytes)
+    first = load_picture(files[0], memory_bytes=limit)
     colour_attrs(channel, folder, in_colour=first.in_colour)
     grey = _grey_values(first, files[0], channel)
-    dtype = supported_type(grey.dtype)
-    limit = default_memory_limit() if memory_bytes is None else memory_bytes
+    dtype, shape = supported_type(grey.dtype), (len(files), *grey.shape)
     kind, stored, offset = _slice_header(files[0])
     eager = limit if photographs or offset is None else min(limit, EAGER_BYTES)
-    if len(files) * grey.size * dtype.itemsize <= eager:
-        values = np.empty((len(files), *grey.shape), dtype)
+    if math.prod(shape) * dtype.itemsize <= eager:
+        values = np.empty(shape, dtype)
         values[0] = grey
         for i, file in enumerate(files[1:], start=1):
-            picture = load_picture(file, memory_bytes=memory_bytes)
+            picture = load_picture(file, memory_bytes=limit)
             _check_same(picture, first, file=file, first_file=files[0])
             values[i] = _grey_values(picture, file, channel)
         return values, first
     # Threads decode photographs while others are compared.
     check_memory(folder, needed_bytes=4 * first.values.nbytes if photographs else 2 * grey.nbytes, limit_bytes=limit)
-    offsets: list[int] = []
+    planes: list[tuple[Path, int]] = []
     for file in files:
-        its_kind, its_stored, its_offset = _slice_header(file)
+        its_kind, its_stored, offset = _slice_header(file)
         if its_kind != kind:
             _check_same(load_picture(file, memory_bytes=limit), first, file=file, first_file=files[0])
-        if its_offset is not None and its_stored == stored and grey.ndim == first.values.ndim:
-            offsets.append(its_offset)
-    return SliceFiles(files, offsets, stored, channel, (grey.shape[0], grey.shape[1]), dtype), first
+        if offset is not None and its_stored == stored and first.values.ndim == 2:
+            planes.append((file, offset))
+    if len(planes) == len(files):
+        return widened(StoredArray(planes, shape, stored)), first
+    return SliceFiles(files, channel, shape, dtype), first
 
 
 class SliceFiles(PagedArray):
-    """Slices as the pages of a volume: rows are read where they lie in the files as they are, others decoded whole.
+    """Slices as the pages of a volume, each decoded whole."""
 
-    ``offsets`` are where the values of the type ``stored`` lie in the files as they are; slices are read in place if
-    there is one for every file.
-    """
-
-    def __init__(
-        self, files: list[Path], offsets: list[int], stored: np.dtype[Any], channel: str | None,
-        extent: tuple[int, int], dtype: np.dtype[Any],
-    ) -> None:  # fmt: skip
-        self.files, self.offsets, self.stored, self.channel, self.extent = files, offsets, stored, channel, extent
-        self.in_place = len(offsets) == len(files)
-        unit_rows = 1 if self.in_place else extent[0]
-        super().__init__(files[0].parent, (len(files), *extent), dtype, unit_rows)
+    def __init__(self, files: list[Path], channel: str | None, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
+        self.files, self.channel = files, channel
+        super().__init__(files[0].parent, shape, dtype, shape[1])
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Another process decodes anew."""
-        return SliceFiles, (self.files, self.offsets, self.stored, self.channel, self.extent, self.dtype)
+        return SliceFiles, (self.files, self.channel, self.shape, self.dtype)
 
     def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        """Read rows of a slice, or decode the whole slice."""
+        """Decode a slice."""
         file = self.files[page]
-        if self.in_place:
-            offset = self.offsets[page] + start * self.extent[1] * self.stored.itemsize
-            with file.open("rb") as opened:
-                return stored_rows(opened, file, offset, (stop - start, self.extent[1]), self.stored)
         grey = _grey_values(load_picture(file), file, self.channel)
-        if grey.shape != self.extent:
+        if grey.shape != self.shape[1:]:
             raise VolumeError(
-                f"{file.name} is {size_words(grey.shape)} pixels, {size_words(self.extent)} when the folder was "
+                f"{file.name} is {size_words(grey.shape)} pixels, {size_words(self.shape[1:])} when the folder was "
                 "opened. Leave the slices alone while planish reads them."
             )
         return grey[start:stop]
 
 
 def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:
-    """Read the header of a slice, which is not decoded.
-
-    Format, size and type, which slices that decode alike share; the type in the file, and where in it the values lie
-    as they are, if they do.
-    """
+    """Format, size and type of a slice, which is not decoded; its type in the file, and from where it lies as it is."""
     name = kind_of(file)
     if name != "tiff":
         with reading(file), file.open("rb") as opened:
@@ -364,8 +341,8 @@ def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | Non
         page = series.keyframe
         resolution = tuple(page.tags.valueof(code) for code in (282, 283, 296))
         meta = (page.photometric, page.bitspersample, page.compression, resolution)
-        kind = (name, series.shape, series.axes, str(series.dtype), *meta)
         offset = series.dataoffset if page.photometric == PHOTOMETRIC.MINISBLACK else None
+        kind = (name, series.shape, series.axes, str(series.dtype), *meta)
         return kind, series.dtype.newbyteorder(tif.byteorder), offset
 
 
@@ -399,6 +376,6 @@ def _check_same(picture: DecodedPicture, first: DecodedPicture, *, file: Path, f
         for a, b in zip(stated.um, first_stated.um, strict=True):
             if a is not None and b is not None and not agree(a, b):
                 raise SizeError(
-                    f"{file.name} states a pixel size of {a:g} um, {first_file.name} one of {b:g} um. "
-                    "All slices need the same: remove the wrong slices or their resolution tags."
+                    f"{file.name} states a pixel size of {a:g} um, {first_file.name} one of {b:g} um. All slices need "
+                    "the same: remove the wrong slices or their resolution tags."
                 )

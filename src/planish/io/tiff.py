@@ -13,7 +13,7 @@ import struct
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, BinaryIO
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,36 +47,28 @@ def open_series(path: Path, *, error: type[InputError], advice: str) -> Generato
     pages = _count_pages(path)
     with reading(path):
         tif = TiffFile(path, _multifile=False)
-    try:
+    with tif:
         with reading(path):
-            readable = len(tif.pages)
-        if readable != pages:
-            raise damaged(path, f"{pages} pages are chained, {readable} can be read")
-        with reading(path):
+            if len(tif.pages) != pages:
+                raise damaged(path, f"{pages} pages are chained, {len(tif.pages)} can be read")
             _check_declared_images(tif, path)
             every = list(tif.series)
-        full = [s for s in every if not s.keyframe.is_reduced] or every
-        if not full:
-            raise damaged(path, "it holds no image")
-        series = first = full[0]
-        with reading(path):
+            full = [s for s in every if not s.keyframe.is_reduced] or every
+            if not full:
+                raise damaged(path, "it holds no image")
+            series = first = full[0]
             if len(full) > 1:  # slices may be written one by one, each as an image of its own
-                alike = all(len(s.pages) == 1 and s.ndim == 2 and s.keyframe.hash == first.keyframe.hash for s in full)
-                pages_of = [s.pages[0] for s in full]
-                shape = (len(full), *first.shape)
-                series = TiffPageSeries(pages_of, shape, first.dtype, "IYX", kind="uniform") if alike else None
-        if series is None:
-            odd_series = next((s for s in full[1:] if s.shape != full[0].shape), full[1])
-            with reading(path):
-                odd_page = next((page.index + 1 for page in odd_series if page is not None), 0)
-            raise error(
-                f"{path.name} holds {len(full)} different images: {shape_words(full[0])} from page 1 on, "
-                f"{shape_words(odd_series)} at page {odd_page}. {advice}"
-            )
-        _check_data(series, path)
+                if not all(len(s.pages) == 1 and s.ndim == 2 and s.keyframe.hash == first.keyframe.hash for s in full):
+                    odd = next((s for s in full[1:] if s.shape != first.shape), full[1])
+                    odd_page = next((page.index + 1 for page in odd if page is not None), 0)
+                    raise error(
+                        f"{path.name} holds {len(full)} different images: {shape_words(first)} from page 1 on, "
+                        f"{shape_words(odd)} at page {odd_page}. {advice}"
+                    )
+                shape, slices = (len(full), *first.shape), [s.pages[0] for s in full]
+                series = TiffPageSeries(slices, shape, first.dtype, "IYX", kind="uniform")
+            _check_data(series, path)
         yield tif, series
-    finally:
-        tif.close()
 
 
 def is_tiff(head: bytes) -> bool:
@@ -138,47 +130,42 @@ def _check_declared_images(tif: TiffFile, path: Path) -> None:
 
     A file of ImageJ that was cut still has its one table of pages.
     """
-    first = tif.pages.first
+    first, pages = tif.pages.first, len(tif.pages)
     for tag in re.findall(r"<(?:\w+:)?Pixels\b[^>]*>", tif.ome_metadata or ""):
         sizes = {k: int(n) for k, n in re.findall(r"\bSize([ZCTYX])\s*=\s*[\"'](\d{1,18})[\"']", tag)}
         planes = math.prod(sizes.get(k, 1) for k in "ZCT")
         rows, columns = sizes.get("Y", 1), sizes.get("X", 1)
         if planes > MOST_PAGES or rows > 10 * first.imagelength or columns > 10 * first.imagewidth:
-            pages = f"{len(tif.pages)} pages of {size_words(first.shape)}"
-            declared = size_words([*sizes.values()])
-            raise damaged(path, f"its OME metadata declare {declared} values, the file has {pages}")
+            declared = f"its OME metadata declare {size_words([*sizes.values()])} values"
+            raise damaged(path, f"{declared}, the file has {pages} pages of {size_words(first.shape)}")
     meta: Any = tif.imagej_metadata
     images = meta.get("images", 1) if meta else 1
-    if not isinstance(images, int) or images <= max(1, len(tif.pages)) or not first.dataoffsets:
+    if not isinstance(images, int) or images <= max(1, pages) or not first.dataoffsets:
         return
     if first.dataoffsets[0] + images * first.nbytes > tif.filehandle.size or not first.is_contiguous:
-        raise damaged(
-            path, f"{images} images are declared, the file has {len(tif.pages)} pages and {tif.filehandle.size} bytes"
-        )
+        size = tif.filehandle.size
+        raise damaged(path, f"{images} images are declared, the file has {pages} pages and {size} bytes")
 
 
 def _check_data(series: TiffPageSeries, path: Path) -> None:
     """Check that all data of a series are in the file, as far as the page tables show."""
-    size = size_of_file(path)
-    key = series.keyframe
+    size, key = size_of_file(path), series.keyframe
     for name in LAYOUT_NUMBERS:  # damaged tags may have any type
-        value: Any = getattr(key, name)
-        if not isinstance(value, int):
-            raise damaged(path, f"its {name} is {str(value)[:40]!r}, which is no number")
+        number: Any = getattr(key, name)
+        if not isinstance(number, int):
+            raise damaged(path, f"its {name} is {str(number)[:40]!r}, which is no number")
     if series.size == 0 or key.dtype is None or series.dtype.itemsize == 0:
         raise damaged(path, f"its image is {size_words(series.shape) or 'without extent'} pixels")
     if key.bitspersample not in range(1, 65):
         raise damaged(path, f"its pixels have {key.bitspersample} bits")
-    with reading(path):
-        offset = series.dataoffset
-        pages: list[TiffPage | TiffFrame | None] = [key] if offset is not None else list(series)
+    offset = series.dataoffset
+    pages: list[TiffPage | TiffFrame | None] = [key] if offset is not None else list(series)
     if offset is not None and offset + series.nbytes > size:
         raise damaged(path, f"the image ends at byte {offset + series.nbytes}, the file has {size}")
-    if len(pages) * math.prod(key.shape) != series.size and offset is None:
-        raise damaged(path, f"{series.size} pixels are declared, its pages hold {len(pages) * math.prod(key.shape)}")
-    with reading(path):
-        segments = math.prod(key.chunked)
-    needed = total = 0
+    pixels = len(pages) * math.prod(key.shape)
+    if pixels != series.size and offset is None:
+        raise damaged(path, f"{series.size} pixels are declared, its pages hold {pixels}")
+    segments, needed, total = math.prod(key.chunked), 0, 0
     if key.compression == 1 and not key.is_subsampled:  # bytes that the strips of a page must have
         samples, planes = (key.samplesperpixel, 1) if key.planarconfig == 1 else (1, key.samplesperpixel)
         row_bytes = math.ceil(key.imagewidth * key.bitspersample * samples / 8)
@@ -186,20 +173,19 @@ def _check_data(series: TiffPageSeries, path: Path) -> None:
     for number, page in enumerate(pages, start=1):
         if page is None:
             raise FileError(
-                f"{path.name}: image {number} of {len(pages)} is declared but not in this file. "
-                "Export all slices into one file."
+                f"{path.name}: image {number} of {len(pages)} is declared but not in this file. Export all into one."
             )
         offsets, counts = page.dataoffsets, page.databytecounts
-        if len(offsets) < segments or len(counts) < segments:
-            lengths = min(len(offsets), len(counts))
-            raise damaged(path, f"data missing: page {number} has {lengths} of {segments} strips or tiles")
+        missing = f"data missing: page {number} has"
+        if min(len(offsets), len(counts)) < segments:
+            raise damaged(path, f"{missing} {min(len(offsets), len(counts))} of {segments} strips or tiles")
         for start, count in zip(offsets, counts, strict=False):
             if start == 0 or count == 0:
-                raise damaged(path, f"data missing: a strip or tile of page {number} is empty")
+                raise damaged(path, f"{missing} an empty strip or tile")
             if start < 8 or start + count > size:
                 raise damaged(path, f"data of page {number} end at byte {start + count}, the file has {size}")
         if sum(counts) < needed:
-            raise damaged(path, f"data missing: page {number} has {sum(counts)} bytes of {needed}")
+            raise damaged(path, f"{missing} {sum(counts)} bytes of {needed}")
         total += sum(counts)
     if key.compression != 1:
         check_blown_up(path, decoded_bytes=series.nbytes, stored_bytes=total)
@@ -210,14 +196,14 @@ def map_or_decode(series: TiffPageSeries, path: Path, *, memory_bytes: int | Non
     with reading(path):
         if (offset := mapped_from(series)) is not None:
             return np.memmap(path, dtype=series.dtype, mode="r", offset=offset, shape=series.shape)
-        turned = series.keyframe.photometric == PHOTOMETRIC.MINISWHITE
-    check_memory(path, needed_bytes=series.nbytes, limit_bytes=memory_bytes)
-    with reading(path):
+        check_memory(path, needed_bytes=series.nbytes, limit_bytes=memory_bytes)
         values = np.empty(series.shape, series.dtype.newbyteorder("="))
         decoded = series.asarray(out=values)
     if decoded.shape != values.shape:
         raise damaged(path, f"its data decode to {decoded.shape}, not {values.shape}")
-    return turn_white(values, path=path, bits=series.keyframe.bitspersample, out=values) if turned else values
+    if series.keyframe.photometric == PHOTOMETRIC.MINISWHITE:
+        turn_white(values, path=path, bits=series.keyframe.bitspersample, out=values)
+    return values
 
 
 def mapped_from(series: TiffPageSeries) -> int | None:
@@ -237,15 +223,6 @@ def turn_white(values: NDArray[Any], *, path: Path, bits: int, out: NDArray[Any]
             "Export it with black as 0."
         )
     return np.subtract(values.dtype.type(2**bits - 1), values, out=out)
-
-
-def stored_rows(file: BinaryIO, path: Path, offset: int, shape: tuple[int, ...], stored: np.dtype[Any]) -> NDArray[Any]:
-    """Read rows that lie in a file as they are."""
-    file.seek(offset)
-    data = file.read(math.prod(shape) * stored.itemsize)
-    if len(data) < math.prod(shape) * stored.itemsize:
-        raise damaged(path, f"it ends within the rows at byte {offset}")
-    return np.frombuffer(data, stored).reshape(shape)
 
 
 def has_rgb(page: TiffPage) -> bool:

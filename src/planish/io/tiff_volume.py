@@ -17,8 +17,18 @@ from tifffile import PHOTOMETRIC, TiffFrame, TiffPage, TiffPageSeries
 
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
-from planish.io.guard import check_memory, reading
-from planish.io.lazy import ChangedArray, PagedArray, StoredArray, Values, is_small, mapped, transposed
+from planish.io.guard import check_memory, memory_limit, reading
+from planish.io.lazy import (
+    ChangedArray,
+    FileArray,
+    PagedArray,
+    StoredArray,
+    Values,
+    is_small,
+    mapped,
+    stored_planes,
+    transposed,
+)
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
 from planish.io.tiff import (
@@ -29,11 +39,11 @@ from planish.io.tiff import (
     map_or_decode,
     open_series,
     shape_words,
-    stored_rows,
     turn_white,
 )
 
 SLICE_AXES = "ZIQ"  # letters for an axis of slices: declared as such, or pages without a declared meaning
+Change = Callable[[NDArray[Any]], NDArray[Any]]
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
@@ -42,63 +52,67 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     path = place.path
     kind = kind_of(path)
     if kind != "tiff":
-        raise VolumeError(
-            f"{path.name} is one {kind.upper()} picture, not a volume. Give a TIFF stack or a folder of slices."
-        )
+        raise VolumeError(f"{path.name} is one {kind.upper()} picture. Give a TIFF stack or a folder of slices.")
     with open_series(path, error=VolumeError, advice=ADVICE) as (tif, series):
         axes = _volume_axes(series, path)
         page = series.keyframe
         check_type(series.dtype, path)
-        if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej and not _is_grey_ramp(page.colormap):
-            raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
+        if page.photometric == PHOTOMETRIC.PALETTE and not tif.is_imagej:
+            # A palette may only spread grey values over the range, in order.
+            ramp = np.zeros((3, 2)) if page.colormap is None else np.asarray(page.colormap).astype(np.int64)
+            if not (np.all(ramp == ramp[0]) and np.all(np.diff(ramp[0]) > 0)):
+                raise VolumeError(f"{path.name} has a colour palette. {ADVICE}")
+        change: Change | None = partial(grey_of, channel=channel) if "S" in axes else None
+        if page.photometric == PHOTOMETRIC.MINISWHITE:
+            change = partial(turn_white, path=path, bits=page.bitspersample)
         return LoadedVolume(
             attrs=colour_attrs(channel, path, in_colour="S" in axes),
-            values=_series_values(series, path, axes, channel=channel, memory_bytes=memory_bytes),
+            values=_series_values(series, path, axes, change, memory_limit(memory_bytes)),
             stated=stated_by_tiff(tif, page, path),
             files=[path],
             bits=int(page.bitspersample),
         )
 
 
-def _series_values(
-    series: TiffPageSeries, path: Path, axes: str, *, channel: str | None, memory_bytes: int | None
-) -> Values:
+def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change | None, limit: int) -> Values:
     """Return the values of a checked series: mapped, left in its pages, or decoded."""
     key = series.keyframe
     shape = tuple(n for n, axis in zip(series.shape, series.axes, strict=True) if axis in axes)
-    colour = partial(grey_of, channel=channel) if "S" in axes else None
-    white = key.photometric == PHOTOMETRIC.MINISWHITE
+    stored = series.dtype.newbyteorder(key.parent.byteorder)
+    array: FileArray | None = None
     with reading(path):
         offset = series.dataoffset
-        stored = series.dtype.newbyteorder(key.parent.byteorder)
+        pages = [page for page in series if page is not None] if offset is None else []
+        if offset is not None:
+            if change is None:
+                return mapped(path, shape, stored, offset=offset)
+            array = stored_planes(path, shape, stored, offset=offset)
         # One page for each slice, and one plane in each page.
-        paged = offset is None and key.imagedepth == 1 and not key.is_subsampled and len(series) == shape[0]
-        paged = paged and (key.planarconfig == 1 or key.samplesperpixel == 1)
-        paged = paged and all(type(p) in (TiffPage, TiffFrame) for p in series)
-    if offset is not None and colour is None and not white:
-        return mapped(path, shape, stored, offset=offset)
-    if offset is not None and colour is not None:
-        order = (0, 2, 3, 1) if axes[1] == "S" else (0, 1, 2, 3)
-        inner = transposed(StoredArray(path, shape, stored, offset=offset), order)
-        return ChangedArray(inner, colour, inner.dtype)
-    if offset is not None and series.dtype.kind == "u":
-        inner = StoredArray(path, shape, stored, offset=offset)
-        return ChangedArray(inner, partial(turn_white, path=path, bits=key.bitspersample), inner.dtype)
-    if paged:
-        with reading(path):
-            array = TiffPages(path, series, colour)
-        if colour is not None or not is_small(array, memory_bytes=memory_bytes):
-            return array
-    whole = map_or_decode(series, path, memory_bytes=memory_bytes).reshape(shape)
-    if colour is None:
-        return whole
-    check_memory(path, needed_bytes=whole.nbytes + math.prod(shape) // 3, limit_bytes=memory_bytes)
-    return np.stack([colour(np.moveaxis(p, 0, -1) if axes[1] == "S" else p) for p in whole])
+        elif (key.planarconfig == 1 or key.samplesperpixel == 1) and key.imagedepth == 1 and len(pages) == shape[0]:
+            if key.is_final and all(map(_is_joined, pages)):
+                array = StoredArray([(path, page.dataoffsets[0]) for page in pages], shape, stored)
+            elif not key.is_subsampled:
+                array = TiffPages(path, series)
+    if array is None or (isinstance(array, TiffPages) and "S" not in axes and is_small(array, limit)):
+        whole = map_or_decode(series, path, memory_bytes=limit).reshape(shape)
+        if change is None or "S" not in axes:
+            return whole
+        check_memory(path, needed_bytes=whole.nbytes + math.prod(shape) // 3, limit_bytes=limit)
+        return np.stack([change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in whole])
+    if axes[1] == "S":
+        array = transposed(array, (0, 2, 3, 1))
+    return array if change is None else ChangedArray(array, change, array.dtype)
+
+
+def _is_joined(page: TiffPage | TiffFrame) -> bool:
+    """True if the strips of a page lie one behind the other."""
+    ends = (start + count for start, count in zip(page.dataoffsets, page.databytecounts, strict=False))
+    return all(end == start for end, start in zip(ends, page.dataoffsets[1:], strict=False))
 
 
 def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     """Return the axes of a stack that are longer than 1: slices, y and x, and the samples of a stack in colour."""
-    axes = long_axes(series)
+    axes, shape = long_axes(series), shape_words(series)
     sizes = dict(zip(series.axes, series.shape, strict=True))
     grey = axes.replace("S", "")
     # The samples of a pixel may be red, green and blue, with or without further ones.
@@ -108,80 +122,42 @@ def _volume_axes(series: TiffPageSeries, path: Path) -> str:
     # ImageJ and tifffile file a stack of unnamed pages as channels; nothing has so many channels, so these are slices.
     if axes == "CYX" and sizes["C"] >= 16:
         return axes
-    further = {a: n for a, n in sizes.items() if n > 1 and a in MEANINGS}
-    if further:
+    if further := {a: n for a, n in sizes.items() if n > 1 and a in MEANINGS}:
         content = " and ".join(f"{n} {MEANINGS[a]}" for a, n in further.items())
-        hint = (
-            ADVICE
-            if any(a in SLICE_AXES for a in axes) or "S" in further
-            else f"If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: {ADVICE}"
-        )
-        raise VolumeError(f"{path.name} has {content}: {shape_words(series)}. {hint}")
+        hint = "If these are the slices, say so in the file (ImageJ: Image > Properties). Otherwise: "
+        hint = "" if "S" in further or set(axes) & set(SLICE_AXES) else hint
+        raise VolumeError(f"{path.name} has {content}: {shape}. {hint}{ADVICE}")
     if axes == "YX":
-        raise VolumeError(
-            f"{path.name} has one page, not a stack: {shape_words(series)}. Give all slices, in one file or one folder."
-        )
-    raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape_words(series)}. {ADVICE}")
-
-
-def _is_grey_ramp(colormap: NDArray[Any] | None) -> bool:
-    """True if a palette only spreads grey values over the range, in order."""
-    if colormap is None:
-        return False
-    red, green, blue = np.asarray(colormap).astype(np.int64)
-    return bool(np.array_equal(red, green) and np.array_equal(red, blue) and np.all(np.diff(red) > 0))
+        raise VolumeError(f"{path.name} has one page, not a stack: {shape}. Give all slices, in one file or folder.")
+    raise VolumeError(f"{path.name} is not a volume with the axes z, y, x: {shape}. {ADVICE}")
 
 
 class TiffPages(PagedArray):
-    """Pages of one series that was checked and is still open, each with one plane of pixels.
+    """Pages of one series that was checked and is still open, each with one plane of pixels as stored."""
 
-    ``change`` turns the pixels of some rows, with their samples, into grey.
-    """
-
-    def __init__(
-        self, path: Path, series: TiffPageSeries, change: Callable[[NDArray[Any]], NDArray[Any]] | None = None
-    ) -> None:
+    def __init__(self, path: Path, series: TiffPageSeries) -> None:
         key = series.keyframe
         pages = [page for page in series if page is not None]
         jpeg = key.compression in JPEG_COMPRESSIONS
         tables = ({"jpegtables": page.jpegtables, "jpegheader": key.jpegheader} if jpeg else {} for page in pages)
         self._segments = [(p.dataoffsets, p.databytecounts, t) for p, t in zip(pages, tables, strict=True)]
         self._decode: Any = key.decode
-        self._change, self._samples, self._bits = change, key.samplesperpixel, key.bitspersample
-        dtype = np.dtype(key.dtype)
-        self._stored = dtype.newbyteorder(key.parent.byteorder)
-        self._white = key.photometric == PHOTOMETRIC.MINISWHITE
-        self._strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
         self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
-        self._plain = (
-            key.compression == 1
-            and not key.is_tiled
-            and key.predictor == 1
-            and key.fillorder == 1
-            and key.bitspersample == 8 * dtype.itemsize
-            and not key.is_subsampled
-        )
-        shape = (len(pages), key.imagelength, key.imagewidth)
-        super().__init__(path, shape, dtype.newbyteorder("="), 1 if self._plain else self._strip_rows)
+        strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
+        super().__init__(path, (len(pages), *key.shape), np.dtype(key.dtype).newbyteorder("="), strip_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Open the file again in another process."""
-        return _open_pages, (self.path, self._change)
+        return _open_pages, (self.path,)
 
     def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        """Decode rows of a page, dims (y, x)."""
-        values = np.empty((stop - start, self.shape[2], self._samples), self.dtype)
+        """Decode rows of a page."""
+        values = np.empty((stop - start, *self.shape[2:]), self.dtype)
+        pixels = values.reshape(*values.shape[:2], -1)
         offsets, counts, tables = self._segments[page]
-        row = 0
+        first, last = start // self.unit_rows, -(-stop // self.unit_rows)
         with self.path.open("rb") as file:
-            while self._plain and row < len(values):
-                strip, inside = divmod(start + row, self._strip_rows)
-                part = values[row : row + self._strip_rows - inside]
-                offset = offsets[strip] + inside * values[0].size * self._stored.itemsize
-                part[...] = stored_rows(file, self.path, offset, part.shape, self._stored)
-                row += len(part)
-            first, last = start // self._strip_rows, -(-stop // self._strip_rows)
-            for index in () if self._plain else range(first * self._across, last * self._across):
+            for index in range(first * self._across, last * self._across):
                 file.seek(offsets[index])
                 data = file.read(counts[index])
                 if len(data) < counts[index]:
@@ -190,11 +166,10 @@ class TiffPages(PagedArray):
                 if part is None:
                     raise damaged(self.path, f"a strip or tile of page {page + 1} is empty")
                 height, width = min(height, stop - y), min(width, self.shape[2] - x)
-                values[y - start : y - start + height, x : x + width] = part[0, :height, :width]
-        values = turn_white(values, path=self.path, bits=self._bits, out=values) if self._white else values
-        return self._change(values) if self._change is not None else values[..., 0]
+                pixels[y - start : y - start + height, x : x + width] = part[0, :height, :width]
+        return values
 
 
-def _open_pages(path: Path, change: Callable[[NDArray[Any]], NDArray[Any]] | None) -> TiffPages:
+def _open_pages(path: Path) -> TiffPages:
     with open_series(path, error=FileError, advice="Copy it again.") as (_, series), reading(path):
-        return TiffPages(path, series, change)
+        return TiffPages(path, series)

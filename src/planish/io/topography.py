@@ -83,7 +83,7 @@ def read_topography(
         has_size = all(v is not None for v in sizes)
         lengths = [float(v) / n * length for v, n in zip(sizes, grid, strict=True)] if has_size else [None, None]
         size, source = agreed_size(
-            [Stated(source="the topography file", um=tuple(lengths[::-1]))], pixel_um, file_name=path.name, asked=PIXEL,
+            [Stated("the topography file", tuple(lengths[::-1]))], pixel_um, file_name=path.name, asked=PIXEL,
             override=override_size, unusual=unusual_size,
         )  # fmt: skip
         missing_sizes: dict[str, Any] = {}

@@ -44,31 +44,35 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     # A store that planish wrote lists its shards, also those that hold one constant.
     if lost := [shard for shard in missing_shards(path) if shard.startswith(f"{name}/")]:
         raise FileError(
-            f"{path.name} has lost {len(lost)} of its shards, first {lost[0]}; they would read as zeros. Copy it "
-            "again, or import the volume again."
+            f"{path.name} has lost {len(lost)} of its shards, first {lost[0]}; they would read as zeros. Copy it or "
+            "import the volume again."
         )
+    files = [file for file in (path / name).rglob("*") if file.is_file()]
     with reading(path):
         chunk = tuple(int(n) for n in (array.shards or array.chunks))
-        notes = check_chunks(_stored_chunks(path / name), shape, chunk, name=path.name)
+        notes = check_chunks(_stored_chunks(path / name, files), shape, chunk, name=path.name)
         check_type(np.dtype(array.dtype), path)
-        lazy = ZarrArray(path, name, shape, np.dtype(array.dtype), tuple(int(n) for n in array.chunks))
+        lazy = ZarrArray(path, name, array)
+    stated: list[Stated] = []
+    if multiscale is not None:
+        # The scale transformations of the level and of the whole image.
+        scale = _scale_of(multiscale["datasets"][level], len(shape))
+        whole = _scale_of(multiscale, len(shape)) or [1.0] * len(shape)
+        stated = [Stated("the OME-Zarr scale", (None, None, None), "the level has no scale transformation")]
+        if scale is not None:
+            stated = [stated_in("the OME-Zarr scale", [a * b for a, b in zip(scale, whole, strict=True)], units, order)]
     return LoadedVolume(
-        values=transposed(lazy, order),
-        stated=[] if multiscale is None else [_stated_by_scale(multiscale, level, units, order)],
-        files=[file for file in (path / name).rglob("*") if file.is_file()],
-        attrs={"dataset": name or "/"},
-        notes=notes,
+        values=transposed(lazy, order), stated=stated, files=files, attrs={"dataset": name or "/"}, notes=notes
     )
 
 
 class ZarrArray(FileArray):
     """An array of a zarr store."""
 
-    def __init__(
-        self, path: Path, name: str, shape: tuple[int, ...], dtype: np.dtype[Any], chunks: tuple[int, ...]
-    ) -> None:
-        self.path, self.name, self.shape, self.chunks = path, name, shape, chunks
-        self.dtype, self.piece_bytes = dtype.newbyteorder("="), math.prod(chunks) * dtype.itemsize
+    def __init__(self, path: Path, name: str, array: Any) -> None:
+        self.path, self.name, self.shape = path, name, tuple(int(n) for n in array.shape)
+        self.chunks, dtype = tuple(int(n) for n in array.chunks), np.dtype(array.dtype)
+        self.dtype, self.piece_bytes = dtype.newbyteorder("="), math.prod(self.chunks) * dtype.itemsize
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part."""
@@ -92,14 +96,12 @@ def _part_of(path: Path, part: str) -> str:
 
 
 def _open_node(path: Path, name: str) -> Any:
-    place = path / name
+    place, where = path / name, name or "its root"
     metadata = [file for file in METADATA if (place / file).is_file()]
     if not metadata:
-        raise FileError(
-            f"{path.name} has nothing at {name or 'its root'}: no zarr.json, .zarray or .zgroup. Check the name."
-        )
+        raise FileError(f"{path.name} has nothing at {where}: no zarr.json, .zarray or .zgroup. Check the name.")
     if any((place / file).stat().st_size > 50_000_000 for file in metadata):
-        raise FileError(f"{path.name}: the metadata of {name or 'its root'} are larger than 50 MB. Export it again.")
+        raise FileError(f"{path.name}: the metadata of {where} are larger than 50 MB. Export it again.")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
         return zarr.open(store=LocalStore(place, read_only=True), mode="r", use_consolidated=False)
@@ -124,9 +126,9 @@ def _find_level(path: Path, name: str) -> tuple[Keys | None, int, str]:
         members = sorted(c.name for c in (path / name).iterdir() if any((c / m).is_file() for m in METADATA))
     if len(members) == 1:
         return _find_level(path, f"{name}/{members[0]}".strip("/"))
-    listed = ", ".join(members[:8]) or "nothing"
     example = f" Choose one as {path.name}:{members[0]}." if members else " Export it again as OME-Zarr."
-    raise VolumeError(f"{path.name} has no multiscale image at {name or 'its root'}; it holds {listed}.{example}")
+    listed, where = ", ".join(members[:8]) or "nothing", name or "its root"
+    raise VolumeError(f"{path.name} has no multiscale image at {where}; it holds {listed}.{example}")
 
 
 def _multiscale_of(group: Any, path: Path) -> Keys | None:
@@ -148,10 +150,11 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
 
 def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[list[str], list[int]]:
     """Units of the axes, and which of them are z, y and x; all others have to be of length 1."""
-    named: Any = None if multiscale is None else multiscale.get("axes")
-    if named is None:
-        named = "tczyx"[5 - len(shape) :] if len(shape) <= 5 else "?" * len(shape)
-    listed = named if isinstance(named, (list, str)) else []
+    image = multiscale or {}
+    axes: Any = image.get("axes")
+    if axes is None:
+        axes = "tczyx"[5 - len(shape) :] if len(shape) <= 5 else "?" * len(shape)
+    listed = axes if isinstance(axes, (list, str)) else []
     axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in listed]
     if len(axes) != len(shape):
         raise FileError(f"{path.name} names {len(axes)} axes, its array has {len(shape)}. Export it again as OME-Zarr.")
@@ -160,7 +163,7 @@ def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[
     for name, n in zip(names, shape, strict=True):
         if name not in ("z", "y", "x") and n > 1:
             content = {"c": "channels", "t": "time points"}.get(name, f"places along {name!r}")
-            omero: Any = multiscale.get("omero") if multiscale is not None and name == "c" else None
+            omero: Any = image.get("omero") if name == "c" else None
             channels: Any = omero.get("channels") if isinstance(omero, dict) else None
             labels = ", ".join(str(c.get("label")) for c in channels or () if isinstance(c, dict))
             raise VolumeError(f"{path.name} has {n} {content}{f' ({labels})' if labels else ''}: {shape_words}")
@@ -169,34 +172,22 @@ def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[
     return [str(axis.get("unit", "")) for axis in axes], [names.index(letter) for letter in "zyx"]
 
 
-def _stated_by_scale(multiscale: Keys, level: int, units: list[str], order: list[int]) -> Stated:
-    """Voxel size along z, y, x from the scale transformations of the level and of the whole image."""
-    source = "the OME-Zarr scale"
-    level_scale, image_scale = _scale_of(multiscale["datasets"][level], len(units)), _scale_of(multiscale, len(units))
-    if level_scale is None:
-        return Stated(source=source, um=(None, None, None), note="the level has no scale transformation")
-    values = [a * b for a, b in zip(level_scale, image_scale or [1.0] * len(units), strict=True)]
-    return stated_in(source, values, units, order)
-
-
 def _scale_of(owner: Keys, count: int) -> list[float] | None:
     transformations: Any = owner.get("coordinateTransformations")
     for transformation in transformations if isinstance(transformations, list) else []:
         is_scale = isinstance(transformation, dict) and transformation.get("type") == "scale"
-        values: Any = transformation.get("scale") if is_scale else None
-        if isinstance(values, list) and len(values) == count and all(type(v) in (int, float) for v in values):
-            return [float(v) for v in values]
+        scale: Any = transformation.get("scale") if is_scale else None
+        if isinstance(scale, list) and len(scale) == count and all(type(v) in (int, float) for v in scale):
+            return [float(v) for v in scale]
     return None
 
 
-def _stored_chunks(folder: Path) -> Iterator[tuple[int, ...]]:
+def _stored_chunks(folder: Path, files: list[Path]) -> Iterator[tuple[int, ...]]:
     """Positions of the chunks, or shards, that lie in the folder of an array."""
-    for file in folder.rglob("*"):
-        if file.name in METADATA or file.name.startswith(".") or not file.is_file():
-            continue
-        words = ".".join(file.relative_to(folder).parts).split(".")
-        numbers = words[1:] if words[0] == "c" else words
-        if all(number.isdecimal() for number in numbers):
+    for file in files:
+        # ``c/0/1/2``, ``c.0.1.2``, ``0/1/2`` or ``0.1.2``
+        numbers = file.relative_to(folder).as_posix().removeprefix("c").strip("/.").replace("/", ".").split(".")
+        if file.name not in METADATA and not file.name.startswith(".") and all(map(str.isdecimal, numbers)):
             yield tuple(int(number) for number in numbers)
 
 
@@ -214,7 +205,6 @@ def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
         unpacked, packed = struct.unpack_from("<4xIxxxxI", head) if len(head) == 16 else (0, 0)
         if (unpacked, packed) != (needed, stored_bytes):
             raise FileError(
-                f"{path.name}: its chunk {chunk.relative_to(path).as_posix()} is cut off or damaged: it has "
-                f"{stored_bytes} bytes of {packed}, for {unpacked} bytes of values, where {needed} are needed. Copy it "
-                "again."
+                f"{path.name}: its chunk {chunk.relative_to(path).as_posix()} is cut off or damaged: {stored_bytes} "
+                f"bytes of {packed}, for {unpacked} bytes of values, where {needed} are needed. Copy it again."
             )
