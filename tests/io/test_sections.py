@@ -117,10 +117,10 @@ def test_given_sizes_join_the_counter_and_another_than_stated_needs_the_override
         (counter(*ROWS, "s4.tif,40"), "lacks 1 of 5 files.*s4.tif.*take their rows out"),
         (counter(*ROWS[:3]), "holds 1 pictures that sections.csv does not name: s3.tif"),
         (counter(ROWS[0], ROWS[2], ROWS[1], ROWS[3]), "s1.tif lies at 13 um, s2.tif before it at 16.5 um"),
-        (counter(*ROWS[:3], "s3.tif,16.5"), "Positions have to increase"),
+        (counter(*ROWS[:3], "s3.tif,16.5"), "Positions increase"),
         (counter(ROWS[0]), "names 1 sections"),
         (counter(*ROWS, before="# kind: cut\n# kind: block-face"), "has both kinds, block-face and cut.*folder of its"),
-        (counter(*ROWS, before="# kind: frozen"), "has the kind 'frozen'. Known are block-face and cut"),
+        (counter(*ROWS, before="# kind: frozen"), "has the kind 'frozen'. Give block-face or cut"),
     ],
 )  # fmt: skip
 def test_faults_of_the_counter_are_said(tmp_path: Path, text: str, words: str) -> None:

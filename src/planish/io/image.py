@@ -91,17 +91,10 @@ def read_image(
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
     values, long_name = pick_channel(picture, channel, file_name=path.name)
     attrs = {
-        "units": "1",
-        "long_name": long_name,
-        "pixel_um": list(size),
-        "pixel_um_source": source,
-        "channel": channel,
-        "full_scale": picture.full_scale,
-        "stored_dtype": str(picture.values.dtype),
-        "orientation": picture.orientation,
-        "file_name": path.name,
-        "file_bytes": size_of_file(path),
-    } | ({} if side is None else {"side": side})
+        "units": "1", "long_name": long_name, "pixel_um": list(size), "pixel_um_source": source, "channel": channel,
+        "full_scale": picture.full_scale, "stored_dtype": str(picture.values.dtype),
+        "orientation": picture.orientation, "file_name": path.name, "file_bytes": size_of_file(path),
+    } | ({} if side is None else {"side": side})  # fmt: skip
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 
@@ -120,31 +113,30 @@ def pick_channel(picture: DecodedPicture, channel: str, *, file_name: str) -> tu
 
 def channel_of(picture: DecodedPicture, channel: str, *, file_name: str) -> tuple[NDArray[np.float32], str]:
     """One channel as float32, of a whole picture or a window of it, and its name."""
-    values = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
-    samples = values.shape[-1]
-    word = channel.strip().casefold()
+    samples = picture.values if picture.values.ndim == 3 else picture.values[..., np.newaxis]
+    count, colour, word = samples.shape[-1], picture.colour, channel.strip().casefold()
     if word.isdecimal() and word.isascii():
-        if int(word) >= samples:
+        if int(word) >= count:
+            many = f"{count} channels" if count > 1 else "1 channel"
+            choice = f"0 to {count - 1}" if count > 1 else "0"
             raise InputError(
-                f"{file_name} has {samples} channel{'s' if samples > 1 else ''}, number {word} is not among them. "
-                f"Choose 0{f' to {samples - 1}' if samples > 1 else ''} with --channel."
+                f"{file_name} has {many}, number {word} is not among them. Choose {choice} with --channel."
             )
-        return _as_float32(values[..., int(word)]), f"{GREY}, channel {int(word)}"
+        return _as_float32(samples[..., int(word)]), f"{GREY}, channel {int(word)}"
     if word != "luminance" and word not in COLOURS:
         raise InputError(f"{channel!r} is no channel. Choose luminance, red, green, blue or a number with --channel.")
-    if picture.colour == "rgb" and word in COLOURS:
-        return _as_float32(values[..., COLOURS[word]]), f"{GREY}, {word}"
-    if picture.colour == "rgb":
-        luminance = np.zeros(values.shape[:2], np.float32)
+    if colour == "rgb" and word in COLOURS:
+        return _as_float32(samples[..., COLOURS[word]]), f"{GREY}, {word}"
+    if colour == "rgb":
+        luminance = np.zeros(samples.shape[:2], np.float32)
         for sample, weight in enumerate(LUMINANCE):
-            luminance += np.float32(weight) * _as_float32(values[..., sample])
+            luminance += np.float32(weight) * _as_float32(samples[..., sample])
         return luminance, f"{GREY}, luminance"
-    if picture.colour == "grey" and word == "luminance":
-        return _as_float32(values[..., 0]), GREY
+    if colour == "grey" and word == "luminance":
+        return _as_float32(samples[..., 0]), GREY
     content, choice = "is a grey image", "luminance"
-    if picture.colour != "grey":
-        content = f"has {samples} channels that are not red, green, blue"
-        choice = f"a number from 0 to {samples - 1}"
+    if colour != "grey":
+        content, choice = f"has {count} channels that are not red, green, blue", f"a number from 0 to {count - 1}"
     raise InputError(f"{file_name} {content}, so it has no {word}. Choose {choice} with --channel.")
 
 

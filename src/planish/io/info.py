@@ -19,10 +19,10 @@ from planish.core.typing import Pair
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
 from planish.io.image import across, pick_channel
-from planish.io.inspection import Values, facts_without_values, inspect_values
-from planish.io.lazy import FileArray, unmapped
+from planish.io.inspection import declared_facts, inspect_values
+from planish.io.lazy import FileArray, Values, unmapped
 from planish.io.picture import is_picture, kind_of, load_picture
-from planish.io.sections import is_section_folder, open_sections
+from planish.io.sections import Sections, is_section_folder, open_sections
 from planish.io.sizes import PIXEL, VOXEL, agreed_size
 from planish.io.slice_volume import list_slices, slice_numbers, slice_step
 from planish.io.tiff import open_series
@@ -30,13 +30,12 @@ from planish.io.volume import declared_volume, load_volume
 
 # Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-# What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
-COLUMN_SECONDS, BASE_SECONDS = 35e-6, 15.0
 # What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
 PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
 LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
 
-Size = Callable[[], tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
+Agreed = Callable[..., tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
+Look = Callable[[Values], None]
 
 
 def describe(
@@ -88,39 +87,38 @@ def describe(
     """
     place = find_place(path)
     memory_bytes = LOOK_BYTES if memory_bytes is None else memory_bytes
-    options: dict[str, Any] = {"file_name": place.path.name, "override": override_size, "unusual": True}
-    if is_image(place):
-        agreed = partial(agreed_size, user_um=pixel_um, asked=PIXEL, **options)
-        return _describe_image(place.path, agreed, memory_bytes, look, values)
+    options: dict[str, Any] = {"override": override_size, "unusual": True}
+    warnings: list[str] = []
     if is_section_folder(place.path):
-        return _describe_sections(place.path, voxel_um, channel, override_size=override_size, memory_bytes=memory_bytes)
-    agreed = partial(agreed_size, user_um=voxel_um, asked=VOXEL, **options)
-    return _describe_volume(place, agreed, channel, memory_bytes, look, values)
+        kind, sections = "sections", open_sections(place.path, channel=channel, memory_bytes=memory_bytes)
+        facts = _describe_sections(sections, partial(sections.agreed_size, voxel_um, **options), warnings)
+    elif is_image(place):
+        kind, options = "image", options | {"file_name": place.path.name, "asked": PIXEL, "user_um": pixel_um}
+        facts = _describe_image(place.path, partial(agreed_size, **options), memory_bytes, look, values, warnings)
+    else:
+        kind, options = "volume", options | {"file_name": place.path.name, "asked": VOXEL, "user_um": voxel_um}
+        agreed = partial(agreed_size, **options)
+        facts = _describe_volume(place, agreed, channel, memory_bytes, look, values, warnings)
+    return {"kind": kind, "file_name": place.path.name, **facts, "warnings": warnings}
 
 
 def _describe_volume(
-    place: Place, agreed: partial[Any], channel: str | None, memory_bytes: int, look: Callable[[Values], None] | None,
-    wanted: bool,
+    place: Place, agreed: Agreed, channel: str | None, memory_bytes: int, look: Look | None, wanted: bool,
+    warnings: list[str],
 ) -> dict[str, Any]:  # fmt: skip
     """Report what a volume holds; of its values, if they are wanted and can be read within the memory."""
     loaded = None
-    if wanted:
-        with suppress(ResourceError):
-            loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes)
+    with suppress(ResourceError):
+        loaded = load_volume(place, channel=channel, memory_bytes=memory_bytes) if wanted else None
     is_read = loaded is not None
     loaded = loaded or declared_volume(place, channel=channel)
-    grey, warnings = unmapped(loaded.values), list(loaded.notes)
-    file_format = format_of(place)
+    grey, file_format = unmapped(loaded.values), format_of(place)
+    warnings += loaded.notes
     if file_format is SLICES and "nrecon" not in loaded.attrs:
         step = slice_step(slice_numbers(list_slices(place.path), place.path))
         if step > 1:
             warnings.append(f"The slices are numbered in steps of {step}: the z size must be that of {step} slices.")
-    if is_read:
-        facts = inspect_values(grey, loaded.full_scale, warnings, dims=VOXEL.axes)
-        if look is not None:
-            look(grey)
-    else:
-        facts = facts_without_values(grey, warnings if wanted else [], dims=VOXEL.axes)
+    facts = _value_facts(grey, loaded.full_scale, warnings, VOXEL.axes, look, is_read, wanted)
     size = _size_facts(partial(agreed, loaded.stated), grey.shape, warnings, ("Voxels", USUAL_VOXEL_UM))
     window = loaded.attrs.get("attenuation_window")
     if window is not None and is_read and grey.dtype == np.uint8:
@@ -129,70 +127,50 @@ def _describe_volume(
             f"was cut ({100 * facts['bottom_share']:.3g} % of the values are 0, {100 * facts['saturated_share']:.3g} % "
             "are 255). 16 bits lose nothing."
         )
-    if isinstance(grey, FileArray) and grey.whole_slices:
-        warnings.append(
-            "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
-            "'planish import' first."
-        )
     # How a volume is held; memory and time of ``planish map`` for a sheet across the shortest axis.
     values, columns = loaded.values, math.prod(grey.shape) // min(grey.shape)
     stored, whole_bytes = "decoded in memory", values.nbytes
-    if isinstance(values, (np.memmap, FileArray)):
-        stored = "mapped from its file" if isinstance(values, np.memmap) else "read in parts when they are needed"
-        whole_bytes = values.nbytes if isinstance(values, FileArray) and values.whole_slices else 0
+    if isinstance(values, np.memmap):
+        stored, whole_bytes = "mapped from its file", 0
+    elif isinstance(values, FileArray):
+        stored, whole_bytes = "read in parts when they are needed", values.nbytes if values.whole_slices else 0
+        if values.whole_slices:
+            warnings.append(
+                "It does not fit into the memory, and its slices can only be decoded whole. Bring it into a store with "
+                "'planish import' first."
+            )
     return {
-        "kind": "volume",
-        "file_name": place.path.name,
-        "bytes": loaded.file_bytes,
-        "format": file_format.name,
-        **facts,
-        **size,
-        "stored": stored,
+        "bytes": loaded.file_bytes, "format": file_format.name, **facts, **size, "stored": stored,
         "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(whole_bytes)),
-        "run_seconds": BASE_SECONDS + COLUMN_SECONDS * columns,
-        "through": likely_through(grey) if is_read else None,
-        "metadata": dict(loaded.attrs),
-        "warnings": warnings,
-    }
+        # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
+        "run_seconds": 15.0 + 35e-6 * columns,
+        "through": likely_through(grey) if is_read else None, "metadata": dict(loaded.attrs),
+    }  # fmt: skip
 
 
-def _describe_sections(
-    path: Path, voxel_um: float | Sequence[float] | None, channel: str | None, *, override_size: bool,
-    memory_bytes: int | None,
-) -> dict[str, Any]:  # fmt: skip
+def _describe_sections(sections: Sections, agreed: Agreed, warnings: list[str]) -> dict[str, Any]:
     """Report what a folder of sections with its counter holds, as photographed."""
-    sections = open_sections(path, channel=channel, memory_bytes=memory_bytes)
     steps = np.diff(sections.positions_um)
     step = float(np.median(steps))
     missing = np.rint(steps / step).astype(int) - 1
-    warnings: list[str] = []
-    shape = sections.values.shape
-    size = _size_facts(partial(sections.agreed_size, voxel_um, override=override_size, unusual=True), shape, warnings)
+    size = _size_facts(agreed, sections.values.shape, warnings)
     if size["extent_um"] is not None:
         size["extent_um"][0] = float(np.ptp(sections.positions_um)) + step
     if missing.sum():
         word = "section is" if missing.sum() == 1 else "sections are"
         warnings.append(f"{missing.sum()} {word} missing between the others, at most {missing.max()} in a row.")
-    return {
-        "kind": "sections",
-        "file_name": path.name,
-        "bytes": sections.file_bytes,
-        **inspect_values(sections.values, sections.full_scale, warnings, dims=VOXEL.axes),
-        **size,
-        "warnings": warnings,
-    }
+    facts = inspect_values(sections.values, sections.full_scale, warnings, dims=VOXEL.axes)
+    return {"bytes": sections.file_bytes, **facts, **size}
 
 
 def _describe_image(
-    path: Path, agreed: partial[Any], memory_bytes: int, look: Callable[[Values], None] | None, wanted: bool
+    path: Path, agreed: Agreed, memory_bytes: int, look: Look | None, wanted: bool, warnings: list[str]
 ) -> dict[str, Any]:
     """Report what an image holds; its values are those of the luminance, or of channel 0 where there is none."""
-    warnings: list[str] = []
     picture = None
-    if wanted:
-        with suppress(ResourceError):
-            picture = load_picture(path, memory_bytes=memory_bytes)
-    is_decoded = picture is not None
+    with suppress(ResourceError):
+        picture = load_picture(path, memory_bytes=memory_bytes) if wanted else None
+    is_read = picture is not None
     picture = picture or load_picture(path, decode=False)
     whole, shape = picture.values, picture.values.shape[:2]
     # Of a larger image, some rows and columns are looked at.
@@ -209,28 +187,16 @@ def _describe_image(
         warnings.append("JPEG loses detail and adds block edges. Use TIFF or PNG if there is one.")
     if picture.orientation != 1:
         warnings.append(f"An orientation tag ({picture.orientation}) asks viewers to turn the image; planish does not.")
-    if is_decoded:
-        facts = inspect_values(values, picture.full_scale, warnings, dims=PIXEL.axes)
-        facts |= {"sampled": f"every {step} rows and columns"} if step > 1 else {}
-        if look is not None:
-            look(values)
-    else:
-        facts = facts_without_values(whole, warnings if wanted else [], dims=PIXEL.axes)
+    shown = values if is_read else whole
+    facts = _value_facts(shown, picture.full_scale, warnings, PIXEL.axes, look, is_read, wanted)
+    if is_read and step > 1:
+        facts["sampled"] = f"every {step} rows and columns"
     size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
     return {
-        "kind": "image",
-        "file_name": path.name,
-        "bytes": size_of_file(path),
-        **facts,
-        "shape": list(shape),
-        "dtype": str(picture.values.dtype),
-        "colour": picture.colour,
-        "channels": picture.values.shape[2] if picture.values.ndim == 3 else 1,
-        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
-        "link_seconds": 2.5e-6 * math.prod(shape),
-        **size,
-        "warnings": warnings,
-    }
+        "bytes": size_of_file(path), **facts, "shape": list(shape), "dtype": str(whole.dtype), "colour": picture.colour,
+        "channels": whole.shape[2] if whole.ndim == 3 else 1, "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
+        "link_seconds": 2.5e-6 * math.prod(shape), **size,
+    }  # fmt: skip
 
 
 def is_image(place: Place) -> bool:
@@ -243,8 +209,23 @@ def is_image(place: Place) -> bool:
         return is_picture(series)
 
 
+def _value_facts(
+    values: Values, full_scale: int | None, warnings: list[str], dims: tuple[str, ...], look: Look | None,
+    is_read: bool, wanted: bool,
+) -> dict[str, Any]:  # fmt: skip
+    if is_read:
+        facts = inspect_values(values, full_scale, warnings, dims=dims)
+        if look is not None:
+            look(values)
+        return facts
+    if wanted:
+        size_gb = math.prod(values.shape) * values.dtype.itemsize / 1e9
+        warnings.append(f"Its {size_gb:.2g} GB can only be decoded whole, so no grey was looked at.")
+    return declared_facts(values, dims)
+
+
 def _size_facts(
-    agreed: Size, shape: Sequence[int], warnings: list[str], usual: tuple[str, Pair] | None = None
+    agreed: Agreed, shape: Sequence[int], warnings: list[str], usual: tuple[str, Pair] | None = None
 ) -> dict[str, Any]:
     """Voxel or pixel size and where it comes from, or why there is none; with ``usual``, unusual ones are doubted."""
     try:
@@ -256,19 +237,11 @@ def _size_facts(
         elements, (low, high) = usual
         least, most = min(size), max(size)
         if least < low or most > high:
-            warnings.append(
-                f"{elements} of {' x '.join(f'{v:g}' for v in size)} um are unusual for paper ({low:g} to {high:g} "
-                "um). Is the unit right?"
-            )
+            edges, limits = " x ".join(f"{v:g}" for v in size), f"{low:g} to {high:g} um"
+            warnings.append(f"{elements} of {edges} um are unusual for paper ({limits}). Is the unit right?")
         # Longest over shortest edge of a voxel; beyond, one of them is probably wrong.
         if most > 5.0 * least:
-            edge = "z size" if elements == "Voxels" else "size"
-            warnings.append(
-                f"The edges of {elements.lower()} differ by a factor of {most / least:.3g}. Is the {edge} right?"
-            )
-    return {
-        "size_um": list(size),
-        "size_source": source,
-        "size_problem": None,
-        "extent_um": [n * um for n, um in zip(shape, size, strict=True)],
-    }
+            edge = f"Is the {'z size' if elements == 'Voxels' else 'size'} right?"
+            warnings.append(f"The edges of {elements.lower()} differ by a factor of {most / least:.3g}. {edge}")
+    extent = [n * um for n, um in zip(shape, size, strict=True)]
+    return {"size_um": list(size), "size_source": source, "size_problem": None, "extent_um": extent}

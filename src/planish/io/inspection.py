@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import math
-from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,22 +20,17 @@ PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
 SAMPLE_BYTES = 256 * 2**20  # what is read of a volume that is too large to be read for a look
 
 
-@dataclass(kw_only=True)
-class Statistics:
+class _Statistics:
     """Statistics of the values, collected plane by plane."""
 
-    full_scale: int | None
-    stride: int
-    low: float = math.inf
-    high: float = -math.inf
-    count: int = 0
-    finite: int = 0
-    bottom: int = 0
-    saturated: int = 0
-    constant: list[int] = field(default_factory=list[int])
-    copies: list[int] = field(default_factory=list[int])
-    sample: list[NDArray[Any]] = field(default_factory=list[NDArray[Any]])
-    digests: set[bytes] = field(default_factory=set[bytes])
+    def __init__(self, full_scale: int | None, stride: int) -> None:
+        self.full_scale, self.stride = full_scale, stride
+        self.low, self.high = math.inf, -math.inf
+        self.count = self.finite = self.bottom = self.saturated = 0
+        self.constant: list[int] = []
+        self.copies: list[int] = []
+        self.sample: list[NDArray[Any]] = []
+        self.digests: set[bytes] = set()
 
     def add(self, number: int, plane: NDArray[Any], *, sampled: bool) -> None:
         """Add one plane."""
@@ -52,14 +46,13 @@ class Statistics:
             self.bottom += int(np.count_nonzero(plane == 0))
         if sampled:
             part = plane[(slice(None, None, self.stride),) * plane.ndim].ravel()
-            self.sample.append(part[np.isfinite(part)] if part.dtype.kind == "f" else part)
+            self.sample.append(part[np.isfinite(part)])
         # Slices with fewer pixels may well be alike, or of one grey.
         if plane.ndim == 2 and plane.size >= 1000:
-            if not numbers.size or low == high:
-                self.constant.append(number)
-                return
             digest = hashlib.blake2b(np.ascontiguousarray(plane).data, digest_size=16).digest()
-            if digest in self.digests:
+            if not low < high:
+                self.constant.append(number)
+            elif digest in self.digests:
                 self.copies.append(number)
             self.digests.add(digest)
 
@@ -73,77 +66,60 @@ def inspect_values(
     if values.ndim > 2 and values.nbytes > EAGER_BYTES:  # evenly spread ones, where reading all would take long
         count = max(8, SAMPLE_BYTES // (values.nbytes // total))
         numbers = numbers if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
-    share = len(numbers) / total
     # Percentiles are taken from four million values.
+    share = len(numbers) / total
     stride = max(1, math.ceil((math.prod(values.shape) * share / 4_000_000) ** (1 / values.ndim)))
-    statistics = Statistics(full_scale=full_scale, stride=stride)
+    statistics = _Statistics(full_scale, stride)
     for index, number in enumerate(numbers):
         statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)
-    saturated_share = statistics.saturated / statistics.count
-    nan_share = 1 - statistics.finite / statistics.count
-    low, high = (statistics.low, statistics.high) if statistics.finite else (None, None)
-    if low is None:
+    facts = declared_facts(values, dims) | {
+        "nan_share": 1 - statistics.finite / statistics.count,
+        "saturated_share": statistics.saturated / statistics.count,
+        "bottom_share": statistics.bottom / statistics.count,
+        "sampled": None if len(numbers) == total else f"{len(numbers)} of {total} slices",
+    }
+    if not statistics.finite:
         warnings.append("There is no number in it, all values are missing.")
-        percentiles: dict[str, float | None] = dict.fromkeys((str(p) for p in PERCENTILES), None)
+        facts["percentiles"] = dict.fromkeys(map(str, PERCENTILES))
     else:
         sample = np.sort(np.concatenate(statistics.sample))
         if not sample.size:  # the grid met no number
             planes = (np.asarray(values[number]) for number in numbers)
             sample = np.sort(np.concatenate([plane[np.isfinite(plane)] for plane in planes]))
+        facts["percentiles"] = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
+        facts |= {"min": statistics.low, "max": statistics.high}
         levels = int(np.count_nonzero(np.diff(sample)) + 1)
-        percentiles = {str(p): float(np.percentile(sample, p)) for p in PERCENTILES}
-        if low == high:
-            warnings.append(f"All values are {low:g}.")
-        elif values.dtype.kind in "ui" and 0 < levels < 16:
+        if statistics.low == statistics.high:
+            warnings.append(f"All values are {statistics.low:g}.")
+        elif values.dtype.kind in "ui" and levels < 16:
             warnings.append(f"It has {levels} grey levels only. Is it a segmentation? planish needs the grey values.")
-    if nan_share > 0:
-        warnings.append(f"{100 * nan_share:.3g} % of the values are missing (NaN or infinite).")
+    if facts["nan_share"] > 0:
+        warnings.append(f"{100 * facts['nan_share']:.3g} % of the values are missing (NaN or infinite).")
+    if statistics.low == statistics.high:
+        return facts
     # Above this share of values at the end of the range, grey levels were lost.
-    if saturated_share > 0.001 and low != high:
-        warnings.append(
-            f"{100 * saturated_share:.3g} % of the values are at {full_scale}, the largest the file can store: "
-            "grey levels were cut there."
-        )
-    if statistics.constant and low != high:
-        warnings.append(
-            f"{len(statistics.constant)} slices have one grey value only (black or empty), z "
-            f"{first_few(statistics.constant)}: the scan ended there, or files were damaged."
-        )
-    if statistics.copies and low != high:
-        warnings.append(
-            f"{len(statistics.copies)} slices hold the same values as a slice before them, z "
-            f"{first_few(statistics.copies)}: were they copied to fill gaps?"
-        )
-    return {
-        "dims": list(dims),
-        "shape": list(values.shape),
-        "dtype": str(values.dtype),
-        "min": low,
-        "max": high,
-        "percentiles": percentiles,
-        "nan_share": nan_share,
-        "saturated_share": saturated_share,
-        "bottom_share": statistics.bottom / statistics.count,
-        "sampled": None if len(numbers) == total else f"{len(numbers)} of {total} slices",
-    }
+    if facts["saturated_share"] > 0.001:
+        cut = f"are at {full_scale}, the largest the file can store: grey levels were cut there."
+        warnings.append(f"{100 * facts['saturated_share']:.3g} % of the values {cut}")
+    if statistics.constant:
+        where = f"(black or empty), z {first_few(statistics.constant)}: the scan ended there, or files were damaged."
+        warnings.append(f"{len(statistics.constant)} slices have one grey value only {where}")
+    if statistics.copies:
+        where = f"as a slice before them, z {first_few(statistics.copies)}: were they copied to fill gaps?"
+        warnings.append(f"{len(statistics.copies)} slices hold the same values {where}")
+    return facts
 
 
-def facts_without_values(values: Values, warnings: list[str], *, dims: tuple[str, ...]) -> dict[str, Any]:
-    """Give the facts without those of the values, which can only be decoded whole and would take too much memory."""
-    warnings.append(
-        f"Its {math.prod(values.shape) * values.dtype.itemsize / 1e9:.2g} GB can only be decoded whole, so no grey was "
-        "looked at."
-    )
+def declared_facts(values: Values, dims: tuple[str, ...]) -> dict[str, Any]:
+    """Give the facts without those of the values, which are None."""
     of_values = ("min", "max", "percentiles", "nan_share", "saturated_share", "bottom_share")
-    facts: dict[str, Any] = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
-    return facts | dict.fromkeys(of_values) | {"sampled": "none"}
+    declared = {"dims": list(dims), "shape": list(values.shape), "dtype": str(values.dtype)}
+    return declared | dict.fromkeys(of_values) | {"sampled": "none"}
 
 
 _SIDE = 480  # pixels along the longer side of a section
-_GAP = 8
 _SHADES = " ░▒▓█"
 _HIGH_AS_WIDE = 2.1  # height of a letter in widths
-_WIDE, _HIGH = 72, 18  # letters
 Grey = NDArray[np.uint8]
 
 
@@ -192,18 +168,15 @@ def write_picture(sections: list[Section], path: Path) -> None:
     """
     scale = _SIDE / max(n * k for s in sections for n, k in zip(s.grey.shape, s.step, strict=True))
     shown = [_resized(s, scale) for s in sections]
-    out = np.full((max(p.shape[0] for p in shown), sum(p.shape[1] + _GAP for p in shown) - _GAP), 255, np.uint8)
-    col = 0
-    for part in shown:
-        out[: part.shape[0], col : col + part.shape[1]] = part
-        col += part.shape[1] + _GAP
-    write_whole(path, bytes(imagecodecs.png_encode(out)))
+    tallest = max(len(part) for part in shown)
+    padded = [np.pad(part, ((0, tallest - len(part)), (0, 8)), constant_values=255) for part in shown]
+    write_whole(path, bytes(imagecodecs.png_encode(np.ascontiguousarray(np.hstack(padded)[:, :-8]))))
 
 
 def as_text(section: Section) -> list[str]:
     """A section in shades of letters, at most 72 wide and 18 high; the last line names its axes."""
     rows, cols = (n * k for n, k in zip(section.grey.shape, section.step, strict=True))
-    scale = min(_WIDE / cols, _HIGH * _HIGH_AS_WIDE / rows)
+    scale = min(72 / cols, 18 * _HIGH_AS_WIDE / rows)
     grey = _resized(section, scale, squeeze=_HIGH_AS_WIDE)
     shade = np.minimum(grey.astype(int) * len(_SHADES) // 256, len(_SHADES) - 1)
     lines = ["".join(_SHADES[k] for k in row) for row in shade]

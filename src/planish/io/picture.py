@@ -25,8 +25,6 @@ PLUGINS: dict[str, type[ImageFile.ImageFile]] = {
     "png": PngImagePlugin.PngImageFile, "jpeg": JpegImagePlugin.JpegImageFile, "bmp": BmpImagePlugin.BmpImageFile
 }  # fmt: skip
 
-# Types of Pillow's modes; all others have 8 bits.
-RASTER_TYPES = {"1": np.bool_, "I": np.int32, "I;16": np.uint16, "I;16B": np.uint16, "F": np.float32}
 ADVICE = "One picture is needed: save it alone."
 PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 
@@ -84,13 +82,12 @@ def load_picture(path: Path, *, memory_bytes: int | None = None, decode: bool = 
             values = np.moveaxis(values, 0, -1)
         if values.dtype.kind not in "buif":
             raise FileError(f"{path.name} has {values.dtype} values. Export it with integer or real values.")
-        colour: Colour = "grey"
-        if len(axes) == 3:
-            with_samples, samples = "S" in axes, values.shape[-1]
-            is_grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK} and samples == 2
-            colour = "grey" if is_grey and with_samples else "other"
-            if has_rgb(page):
-                colour = "rgb" if samples >= 3 and with_samples else "other"
+        colour: Colour = "grey" if len(axes) == 2 else "other"
+        if "S" in axes and has_rgb(page):
+            colour = "rgb" if values.shape[-1] >= 3 else "other"
+        elif "S" in axes and values.shape[-1] == 2:
+            is_grey = page.photometric in {PHOTOMETRIC.MINISWHITE, PHOTOMETRIC.MINISBLACK}
+            colour = "grey" if is_grey else "other"
         bits = int(page.bitspersample)
         with reading(path):
             if page.photometric == PHOTOMETRIC.PALETTE and len(axes) == 2:
@@ -159,7 +156,8 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
         if decode:
             image.load()
         if not decode:
-            dtype = np.dtype(np.uint16) if deep else np.dtype(RASTER_TYPES.get(image.mode, np.uint8))
+            types = {"1": "bool", "I": "int32", "I;16": "uint16", "I;16B": "uint16", "F": "float32"}
+            dtype = np.dtype("uint16" if deep else types.get(image.mode, "uint8"))
             values = constant_zeros((image.height, image.width, bands)[: 2 + (bands > 1)], dtype)
         elif deep:  # Pillow cuts 16-bit colour to 8 bits
             values = np.asarray(imagecodecs.png_decode(data))
@@ -168,10 +166,9 @@ def _load_raster(path: Path, *, memory_bytes: int | None, decode: bool) -> Decod
             values = lut[..., 0].copy() if np.all(lut == lut[..., :1]) else lut
         else:
             values = np.asarray(image)
+    colour: Colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
     if image.mode not in {"1", "L", "LA", "I", "I;16", "F", "P", "PA", "RGB", "RGBA"}:
-        colour: Colour = "other"
-    else:
-        colour = "rgb" if values.ndim == 3 and values.shape[-1] >= 3 else "grey"
+        colour = "other"
     bits = 16 if image.mode == "I" else 8 * values.dtype.itemsize
     density = dpi[1::-1] if isinstance(dpi, tuple) and len(dpi) == 2 else (None, None)  # along x, y in the file
     stated = (stated_density(f"the {kind.upper()} resolution", density, "inch"),)

@@ -97,22 +97,14 @@ def read_section_stack(
     """
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
     size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
-    folder = sections.folder
+    attrs: dict[str, Any] = {
+        "voxel_um": list(size), "voxel_um_source": source, "full_scale": sections.full_scale,
+        "file_name": sections.folder.name, "file_bytes": sections.file_bytes, "section_kind": sections.kind,
+    } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)  # fmt: skip
     return SectionStack(
-        values=sections.values,
-        positions_um=sections.positions_um,
-        pixel_um=(size[1], size[2]),
-        kind=sections.kind,
-        attrs={
-            "voxel_um": list(size),
-            "voxel_um_source": source,
-            "full_scale": sections.full_scale,
-            "file_name": folder.name,
-            "file_bytes": sections.file_bytes,
-            "section_kind": sections.kind,
-            **colour_attrs(check_channel(channel), folder, in_colour=sections.first.in_colour),
-        },
-    )
+        values=sections.values, positions_um=sections.positions_um, pixel_um=(size[1], size[2]), kind=sections.kind,
+        attrs=attrs,
+    )  # fmt: skip
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -137,7 +129,6 @@ class Sections:
         """Join the median step of the counter with the pixel size of metadata and user."""
         name = self.folder.name
         pitch_um = float(np.median(np.diff(self.positions_um)))
-        flat = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
         if voxel_um is not None:
             sizes = size_per_axis(voxel_um, VOXEL)
             single = isinstance(voxel_um, (int, float)) or len(voxel_um) == 1
@@ -147,7 +138,8 @@ class Sections:
                     f"{pitch_um:g} um. Correct the counter, or give the pixel size alone."
                 )
             voxel_um = (pitch_um, sizes[1], sizes[2])
-        stated = [Stated("the cut counter", (pitch_um, None, None)), *flat]
+        photographed = [s._replace(um=(None, *s.um[1:])) for s in self.first.stated]
+        stated = [Stated("the cut counter", (pitch_um, None, None)), *photographed]
         return agreed_size(stated, voxel_um, file_name=name, asked=VOXEL, override=override, unusual=unusual)
 
 
@@ -155,32 +147,30 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
     """Read the cut counter of a folder, compare it with the pictures there, and read these."""
     if not folder.is_dir():
         raise FileError(f"{folder.name} is not a folder. Check the name.")
-    size_of_file(folder / COUNTER)
-    text = read_text(folder / COUNTER, what="cut counter")
-    table = parse_table(text, f"{COUNTER} in {folder.name}", needed=COLUMNS, error=VolumeError)
-    names = [table.text(row, "file") for row in table.rows]
+    counter, name = folder / COUNTER, f"{COUNTER} in {folder.name}"
+    size_of_file(counter)
+    table = parse_table(read_text(counter, what="cut counter"), name, needed=COLUMNS, error=VolumeError)
     positions = table.numbers(COLUMNS[1:])[:, 0]
-    earlier_names: set[str] = set()
-    for row, name in zip(table.rows, names, strict=True):
-        if not name or Path(name).name != name:
-            table.fault(row, f"{name!r} is not the name of a file in this folder")
-        elif name in earlier_names:
-            table.fault(row, f"{name} for the second time")
-        earlier_names.add(name)
+    files: list[Path] = []
+    for row in table.rows:
+        file = folder / (word := table.text(row, "file"))
+        if not word or file.name != word:
+            table.fault(row, f"{word!r} is not the name of a file in this folder")
+        elif file in files:
+            table.fault(row, f"{word} for the second time")
+        files.append(file)
     table.check()
-    if len(names) < 2:
-        raise VolumeError(f"{table.name} names {len(names)} sections, at least two are needed.")
-    for (first, a), (second, b) in pairwise(zip(names, positions, strict=True)):
+    if len(files) < 2:
+        raise VolumeError(f"{name} names {len(files)} sections, at least two are needed.")
+    for (first, a), (second, b) in pairwise(zip(files, positions, strict=True)):
         if not b > a:
             raise VolumeError(
-                f"{table.name}: {second} lies at {b:g} um, {first} before it at {a:g} um. Positions have to increase "
-                "in the order of the cuts: correct the counter, or sort its rows by position."
+                f"{name}: {second.name} lies at {b:g} um, {first.name} before it at {a:g} um. Positions increase in "
+                "the order of the cuts: correct the counter, or sort its rows by position."
             )
-    kind = _kind_of_sections(table)
-    files = [folder / name for name in names]
     if missing := [file.name for file in files if not file.is_file()]:
         raise VolumeError(
-            f"{folder.name} lacks {len(missing)} of {len(names)} files named in {COUNTER}: {first_few(missing)}. Add "
+            f"{folder.name} lacks {len(missing)} of {len(files)} files named in {COUNTER}: {first_few(missing)}. Add "
             "them, or take their rows out: a gap in the positions is understood as a missing section."
         )
     if odd := sorted(p.name for p in {*folder.iterdir()} - {*files} if is_slice_name(p.name) and p.is_file()):
@@ -188,20 +178,18 @@ def open_sections(folder: Path, *, channel: str | None, memory_bytes: int | None
             f"{folder.name} holds {len(odd)} pictures that {COUNTER} does not name: {first_few(odd)}. Add a row for "
             "each with its position, or move them elsewhere."
         )
-    channel = check_channel(channel)
-    values, first = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
-    file_bytes = sum(size_of_file(file) for file in [*files, folder / COUNTER])
-    return Sections(folder=folder, values=values, first=first, positions_um=positions, kind=kind, file_bytes=file_bytes)
+    kind, channel = _kind_of_sections(table), check_channel(channel)
+    grey, picture = load_pictures(files, channel=channel, memory_bytes=memory_bytes, photographs=True)
+    file_bytes = sum(size_of_file(file) for file in [*files, counter])
+    return Sections(folder=folder, values=grey, first=picture, positions_um=positions, kind=kind, file_bytes=file_bytes)
 
 
 def _kind_of_sections(table: CsvTable) -> str:
     """Read from the comments what was photographed; empty where they do not say it. Two kinds are never mixed."""
     split = [comment.partition(":") for comment in table.comments]
-    kinds = sorted({value.strip().lower() for key, colon, value in split if colon and key.strip().lower() == "kind"})
+    kinds = sorted({word.strip().lower() for key, colon, word in split if colon and key.strip().lower() == "kind"})
     if unknown := [kind for kind in kinds if kind not in KINDS]:
-        raise VolumeError(
-            f"{table.name} has the kind {', '.join(map(repr, unknown))}. Known are {' and '.join(KINDS)}."
-        )
+        raise VolumeError(f"{table.name} has the kind {', '.join(map(repr, unknown))}. Give {' or '.join(KINDS)}.")
     if len(kinds) > 1:
         raise VolumeError(
             f"{table.name} has both kinds, {' and '.join(kinds)}. The knife squeezes cut sections by 5 to 15 % and "
