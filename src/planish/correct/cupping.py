@@ -66,14 +66,13 @@ def find_cupping(
     middle = (np.arange(rings.size) + 0.5) * turning.step_um
     coarse = np.minimum((middle / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
     offset = np.bincount(coarse, weight * rings, COARSE) / np.maximum(np.bincount(coarse, weight, COARSE), 1.0)
-    fits: dict[int, _Fit] = {}
-    for material in (BASE, BRIGHT) if reach > 0 else ():
-        if (fit := _fit_material(groups, material, levels, radius / reach, offset)) is not None:
-            fits[material] = fit
+    materials = (BASE, BRIGHT) if reach > 0 else ()
+    all_fits = {m: _fit_material(groups, m, levels, radius / reach, offset) for m in materials}
+    fits = {m: fit for m, fit in all_fits.items() if fit is not None}
     trends = tuple(Trend(material=MATERIALS[m], before=f.percent, se=f.se) for m, f in fits.items())
     if not fits:
         return None, (), "Cupping: too few voxels lie inside the sheet, nothing was corrected."
-    shared, agree = _join_materials(list(fits.values()))
+    shared, agree = _join_materials([*fits.values()])
     each = ", ".join(f"{t.material} {t.before:.1f} +- {t.se:.1f} %" for t in trends)
     if not agree:
         return None, trends, f"Cupping: base and coating contradict each other ({each}), nothing was corrected."
@@ -99,14 +98,13 @@ def _fit_material(groups: Counts, material: int, levels: Levels, share: Floats, 
     limits = (-np.inf, border) if material == BASE else (border, np.inf)
     whole = groups.sum(axis=0)
     fit = _fit_powers(whole, limits, share, offset)
-    if fit is None:
+    without = [_fit_powers(whole - group, limits, share, offset) for group in groups if fit is not None]
+    others = [other for other in without if other is not None]
+    if fit is None or len(others) < 3:
         return None
     power, single = fit
-    without = [p for p in (_fit_powers(whole - g, limits, share, offset) for g in groups) if p is not None]
-    if len(without) < 3:
-        return None
-    error = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in without]))[0])
-    left_out = np.array([depths for _, depths in without])
+    error = float(_jackknife_errors(np.array([[_loss_percent(p)] for p, _ in others]))[0])
+    left_out = np.array([depths for _, depths in others])
     is_valid = np.isfinite(single) & np.isfinite(left_out).all(axis=0)
     if np.count_nonzero(is_valid) >= 2:
         # A true cupping is the same at every depth; a coating that is thinner in the middle is not. Depths do not err
@@ -123,15 +121,16 @@ def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) 
     """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth; give p, and p of each depth alone."""
     low, high = limits
     rows = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
-    start = np.zeros((len(rows), 1))
-    count: Floats = np.concatenate([start, np.cumsum(rows, axis=1)], axis=1)
     middles = GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0])
-    total: Floats = np.concatenate([start, np.cumsum(rows * middles, axis=1)], axis=1)
+    count, total = (np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (rows, rows * middles))
     depths = histogram.shape[1]
-    t = np.repeat(np.minimum(share, 1.0) ** 2, depths)
-    offset = np.repeat(offset, depths)
+    t, offset = np.repeat(np.minimum(share, 1.0) ** 2, depths), np.repeat(offset, depths)
     depth = np.tile(np.arange(depths), COARSE)
-    mixed = _mixed_depths(count, limits, depth)
+    # Depths at which base and coating meet: there the least shift of a face changes the grey.
+    border = (low if np.isfinite(low) else high) * np.ones(len(rows))
+    whole = np.bincount(depth, count[:, -1])
+    lower = np.bincount(depth, _sum_between(count, -np.inf * border, border)) if np.isfinite(border[0]) else whole
+    mixed = np.minimum(lower, whole - lower) > 0.05 * whole  # of the voxels of a depth may be of the other material
     power = 0.0
     used, grey, n = np.zeros(len(rows), bool), np.zeros(len(rows)), np.zeros(len(rows))
     for _ in range(40):  # of sorting and fitting
@@ -153,14 +152,6 @@ def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) 
         if abs(step) < 1e-5:
             break
     return power, np.array([_power_of_depth(t, grey, n, used & (depth == d)) for d in range(depths)])
-
-
-def _mixed_depths(count: Floats, limits: Pair, depth: Counts) -> Bools:
-    """Find the depths at which base and coating meet: there the least shift of a face changes the grey."""
-    border = (limits[0] if np.isfinite(limits[0]) else limits[1]) * np.ones(len(count))
-    whole = np.bincount(depth, count[:, -1])
-    lower = np.bincount(depth, _sum_between(count, -np.inf * border, border)) if np.isfinite(border[0]) else whole
-    return np.minimum(lower, whole - lower) > 0.05 * whole  # of the voxels of a depth may be of the other material
 
 
 def _power_step(level: Floats, depth: Counts, curve: Floats, t: Floats, grey: Floats, n: Floats) -> float:
@@ -197,18 +188,14 @@ def _sum_between(running: Floats, low: Floats, high: Floats) -> Floats:
 
 def _join_materials(fits: list[_Fit]) -> tuple[_Fit, bool]:
     """Join the fits of base and coating to the one that is corrected; False where they contradict each other."""
-    if len(fits) == 1:
-        return fits[0], True
+    surest, *others = sorted(fits, key=lambda fit: fit.se)
+    # A material whose error is three times that of the other does not count.
+    if not others or others[0].se > 3.0 * max(surest.se, 0.3):
+        return surest, True
     a, b = fits
-    for surer, other in ((a, b), (b, a)):
-        if other.se > 3.0 * max(surer.se, 0.3):  # times the error of the other material: then a material does not count
-            return surer, True
-    difference = abs(a.percent - b.percent)
-    if difference <= 3.0 * float(np.hypot(a.se, b.se)):  # standard errors by which base and coating may differ
+    if abs(a.percent - b.percent) <= 3.0 * float(np.hypot(a.se, b.se)):  # standard errors by which they may differ
         w = 1.0 / np.maximum([a.se, b.se], 1e-3) ** 2
         power = float((w[0] * a.power + w[1] * b.power) / w.sum())
         return _Fit(power, _loss_percent(power), float(1.0 / np.sqrt(w.sum()))), True
     # What both share is corrected, and no more: the rest is the sheet's own.
-    if a.percent * b.percent <= 0:
-        return a, False
-    return min(a, b, key=lambda fit: abs(fit.percent)), True
+    return min(fits, key=lambda fit: abs(fit.percent)), a.percent * b.percent > 0

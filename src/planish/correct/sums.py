@@ -18,15 +18,13 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import InputError, SizeError, VolumeError
+from planish.core.frame import Frame
 from planish.core.robust import MAD_TO_SD, mad_sd
 from planish.core.threads import thread_pool
 from planish.core.typing import Bools, Floats
 from planish.correct.params import Axis
 
-SMOOTHING_PX = 1.5  # gaussian in a slice after which a single voxel shows its material in spite of the noise
-_BINS = 160
 _WINDOW = 9
-_TWO = 0.25  # a second material stands out from the base by so much of its own contrast
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -48,8 +46,8 @@ class Levels:
 
 def smoothed(plane: NDArray[Any]) -> NDArray[np.float32]:
     """Smooth a slice; what is not finite counts as 0 and has to be masked."""
-    finite = np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0)
-    return ndimage.gaussian_filter(finite, SMOOTHING_PX)
+    # Then a single voxel shows its material in spite of the noise.
+    return ndimage.gaussian_filter(np.nan_to_num(plane.astype(np.float32), nan=0.0, posinf=0.0, neginf=0.0), 1.5)
 
 
 def missing(plane: NDArray[Any], padding: float) -> Bools:
@@ -62,11 +60,11 @@ def missing(plane: NDArray[Any], padding: float) -> Bools:
 
 def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     """Find the greys in some slices; None where no sheet stands out from the air."""
-    padding = _padding(slices, radius)
-    levels = _estimate_levels(slices, padding)
+    lowest = min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan"))
+    padding = _padding(slices, lowest, radius)
+    levels = _estimate_levels(np.concatenate([smoothed(s)[~missing(s, padding)] for s in slices]))
     if levels is None:
         return None
-    lowest = _lowest_grey(slices)
     dark = cut = 0
     for s in slices:
         below = (smoothed(s) < levels.split) & ~missing(s, padding)
@@ -76,13 +74,8 @@ def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
     return replace(levels, padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
 
 
-def _lowest_grey(slices: list[NDArray[Any]]) -> float:
-    return min((float(np.nanmin(s)) for s in slices if np.isfinite(s).any()), default=float("nan"))
-
-
-def _padding(slices: list[NDArray[Any]], radius: Floats) -> float:
+def _padding(slices: list[NDArray[Any]], lowest: float, radius: Floats) -> float:
     """Value of the corners outside the scanner's circle: the lowest one, everywhere outside and nowhere inside."""
-    lowest = _lowest_grey(slices)
     spike = np.mean([_without_specks(s == lowest) for s in slices], axis=0)
     share = float(spike.mean())
     if share < 0.01:  # of all voxels: so much padding at least
@@ -97,40 +90,32 @@ def _without_specks(mask: Bools) -> Bools:
     return mask & (ndimage.maximum_filter(share, _WINDOW) > 0.95)
 
 
-def _estimate_levels(slices: list[NDArray[Any]], padding: float) -> Levels | None:
-    """Read the levels off the histogram of smoothed slices; None where no sheet stands out from the air."""
-    parts = [smoothed(s)[~missing(s, padding)] for s in slices]
-    greys = np.concatenate([p.ravel() for p in parts])
+def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
+    """Read the levels off the histogram of smoothed greys; None where no sheet stands out from the air."""
     if greys.size < 1000:
         return None
     low, high = (float(q) for q in np.percentile(greys, [0.02, 99.98]))
     if not high > low:
         return None
-    count, edges = np.histogram(greys, _BINS, (low, high))
-    first, second = _three_classes(count.astype(np.float64))
-    split, middle = float(edges[first]), float(edges[second])
-    air = _centre(greys[greys <= split])
-    base, bright = greys[(greys > split) & (greys <= middle)], greys[greys > middle]
+    count, edges = np.histogram(greys, 160, (low, high))
+    split, middle = (float(edges[k]) for k in _three_classes(count.astype(np.float64)))
+    dark, sheet = greys[greys <= split], greys[greys > split]
+    # The mean of what lies near the median.
+    median = float(np.median(dark))
+    reach = max(3 * MAD_TO_SD * float(np.median(np.abs(dark - median))), 1e-6)
+    air = float(np.mean(dark[np.abs(dark - median) <= reach], dtype=np.float64))
+    base, bright = sheet[sheet <= middle], sheet[sheet > middle]
     if not bright.size or not base.size:
         return None
-    low_level, high_level = float(np.median(base)), float(np.median(bright))
-    scatter = mad_sd(greys[greys <= split], air)
-    if high_level - low_level < _TWO * (low_level - air):
-        middle, sheet = np.inf, float(np.median(greys[greys > split]))
-    else:
-        sheet = high_level
-    if sheet - air < max(6.0 * scatter, 1e-9):  # the sheet stands out from air by so many scatters of the smoothed air
+    lower, level = float(np.median(base)), float(np.median(bright))
+    # A second material stands out from the base by so much of its own contrast.
+    if level - lower < 0.25 * (lower - air):
+        middle, lower = np.inf, float(np.median(sheet))
+        level = lower
+    if level - air < max(6.0 * mad_sd(dark, air), 1e-9):  # scatters of the smoothed air
         return None
     # The lower border lies half way: a border between classes is drawn towards the wider one.
-    split = 0.5 * (air + (low_level if np.isfinite(middle) else sheet))
-    return Levels(air=air, sheet=sheet, split=split, middle=middle, padding=np.nan, air_cut=False)
-
-
-def _centre(greys: NDArray[np.float32]) -> float:
-    """Mean of what lies near the median."""
-    median = float(np.median(greys))
-    near = np.abs(greys - median) <= max(3 * MAD_TO_SD * float(np.median(np.abs(greys - median))), 1e-6)
-    return float(np.mean(greys[near], dtype=np.float64))
+    return Levels(air=air, sheet=level, split=0.5 * (air + lower), middle=middle, padding=np.nan, air_cut=False)
 
 
 def _three_classes(count: Floats) -> tuple[int, int]:
@@ -152,8 +137,6 @@ def _three_classes(count: Floats) -> tuple[int, int]:
 SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not
 
 _LEAST_PLANE, _LEAST_LENGTH = 24, 8
-_FAR = 0.5  # of the field's width; an axis further outside is taken for a mistake
-_AXES: dict[Axis, tuple[Axis, Axis]] = {"z": ("y", "x"), "y": ("z", "x"), "x": ("z", "y")}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -172,7 +155,8 @@ class Turning:
     @property
     def plane(self) -> tuple[Axis, Axis]:
         """The two axes across the axis of rotation, in array order."""
-        return _AXES[self.axis]
+        frame = Frame(through=self.axis)
+        return frame.rows, frame.cols
 
     @property
     def order(self) -> tuple[int, int, int]:
@@ -193,35 +177,24 @@ class Turning:
     @property
     def farthest_um(self) -> float:
         """Largest radius in the field."""
-        ends = [
-            max(abs(c), abs((n - 1) * p - c))
-            for c, n, p in zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
-        ]
-        return math.hypot(*ends)
+        along = zip(self.centre_um, self.shape[1:], self.pitch_um, strict=True)
+        return math.hypot(*(max(abs(c), abs((n - 1) * p - c)) for c, n, p in along))
 
-    def radius_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> Floats:
-        """Distance (rows, cols) from the axis in um."""
-        r, c = self._offsets(rows, cols)
-        return np.hypot(r[:, None], c[None, :])
-
-    def sectors(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> NDArray[np.int64]:
-        """Number (rows, cols) of the part of the turn; parts begin at the axes of the array."""
-        r, c = self._offsets(rows, cols)
-        angle = np.arctan2(r[:, None], c[None, :]) / (2 * np.pi) % 1.0
-        return np.minimum((angle * SECTORS).astype(np.int64), SECTORS - 1)
-
-    def _offsets(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
-        (a, b), (p, q) = self.centre_um, self.pitch_um
-        return rows.astype(np.float64) * p - a, cols.astype(np.float64) * q - b
+    def offsets_um(self, rows: NDArray[np.intp], cols: NDArray[np.intp]) -> tuple[Floats, Floats]:
+        """Distances (rows, 1) and (1, cols) from the axis along the two others."""
+        r = rows.astype(np.float64) * self.pitch_um[0] - self.centre_um[0]
+        c = cols.astype(np.float64) * self.pitch_um[1] - self.centre_um[1]
+        return r[:, None], c[None, :]
 
 
 def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float] | None) -> Turning:
     """Place the axis of rotation; in the middle of the field where ``centre_um`` is None."""
     if "voxel_um" not in volume.attrs:
         raise SizeError("The volume has no voxel size ('voxel_um'). Read it with read_volume, which asks for one.")
-    size = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
-    plane = _AXES[axis]
-    shape = (volume.sizes[axis], volume.sizes[plane[0]], volume.sizes[plane[1]])
+    size = dict(zip("zyx", map(float, volume.attrs["voxel_um"]), strict=True))
+    frame = Frame(through=axis)
+    a, b = frame.rows, frame.cols
+    shape, pitch = (volume.sizes[axis], volume.sizes[a], volume.sizes[b]), (size[a], size[b])
     if shape[0] < _LEAST_LENGTH:
         raise VolumeError(
             f"The volume has {shape[0]} voxel(s) along {axis}, the axis of rotation; at least {_LEAST_LENGTH} are "
@@ -229,17 +202,17 @@ def make_turning(volume: xr.DataArray, axis: Axis, centre_um: tuple[float, float
         )
     if min(shape[1:]) < _LEAST_PLANE:
         raise VolumeError(
-            f"The volume has {shape[1]} x {shape[2]} voxels along {plane[0]} and {plane[1]}, across the axis of "
-            f"rotation; at least {_LEAST_PLANE} are needed. Give the whole stack, or another --rotation-axis."
+            f"The volume has {shape[1]} x {shape[2]} voxels along {a} and {b}, across the axis of rotation; at least "
+            f"{_LEAST_PLANE} are needed. Give the whole stack, or another --rotation-axis."
         )
-    pitch = (size[plane[0]], size[plane[1]])
-    ends = [(n - 1) * p for n, p in zip(shape[1:], pitch, strict=True)]
+    ends = ((shape[1] - 1) * pitch[0], (shape[2] - 1) * pitch[1])
     centre = (0.5 * ends[0], 0.5 * ends[1]) if centre_um is None else centre_um
-    for name, position, end in zip(plane, centre, ends, strict=True):
-        if not -_FAR * end <= position <= (1 + _FAR) * end:
+    for name, position, end in zip((a, b), centre, ends, strict=True):
+        # An axis further outside is taken for a mistake.
+        if not -0.5 * end <= position <= 1.5 * end:
             raise InputError(
                 f"The axis of rotation would stand at {name} = {position:g} um; the field runs from 0 to {end:g} um. "
-                f"Give --rotation-centre-um as {plane[0]},{plane[1]} in um from the first voxel."
+                f"Give --rotation-centre-um as {a},{b} in um from the first voxel."
             )
     return Turning(axis=axis, centre_um=centre, pitch_um=pitch, shape=shape)
 
@@ -259,7 +232,6 @@ DEPTHS = np.array([0, 5, 6, 7, 8, 10, 13, 18])
 """Depths below a face in voxels, from which on each class of the histogram begins."""
 
 _BLOCKS, _LEAST_BLOCK = 8, 24  # parts of the axis, and the fewest slices of one
-_NEAR_AIR = 0.15  # contrasts by which the smoothed air may be off
 _MOST = 2**29  # voxels that are looked at
 _DEEPEST = 24  # voxels; deeper, a material does not change with the depth
 
@@ -297,25 +269,30 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     """Add up all slices."""
     length = turning.shape[0]
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
-    middles = (np.arange(blocks) + 0.5) * length / blocks - 0.5
-    places = [np.arange(n) for n in turning.shape[1:]]
-    radius, sectors = turning.radius_um(*places), turning.sectors(*places)
+    r, c = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
+    radius, turn = np.hypot(r, c), np.arctan2(r, c) / (2 * np.pi) % 1.0
+    # Parts begin at the axes of the array.
+    sectors = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
     bins = (radius / turning.step_um).astype(np.int64)
     coarse = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
-    count = np.zeros((middles.size, SECTORS, len(MATERIALS), turning.bins), np.int64)
+    count = np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64)
     total = np.zeros_like(count)
-    histogram = np.zeros((middles.size, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64)
+    histogram = np.zeros((blocks, QUARTERS, COARSE, DEPTHS.size, GREYS.size - 1), np.int64)
     quarters = sectors * QUARTERS // SECTORS
     level = np.zeros((len(MATERIALS), 2), np.int64)
     done = 0
-
     with thread_pool(threads) as pool:
         while group := list(islice(slices, 16)):  # slices that are worked on together
             for number, grey, kind, depth in pool.map(partial(_classify, levels=levels), group):
-                k = min(int(number * middles.size / length), middles.size - 1)
+                k = min(int(number * blocks / length), blocks - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
-                _add_to_histogram(grey, kind, depth, quarters, coarse, histogram[k])
+                # Voxels inside the sheet by quarter of the turn, radius, depth and grey.
+                fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
+                deep = np.searchsorted(DEPTHS, depth, side="right") - 1
+                cells = np.ravel_multi_index((quarters, coarse, deep, fine), histogram[k].shape)[kind > 1 + AIR]
+                histogram[k] += np.bincount(cells, minlength=histogram[k].size).reshape(histogram[k].shape)
                 done += 1
+    middles = (np.arange(blocks) + 0.5) * length / blocks - 0.5
     return Sums(count=count, total=total, histogram=histogram, blocks=middles, level=level, slices=done)
 
 
@@ -329,9 +306,8 @@ def _add_to_rings(
     is_classified = kind > 0
     greys, material = grey[is_classified], kind[is_classified].astype(np.int64) - 1
     deepest = _DEEPEST + 1
-    layer = material * deepest + depth[is_classified]
-    n = np.bincount(layer, minlength=len(MATERIALS) * deepest)
-    sums = np.bincount(layer, greys, len(MATERIALS) * deepest)
+    layer, layers = material * deepest + depth[is_classified], len(MATERIALS) * deepest
+    n, sums = np.bincount(layer, minlength=layers), np.bincount(layer, greys, layers)
     level[:, 0] += n.reshape(-1, deepest).sum(axis=1)
     level[:, 1] += sums.reshape(-1, deepest).sum(axis=1).astype(np.int64)
     enough = n[layer] >= 32  # voxels of a material at one depth, for its mean grey
@@ -342,23 +318,13 @@ def _add_to_rings(
     total += more.astype(np.int64).reshape(count.shape)
 
 
-def _add_to_histogram(
-    grey: Counts, kind: NDArray[np.uint8], depth: Counts, quarters: Counts, coarse: Counts, histogram: Counts
-) -> None:
-    """Count the voxels of a slice inside the sheet by quarter of the turn, radius, depth and grey."""
-    fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
-    deep = np.searchsorted(DEPTHS, depth, side="right") - 1
-    cells = np.ravel_multi_index((quarters, coarse, deep, fine), histogram.shape)[kind > 1 + AIR]
-    histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
-
-
 def _classify(numbered: tuple[int, Slice], levels: Levels) -> tuple[int, Counts, NDArray[np.uint8], Counts]:
     """Number, grey above air in whole numbers, material of each voxel well inside one, and its depth below the face."""
     # The material comes from the smoothed slice, with wide limits: a ring of some per cent does not choose its voxels.
     number, plane = numbered
     smooth, empty = smoothed(plane), missing(plane, levels.padding)
     solid = (smooth > levels.split) & ~empty
-    air = (np.abs(smooth - levels.air) < _NEAR_AIR * levels.contrast) & ~empty
+    air = (np.abs(smooth - levels.air) < 0.15 * levels.contrast) & ~empty  # by so much it may be off
     depth = np.zeros(plane.shape, np.int64)
     kind = np.zeros(plane.shape, np.uint8)
     for mask in (solid,) if levels.air_cut else (solid, air):

@@ -22,8 +22,6 @@ from planish.correct.sums import Levels, Slice, Sums, Turning, find_levels, make
 
 Progress = Callable[[str, str], None]
 
-_LOOK = 24  # slices of the first look
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Change:
@@ -43,26 +41,22 @@ class Change:
         self, values: NDArray[Any], along: NDArray[np.intp], rows: NDArray[np.intp], cols: NDArray[np.intp]
     ) -> tuple[NDArray[Any], int]:
         """Correct a block (along, rows, cols) with its places in the array; return it and how many were clipped."""
-        radius = self.turning.radius_um(rows, cols)
+        radius = np.hypot(*self.turning.offsets_um(rows, cols))
         cup = np.ones(radius.shape)
         if self.cupping is not None:
             cup = factor(self.cupping.powers, radius / self.cupping.reach_um) / self.mean_factor
         last = self.turning.bins - 1
         bin_position = np.clip(radius / self.turning.step_um - 0.5, 0.0, last)
         inner = np.minimum(bin_position.astype(np.intp), last - 1)
-        tables = None
-        if self.rings is not None:
-            tables = self.levels.contrast * self.rings.tables(self.blocks, along)
+        share = bin_position - inner
+        tables = None if self.rings is None else self.levels.contrast * self.rings.tables(self.blocks, along)
         whole, air = values.dtype.kind in "ui", self.levels.air
         limits = np.iinfo(values.dtype) if whole else np.finfo(values.dtype)
         out, clipped = np.empty_like(values), 0
         for k, plane in enumerate(values):
             grey = plane.astype(np.float64)
-            above = grey - air
-            if tables is not None:
-                ring = tables[k, inner] * (1.0 - (bin_position - inner)) + tables[k, inner + 1] * (bin_position - inner)
-                above = grey - ring - air
-            changed = air + above / cup
+            ring = 0.0 if tables is None else tables[k, inner] * (1.0 - share) + tables[k, inner + 1] * share
+            changed = air + (grey - ring - air) / cup
             changed = np.rint(changed) if whole else changed
             within = np.clip(changed, float(limits.min), float(limits.max))
             is_empty = (grey == self.levels.padding) | ~np.isfinite(grey)
@@ -157,13 +151,11 @@ def correct_volume(
             "--correct-rings and --correct-cupping."
         )
     turning = make_turning(volume, params.axis, params.centre_um)
-    threads = count_threads(threads)
-    record = CorrectionRecord(
-        axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=turning.shape[0]
-    )
-    rows, cols = np.arange(turning.shape[1]), np.arange(turning.shape[2])
+    length, rows, cols = (np.arange(n) for n in turning.shape)
+    record = CorrectionRecord(axis=params.axis, centre_um=turning.centre_um, asked=params.asked, length=length.size)
     slices = partial(slices_of, volume, turning, memory_bytes=memory_bytes)
-    levels = find_levels([values for _, values in slices(most=_LOOK)], turning.radius_um(rows, cols))
+    # A first look at some slices.
+    levels = find_levels([values for _, values in slices(most=24)], np.hypot(*turning.offsets_um(rows, cols)))
     if levels is None:
         record = replace(record, sentences=("No sheet stands out from the air: nothing was corrected.",))
         return Corrected(volume=_with_record(volume, record), record=record, turning=turning)
@@ -171,8 +163,8 @@ def correct_volume(
 
     def sums(slices: Iterator[tuple[int, Slice]], task: str) -> Sums:
         if progress is not None:
-            progress(task, f"{turning.shape[0]} slices across {params.axis}")
-        return take_sums(slices, turning, levels, threads=threads)
+            progress(task, f"{length.size} slices across {params.axis}")
+        return take_sums(slices, turning, levels, threads=count_threads(threads))
 
     before = sums(slices(), "rings and cupping")
     change, record = _find_change(before, turning, levels, record)
@@ -211,22 +203,26 @@ def _find_change(
     """Find the change that the volume needs, and note it with its reasons in the record."""
     sentences: list[str] = []
     fit = find_rings(before, turning, levels.contrast)
+    cupping, trends, of_cupping = find_cupping(before, turning, levels, fit.mean)
     if "rings" in record.asked:
-        if fit.rings:
-            highest = max(abs(r.share) for r in fit.rings)
-            sentences.append(f"Rings: {len(fit.rings)} corrected, the highest {100 * highest:.1f} % of the contrast.")
-        else:
-            limit = f"one of {100 * fit.limit:.1f} % of the sheet's contrast would have been found"
-            sentences.append(f"Rings: no rings above noise ({limit}), nothing was corrected.")
         record = replace(record, rings=fit.rings, ring_limit=fit.limit)
-    cupping, trends, sentence = find_cupping(before, turning, levels, fit.mean)
-    if "cupping" in record.asked:
+        limit = f"one of {100 * fit.limit:.1f} % of the sheet's contrast would have been found"
+        sentence = f"Rings: no rings above noise ({limit}), nothing was corrected."
+        if fit.rings:
+            highest = 100 * max(abs(r.share) for r in fit.rings)
+            sentence = f"Rings: {len(fit.rings)} corrected, the highest {highest:.1f} % of the contrast."
         sentences.append(sentence)
+    if "cupping" in record.asked:
+        sentences.append(of_cupping)
     else:
         cupping = None
     record = replace(record, slices=before.slices, cupping=cupping, trends=trends, sentences=tuple(sentences))
     change = Change(
-        turning=turning, levels=levels, rings=fit if record.rings else None, cupping=cupping, blocks=before.blocks,
+        turning=turning,
+        levels=levels,
+        rings=fit if record.rings else None,
+        cupping=cupping,
+        blocks=before.blocks,
         mean_factor=1.0 if cupping is None else middle_factor(before, turning, cupping),
-    )  # fmt: skip
+    )
     return change, record

@@ -22,14 +22,10 @@ from planish.core.transform import Pair
 from planish.core.typing import Bools, Floats
 from planish.sections.band import SectionSeries, Stack
 from planish.sections.network import LEAST_SHARE, Index, parts, quick_places, slow_part, solve_places
-from planish.sections.pairs import FINEST_UM, GROUPS, Bands, SectionPairs, compare
+from planish.sections.pairs import FINEST_UM, GROUPS, SectionPairs, compare
 
-_GAP_SECTIONS = 4.5  # neighbours farther apart show other fibres: three missing sections are bridged, no more
 _REACH, _REACH_FIRST = 5, 2  # each section is compared with so many on either side, and in the first rounds
-_ROUNDS = 3  # of measuring the offsets, each with the corrections of the last
-_FINE_ROUNDS = 2
-_COARSE_FACTOR = 4.0
-"""On the sigma of pairs of coarse bands: those over the same sections, and the next ones, share their errors."""
+
 _SURER = 0.5  # sigma of fine over that of coarse pairs of neighbours, above which the fine ones show noise
 
 
@@ -105,22 +101,18 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     pose[:, 0] = series.band.jump * series.pixel_um[0]
     # The first rounds only bring the sections near, with few pairs; the offsets that count are those of the last.
     near = second - first <= _REACH_FIRST
-    for _ in range(_ROUNDS - 1):
-        coarse = _measure_pairs(series, pose, first[near], second[near])
+    for chosen in (near, near, np.ones_like(near)):
+        coarse = compare(series, pose, first[chosen], second[chosen])
         places, is_used = _join_pairs(coarse, n)
         groups = parts(coarse.first[is_used], coarse.second[is_used], n)
         pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
-    coarse = _measure_pairs(series, pose, first, second)
-    places, is_used = _join_pairs(coarse, n)
-    groups = parts(first[is_used], second[is_used], n)
-    pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
     # Coarse texture wanders along the columns with the fibres that come and go; fine texture less. The place along the
     # columns is measured once more in it, now that the sections lie near enough.
     close = (second - first == 1) & is_used
     fine: SectionPairs | None = None
     coarse_pose = pose
-    for _ in range(_FINE_ROUNDS if max(series.pixel_um) <= FINEST_UM and close.any() else 0):
-        finer = _measure_pairs(series, pose, first[close], second[close], fine=True)
+    for _ in range(2 if max(series.pixel_um) <= FINEST_UM and close.any() else 0):
+        finer = compare(series, pose, first[close], second[close], fine=True)
         if not np.median(finer.sigma[:, 1]) < _SURER * np.median(coarse.sigma[close, 1]):
             fine, pose = None, coarse_pose
             break
@@ -129,7 +121,7 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
         pose = quick_places(places + course, away, groups, cutoff_um=cutoff)
     # Sections that hang together with others, by two pairs or more.
     pair_counts = np.bincount(np.concatenate([first[is_used], second[is_used]]), minlength=n)
-    aligned = np.isin(np.arange(n), np.concatenate([np.zeros(0, np.intp), *groups])) & (pair_counts >= min(2, n - 1))
+    aligned = np.isin(np.arange(n), [i for group in groups for i in group]) & (pair_counts >= min(2, n - 1))
     pose[~aligned] = 0.0
     variance = np.full(3, np.nan)
     if aligned.any():
@@ -138,20 +130,24 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
     mean_square_turn = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= max(0.0, 1.0 - variance[2] / mean_square_turn) if mean_square_turn > 0 else 0.0
-    fixed_axes = _add_fixed_drift(pose, fixed, away, cutoff, aligned) if fixed is not None else (False, False, False)
+    # The slow part of what something fixed shows.
+    fixed = np.full((n, 3), np.nan) if fixed is None else fixed
+    is_fixed = [bool(np.isfinite(course).mean() >= 0.5) for course in fixed.T]
+    for axis in np.flatnonzero(is_fixed):
+        weights = np.isfinite(fixed[:, axis]).astype(np.float64)
+        slow = slow_part(away, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff, weights=weights)
+        pose[aligned, axis] += slow[aligned]
+    pairs_used = int(np.count_nonzero(is_used))
     return Alignment(
-        shift_um=pose[:, :2].copy(), rotation_rad=pose[:, 2].copy(), aligned=aligned,
-        jitter_left_um=np.sqrt(variance[:2]), pairs_used=int(np.count_nonzero(is_used)),
-        pairs_refused=int(is_used.size - np.count_nonzero(is_used)), cutoff_um=cutoff, fixed=fixed_axes,
-    )  # fmt: skip
-
-
-def _measure_pairs(
-    series: SectionSeries, pose: Floats, first: Index, second: Index, *, fine: bool = False
-) -> SectionPairs:
-    """Measure the offsets of pairs of sections in bands that are straightened by their poses."""
-    bands = Bands(stack=series.stack, band=series.band, pixel_um=series.pixel_um, fine=fine)
-    return compare(bands.sums(pose, first, second), first, second, pose, fine=fine)
+        shift_um=pose[:, :2].copy(),
+        rotation_rad=pose[:, 2].copy(),
+        aligned=aligned,
+        jitter_left_um=np.sqrt(variance[:2]),
+        pairs_used=pairs_used,
+        pairs_refused=is_used.size - pairs_used,
+        cutoff_um=cutoff,
+        fixed=tuple(is_fixed),
+    )
 
 
 def _spread_without_groups(
@@ -169,28 +165,14 @@ def _spread_without_groups(
     return np.var(poses, axis=0)
 
 
-def _add_fixed_drift(pose: Floats, fixed: Floats, away: Floats, cutoff: float, aligned: Bools) -> tuple[bool, ...]:
-    """Add the slow part of what something fixed shows; True for each axis that it shows."""
-    is_fixed = [False, False, False]
-    for axis in range(3):
-        is_measured = np.isfinite(fixed[:, axis])
-        if np.count_nonzero(is_measured) < 0.5 * is_measured.size:
-            continue
-        slow = slow_part(
-            away, np.where(is_measured, fixed[:, axis], 0.0), cutoff_um=cutoff, weights=is_measured.astype(np.float64)
-        )
-        pose[aligned, axis] += slow[aligned]
-        is_fixed[axis] = True
-    return tuple(is_fixed)
-
-
 def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Index, Index]:
     """Give the pairs of sections at most ``reach`` apart with no wide gap between them, ordered by the first."""
     n = away_um.size
-    wide = np.cumsum(np.concatenate([[0], np.diff(away_um) > _GAP_SECTIONS * pitch_um]))
-    ties = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach, n - 1) + 1) if wide[i] == wide[j]]
-    table = np.array(ties, np.intp).reshape(-1, 2)
-    return table[:, 0], table[:, 1]
+    # Neighbours farther apart show other fibres: three missing sections are bridged, no more.
+    wide = np.cumsum(np.concatenate([[0], np.diff(away_um) > 4.5 * pitch_um]))
+    ties = [(i, j) for i in range(n) for j in range(i + 1, min(i + reach + 1, n)) if wide[i] == wide[j]]
+    first, second = np.array(ties, np.intp).reshape(-1, 2).T
+    return first, second
 
 
 def _sheet_course(series: SectionSeries, without: int = -1) -> Floats:
@@ -199,8 +181,8 @@ def _sheet_course(series: SectionSeries, without: int = -1) -> Floats:
     blocks = band.at_col * GROUPS // cols != without
     x = (band.at_col[blocks] - 0.5 * (cols - 1)) * series.pixel_um[1]
     y = (band.row[:, blocks] - 0.5 * (rows - 1)) * series.pixel_um[0]
-    slope, mean = np.polynomial.polynomial.polyfit(x, y.T, 1)[::-1]
-    return np.stack([mean, np.zeros(mean.size), slope], axis=1)
+    mean, slope = np.polynomial.polynomial.polyfit(x, y.T, 1)
+    return np.stack([mean, np.zeros_like(mean), slope], axis=1)
 
 
 def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
@@ -218,17 +200,18 @@ def _join_pairs(pairs: SectionPairs, n: int) -> tuple[Floats, Bools]:
 def _join_columns(coarse: SectionPairs, fine: SectionPairs, n: int) -> Floats:
     """Places along the columns from the coarse and the fine texture together; (sections,)."""
     # The coarse ones bridge what the fine ones do not hold together, and take over where noise hides fine texture.
-    first = np.concatenate([p.first[p.sound] for p in (coarse, fine)])
-    second = np.concatenate([p.second[p.sound] for p in (coarse, fine)])
-    offset = np.concatenate([p.offset[p.sound, 1] for p in (coarse, fine)])
-    sigma = np.concatenate([_COARSE_FACTOR * coarse.sigma[coarse.sound, 1], fine.sigma[fine.sound, 1]])
+    # Coarse pairs over the same sections, and the next ones, share their errors: hence the factor on their sigma.
+    columns = [
+        (p.first[p.sound], p.second[p.sound], p.offset[p.sound, 1], factor * p.sigma[p.sound, 1])
+        for p, factor in ((coarse, 4.0), (fine, 1.0))
+    ]
+    first, second, offset, sigma = map(np.concatenate, zip(*columns, strict=True))
     return solve_places(first, second, offset, sigma, n)[0]
 
 
 Strip = tuple[int, int]
 
 _PARTS = 12  # pieces along the line: their spread says how sure a place is, their course gives the rotation
-_STEPS = 4
 _LEAST = 4  # pixels across a strip
 
 
@@ -255,20 +238,17 @@ def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, col
     VolumeError
         If a strip lies outside the photographs, is too narrow, or shows no line.
     """
-    n = stack.shape[0]
-    places = np.full((n, 3), np.nan)
+    places = np.full((stack.shape[0], 3), np.nan)
     for axis, strip in ((0, rows), (1, cols)):
         if strip is None:
             continue
-        size = stack.shape[1 + axis]
-        low, high = strip
-        if not (low >= 0 and low + _LEAST <= high < size):
+        size, (low, high) = stack.shape[1 + axis], strip
+        if not 0 <= low <= high - _LEAST < size - _LEAST:
             raise VolumeError(
                 f"The strip {low} to {high} of a fixed line does not lie in the photographs, which have {size} "
                 f"{'rows' if axis == 0 else 'columns'}, or is narrower than {_LEAST} pixels. Give first and last one."
             )
-        place, turn = _line_places(stack, axis, strip, pixel_um)
-        places[:, axis] = place
+        places[:, axis], turn = _line_places(stack, axis, strip, pixel_um)
         if np.isnan(places[:, 2]).all():
             # Along a column the place is smaller by rotation y, along a row larger by rotation x.
             places[:, 2] = turn if axis == 0 else -turn
@@ -276,37 +256,44 @@ def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, col
     return places - mean
 
 
-def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: tuple[float, float]) -> tuple[Floats, Floats]:
+def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple[Floats, Floats]:
     """Place in um and slope of the line of each section, against their mean."""
-    n, pixel = stack.shape[0], pixel_um[axis]
-    length = stack.shape[2 - axis]
+    pixel, length, (first, last) = pixel_um[axis], stack.shape[2 - axis], strip
     edges = np.linspace(0, length, _PARTS + 1).astype(int)
 
     def cut(i: int) -> Floats:
         grey = np.asarray(stack[i], dtype=np.float64)
-        grey = grey[strip[0] : strip[1] + 1] if axis == 0 else grey[:, strip[0] : strip[1] + 1].T
+        grey = grey[first : last + 1] if axis == 0 else grey[:, first : last + 1].T
         return np.add.reduceat(grey, edges[:-1], axis=1).T / np.diff(edges)[:, None]
 
-    profiles = np.stack(map_threads(cut, range(n)))  # (sections, pieces, across)
+    profiles = np.stack(map_threads(cut, range(stack.shape[0])))  # (sections, pieces, across)
     off = np.zeros(profiles.shape[:2])
     alike = np.zeros(profiles.shape[:2])
     for blur in (12.0, 4.0, 2.0):  # Gaussian sigma, from coarse to fine: the first reaches as far as sections are off
         smooth = gaussian_filter1d(profiles, max(blur / pixel, 0.5), axis=2, mode="nearest")
-        for _ in range(_STEPS):
+        for _ in range(4):
             moved = _shifted(smooth, off)
-            template = np.median(moved, axis=0)
-            step, alike = _match_template(moved, template)
+            step, alike = _match_template(moved, np.median(moved, axis=0))
             off += np.clip(step, -2 * blur / pixel, 2 * blur / pixel)
             off -= np.median(off)
     shows_line = alike > 0.7  # correlation with the mean profile below which a piece does not show the line
-    if np.count_nonzero(shows_line.sum(axis=1) >= _PARTS // 2) < 0.5 * n:
+    is_clear = shows_line.sum(axis=1) >= _PARTS // 2
+    if np.count_nonzero(is_clear) < 0.5 * is_clear.size:
         direction = "rows" if axis == 0 else "columns"
         raise VolumeError(
-            f"The {direction} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at "
-            "a few photographs and give a strip that shows the same straight line throughout."
+            f"The {direction} {first} to {last} show no line or edge that lies still in most sections. Look at a few "
+            "photographs and give a strip that shows the same straight line throughout."
         )
     along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
-    return _fit_lines(off * pixel, shows_line, along)
+    # The mean course of all sections is the line's own and is taken off.
+    off *= pixel
+    line_course, counted = np.zeros(_PARTS), shows_line.any(axis=0)
+    line_course[counted] = np.nanmedian(np.where(shows_line, off, np.nan)[:, counted], axis=0)
+    lines = np.full((is_clear.size, 2), np.nan)
+    for i in np.flatnonzero(is_clear):
+        pieces = shows_line[i]
+        lines[i] = np.polyfit(along[pieces], (off[i] - line_course)[pieces], 1)
+    return lines[:, 1], lines[:, 0]
 
 
 def _shifted(profiles: Floats, off: Floats) -> Floats:
@@ -335,19 +322,3 @@ def _match_template(moved: Floats, template: Floats) -> tuple[Floats, Floats]:
     alike = ft / np.sqrt(np.maximum(ff * tt, 1e-12))
     good = gain > 0.2
     return np.where(good, -move / np.where(good, gain, 1.0), 0.0), alike
-
-
-def _fit_lines(off: Floats, shows_line: Bools, along: Floats) -> tuple[Floats, Floats]:
-    """Mean and slope of each section's pieces; the mean course of all sections is the line's own and is taken off."""
-    measured = np.where(shows_line, off, np.nan)
-    counted = shows_line.sum(axis=0) > 0
-    line_course = np.zeros(off.shape[1])
-    line_course[counted] = np.nanmedian(measured[:, counted], axis=0)
-    place, turn = np.full(off.shape[0], np.nan), np.full(off.shape[0], np.nan)
-    for i in range(off.shape[0]):
-        pieces = shows_line[i]
-        if np.count_nonzero(pieces) < _PARTS // 2:
-            continue
-        slope, mean = np.polyfit(along[pieces], (off[i] - line_course)[pieces], 1)
-        place[i], turn[i] = mean, slope
-    return place, turn

@@ -15,30 +15,23 @@ from scipy.ndimage import median_filter
 from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections._kernels import pair_sums, smooth, straighten
-from planish.sections.band import SheetBand, Stack
+from planish.sections.band import SectionSeries, SheetBand, Stack
 from planish.sections.network import Index
 
 Samples = NDArray[np.float32]
 
-_PITCH_UM = (2.5, 5.0)  # of the samples, rows and cols: about; a whole number of pixels
-_BLUR_UM = 6.0  # standard deviation; wide against the shifts to be measured, narrow against the texture
-_FINE_PITCH_UM = (1.6, 0.8)
 FINEST_UM = 3.0  # with wider pixels the fine bands would show no more than the others
-_MEND_UM = (75.0, 5.0)  # window of the median against which a knife mark stands out, and its surroundings
 _MARGIN_UM = 30.0  # beyond the faces
 _PART_UM = 150.0  # five times the reach of the texture
 _PARTS = (8, 48)
 GROUPS = 6  # runs of parts that are left out in turn: parts side by side share some of their errors
-_LINE_SIGMAS = 5.0  # a column of the resin that stands out so far is a knife mark
 _OUTLIER_SIGMAS = 4.0
 _TURN_UM = 1000.0  # rotations are carried as the shift at this distance, so that all unknowns are alike in size
 _ALIKE = 0.5  # correlation of two bands below which they do not show the same sheet
-_LARGEST_SIGMA_UM = 5.0
-_STIFF = 1e-6
 _BLOCK = 32  # sections that a thread takes at a time
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class SectionPairs:
     """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
 
@@ -79,12 +72,10 @@ class Bands:
 
     @property
     def step(self) -> tuple[int, int]:
-        """Pixels per sample along rows and cols."""
-        pitch = _FINE_PITCH_UM if self.fine else _PITCH_UM
-        return (
-            max(1, round(pitch[0] / self.pixel_um[0])),
-            max(1, min(round(pitch[1] / self.pixel_um[1]), self.stack.shape[2] // 64)),
-        )
+        """Pixels per sample along rows and cols: about so many um."""
+        rows_um, cols_um = (1.6, 0.8) if self.fine else (2.5, 5.0)
+        across = min(round(cols_um / self.pixel_um[1]), self.stack.shape[2] // 64)
+        return max(1, round(rows_um / self.pixel_um[0])), max(1, across)
 
     @property
     def pitch_um(self) -> tuple[float, float]:
@@ -97,10 +88,9 @@ class Bands:
         ``pose``, (row, col) in um and rotation in rad, is taken off.
         """
         _, rows, cols = self.stack.shape
-        (down, across), (pitch_r, pitch_c) = self.step, self.pitch_um
-        (pixel_r, pixel_c), half = self.pixel_um, self.band.half_um + _MARGIN_UM
+        (down, across), (pitch_r, pitch_c), (pixel_r, pixel_c) = self.step, self.pitch_um, self.pixel_um
         height = self.band.heights(section, cols)
-        count = max(5, round(2 * half / pitch_r))
+        count = max(5, round(2 * (self.band.half_um + _MARGIN_UM) / pitch_r))
         samples = np.zeros((count, cols // across), np.float32)
         in_pixels = np.array(
             [pose[0] / pixel_r, pose[1] / pixel_c, pose[2] * pixel_c / pixel_r, pose[2] * pixel_r / pixel_c]
@@ -109,14 +99,12 @@ class Bands:
         samples -= np.float32(self.band.background[section])
         samples /= np.float32(self.band.contrast[section])
         self._replace_knife_marks(samples)
-        blur = max(1.0, pixel_c) if self.fine else _BLUR_UM  # or one pixel
-        weights = [_gaussian(blur / pitch) for pitch in (pitch_r, pitch_c)]
-        smoothed = np.empty_like(samples)
-        smooth(samples, weights[0], weights[1], np.empty(samples.shape[1] + weights[1].size, np.float32), smoothed)
+        # Wide against the shifts to be measured, narrow against the texture; or one pixel.
+        blur = max(1.0, pixel_c) if self.fine else 6.0
+        smoothed = _smoothed(samples, _gaussian(blur / pitch_r), _gaussian(blur / pitch_c))
         if self.fine:
-            wide = _gaussian(4.0 * blur / pitch_c)  # blurs of the Gaussian whose mean along the columns is taken off
-            smooth(smoothed, np.ones(1, np.float32), wide, np.empty(samples.shape[1] + wide.size, np.float32), samples)
-            smoothed -= samples
+            # A Gaussian of four blurs, whose mean along the columns is taken off.
+            smoothed -= _smoothed(smoothed, np.ones(1, np.float32), _gaussian(4.0 * blur / pitch_c))
         middle = (np.arange(samples.shape[1]) + 0.5) * across - 0.5
         height_um = np.interp(middle, np.arange(cols), height) * pixel_r
         return smoothed, (height_um - 0.5 * (rows - 1) * pixel_r).astype(np.float32)
@@ -127,14 +115,14 @@ class Bands:
         profile = np.concatenate([samples[:rim], samples[-rim:]]).mean(axis=0)
         if not np.isfinite(profile).all():
             return
-        window, margin = (max(1, round(length / self.pitch_um[1])) for length in _MEND_UM)
+        # Window of the median against which a mark stands out by five sigma, and the mark's surroundings.
+        window, margin = (max(1, round(length / self.pitch_um[1])) for length in (75.0, 5.0))
         away = np.abs(profile - median_filter(profile, window, mode="nearest"))
-        marked = away > _LINE_SIGMAS * 1.4826 * float(np.median(away))
+        marked = away > 5.0 * 1.4826 * float(np.median(away))
         marked = np.convolve(marked, np.ones(2 * margin + 1), mode="same") > 0
-        if not marked.any() or np.count_nonzero(marked) > 0.3 * marked.size:
+        good, bad = np.flatnonzero(~marked), np.flatnonzero(marked)
+        if bad.size == 0 or bad.size > 0.3 * marked.size:
             return
-        good = np.flatnonzero(~marked)
-        bad = np.flatnonzero(marked)
         right = np.clip(np.searchsorted(good, bad), 1, good.size - 1)
         a, b = good[right - 1], good[right]
         share = np.clip((bad - a) / (b - a), 0.0, 1.0).astype(np.float32)
@@ -179,11 +167,18 @@ class Bands:
         return sums
 
 
-def compare(sums: Floats, first: Index, second: Index, pose: Floats, *, fine: bool) -> SectionPairs:
-    """Offsets of pairs from their sums (pairs, parts, 13); ``pose`` as the bands were made with.
+def _smoothed(samples: Samples, down: Samples, across: Samples) -> Samples:
+    out = np.empty_like(samples)
+    smooth(samples, down, across, np.empty(samples.shape[1] + across.size, np.float32), out)
+    return out
+
+
+def compare(series: SectionSeries, pose: Floats, first: Index, second: Index, *, fine: bool = False) -> SectionPairs:
+    """Offsets of pairs of sections, ordered by the first, in bands that are straightened by their poses.
 
     ``fine`` bands show neither a rotation nor whether both are of one sheet.
     """
+    sums = Bands(stack=series.stack, band=series.band, pixel_um=series.pixel_um, fine=fine).sums(pose, first, second)
     # Enough of both is there, and they go up and down together.
     total = sums.sum(axis=1)
     likeness = 1.0 - total[:, 9] / np.maximum(total[:, 10], 1e-12)
@@ -196,12 +191,11 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
     scale = np.array([1.0, 1.0, _TURN_UM])[:size]
     rows, cols = np.triu_indices(3)
     matrix = np.zeros((*sums.shape[:2], 3, 3))
-    matrix[..., rows, cols] = sums[..., :6]
-    matrix[..., cols, rows] = sums[..., :6]
+    matrix[..., rows, cols] = matrix[..., cols, rows] = sums[..., :6]
     matrix = matrix[..., :size, :size] / (scale[:, None] * scale)
     right = -sums[..., 6:9][..., :size] / scale
     weight = np.ones(sums.shape[:2])
-    stiff = _STIFF * np.eye(size) * np.maximum(matrix.sum(axis=1)[:, :1, :1], 1e-12)
+    stiff = 1e-6 * np.eye(size) * np.maximum(matrix.sum(axis=1)[:, :1, :1], 1e-12)
     answer = np.zeros((first.size, size))
     covariance = np.zeros((first.size, size, size))
     for _ in range(3):
@@ -212,27 +206,19 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
         pull = right - np.einsum("pkij,pj->pki", matrix, answer)
         spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
-        weight = _part_weights(matrix, pull)
+        # A part of the columns weighs less where it pulls farther than the others.
+        away = np.abs(pull / np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12))
+        sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
+        weight = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
     offset = base.copy()
     offset[:, :size] += answer / scale
     parts = sums.shape[1]
     sigma = np.full((first.size, 3), np.inf)
     sigma[:, :size] = np.sqrt(np.einsum("pii->pi", covariance) * parts / max(parts - 1, 1))
-    sound = alike & np.all(np.isfinite(answer), axis=1) & np.all(sigma[:, :2] < _LARGEST_SIGMA_UM, axis=1)
+    sound = alike & np.isfinite(answer).all(axis=1) & (sigma[:, :2] < 5.0).all(axis=1)
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
-    return SectionPairs(
-        first=first, second=second, offset=offset, sigma=sigma, alike=alike, sound=sound, sums=sums, base=base,
-        fine=fine,
-    )  # fmt: skip
-
-
-def _part_weights(matrix: Floats, pull: Floats) -> Floats:
-    """Weigh each part of the columns (pairs, parts): less where it pulls farther than the others."""
-    strength = np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12)
-    away = np.abs(pull / strength)
-    sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
-    return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
+    return SectionPairs(first, second, offset, sigma, alike, sound, sums, base, fine)
 
 
 def _gaussian(sigma: float) -> Samples:
