@@ -8,6 +8,7 @@ a fibre that happens to follow a circle shows in some. The scatter between the p
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,12 +23,8 @@ _LEAST = 6  # voxels of a part of a circle
 _INNERMOST = 6  # bins; a smaller circle has too few voxels
 _CLEAR = 5.0  # standard errors: among thousands of radii chance reaches four
 _LOWEST = 0.003  # of the contrast: what is lower does not matter, and a byte does not hold it
-_AROUND = 81  # bins whose usual scatter is the least error of the one in their middle
-_NARROWEST = 3  # bins: no ring is narrower than the blur
-_PARTS = 4.0  # parts of circles that have to agree, counted by their weight
 _CHI2 = 0.4549  # median of the square of a standard normal number
 _SHOWN = 0.5  # of its height that a ring shows in every material
-_MOST_BINS = 40  # width of a ring; what is wider is left alone
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -59,58 +56,57 @@ class RingFit:
 
 def find_rings(sums: Sums, turning: Turning, contrast: float) -> RingFit:
     """Find the rings that stand out from noise and structure; there may be none."""
-    residual, weight, profile, error, intervals = _find_intervals(sums)
-    blocks, bins = len(residual), profile.size
-    shapes: list[Floats] = []
-    factors: list[Floats] = []
-    rings: list[RingArtefact] = []
-    parts: list[tuple[Floats, Floats]] = []
-    materials: list[tuple[Floats, Floats]] = []
-    if intervals:
-        parts = [_robust_mean(r.reshape(-1, bins), w.reshape(-1, bins)) for r, w in zip(residual, weight, strict=True)]
-        materials = [_robust_mean(*(a[:, :, m].reshape(-1, bins) for a in (residual, weight))) for m in range(3)]
-    for first, last in intervals:
-        where = slice(first, last + 1)
-        heights = [_height_factor(profile[where], p[where], e[where]) for p, e in materials]
-        # What a material clearly shows less than a part of is the structure of another one.
-        if any(power and factor + 3.0 / np.sqrt(power) < _SHOWN for factor, power in heights):
-            continue
-        shape = np.zeros(bins)
-        shape[where] = profile[where]
-        factor = _block_factors(shape[where], [(p[where], e[where]) for p, e in parts]) if blocks > 1 else np.ones(1)
-        crest = first + int(np.argmax(np.abs(profile[where])))
-        height = float(profile[crest])
-        width = np.count_nonzero(np.abs(profile[where]) >= 0.5 * abs(height)) * turning.step_um
-        shapes.append(shape)
-        factors.append(factor)
-        rings.append(RingArtefact(
-            radius_um=(crest + 0.5) * turning.step_um, width_um=float(width), height=height * contrast, share=height,
-            share_se=float(error[crest]), least=float(factor.min()), most=float(factor.max()),
-        ))  # fmt: skip
-    return RingFit(
-        rings=tuple(rings), shapes=np.array(shapes).reshape(-1, bins), factors=np.array(factors).reshape(-1, blocks),
-        profile=profile, error=error,
-    )  # fmt: skip
-
-
-def _find_intervals(sums: Sums) -> tuple[Floats, Floats, Floats, Floats, list[tuple[int, int]]]:
-    """Residual and weight of the parts, their mean profile and its error, and the bins of the rings in it."""
+    bins = sums.count.shape[-1]
     # A ring lifts the running median beside it, which makes two faint ones of the other sign. So the high ones are
     # taken off first.
-    bins = sums.count.shape[-1]
     heights = np.zeros(bins)
     residual = weight = np.zeros((0, 0, 0, bins))
     profile = error = heights
-    intervals: list[tuple[int, int]] = []
+    intervals: list[slice] = []
     for share in (0.5, 0.2, 0.1, 0.0):  # of the highest ring: what is lower waits for the next round
         residual, weight = _residuals(sums, heights)
-        profile, error = _robust_mean(residual.reshape(-1, bins), weight.reshape(-1, bins))
+        profile, error = _robust_mean(residual, weight)
         profile[:_INNERMOST] = error[:_INNERMOST] = np.nan
         intervals = _intervals(profile, error, share)
         heights = np.zeros(bins)
-        for first, last in intervals:
-            heights[first : last + 1] = profile[first : last + 1]
-    return residual, weight, profile, error, intervals
+        for where in intervals:
+            heights[where] = profile[where]
+    shapes: list[Floats] = []
+    factors: list[Floats] = []
+    rings: list[RingArtefact] = []
+    blocks = [_robust_mean(r, w) for r, w in zip(residual, weight, strict=True)] if intervals else []
+    materials = [_robust_mean(residual[:, :, m], weight[:, :, m]) for m in range(3)] if intervals else []
+    for where in intervals:
+        ring = profile[where]
+        in_materials = [_height_factor(ring, p[where], e[where]) for p, e in materials]
+        # What a material clearly shows less than a part of is the structure of another one.
+        if any(power and factor + 3.0 / np.sqrt(power) < _SHOWN for factor, power in in_materials):
+            continue
+        shape = np.zeros(bins)
+        shape[where] = ring
+        factor = _block_factors(ring, [(p[where], e[where]) for p, e in blocks]) if len(blocks) > 1 else np.ones(1)
+        crest = where.start + int(np.argmax(np.abs(ring)))
+        height = float(profile[crest])
+        shapes.append(shape)
+        factors.append(factor)
+        rings.append(
+            RingArtefact(
+                radius_um=(crest + 0.5) * turning.step_um,
+                width_um=float(np.count_nonzero(np.abs(ring) >= 0.5 * abs(height)) * turning.step_um),
+                height=height * contrast,
+                share=height,
+                share_se=float(error[crest]),
+                least=float(factor.min()),
+                most=float(factor.max()),
+            )
+        )
+    return RingFit(
+        rings=tuple(rings),
+        shapes=np.array(shapes).reshape(-1, bins),
+        factors=np.array(factors).reshape(-1, len(residual)),
+        profile=profile,
+        error=error,
+    )
 
 
 def remaining_rings(before: RingFit, after: RingFit) -> tuple[RingArtefact, ...]:
@@ -151,10 +147,11 @@ def _residuals(sums: Sums, rings: Floats) -> tuple[Floats, Floats]:
 
 
 def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
-    """Robust mean (bin,) over parts (part, bin) and its standard error; NaN where too few parts have values."""
+    """Robust mean (bin,) over all parts (..., bin) and its standard error; NaN where too few parts have values."""
+    residual, weight = (a.reshape(-1, a.shape[-1]) for a in (residual, weight))
     total = weight.sum(axis=0)
     parts = np.divide(total**2, np.sum(weight**2, axis=0), out=np.zeros_like(total), where=total > 0)
-    sure = parts >= min(_PARTS, 0.6 * len(weight))
+    sure = parts >= min(4.0, 0.6 * len(weight))  # parts of circles that have to agree, counted by their weight
     mean = _weighted_median(residual, weight)
     robust = weight
     for _ in range(5):
@@ -163,12 +160,12 @@ def _robust_mean(residual: Floats, weight: Floats) -> tuple[Floats, Floats]:
         scale = np.maximum(_weighted_median(off, (weight > 0).astype(np.float64)) / np.sqrt(_CHI2), 1.0)
         robust = weight * np.minimum(1.0, 2.0 * scale / np.maximum(off, 1e-12))
         mean = np.sum(robust * residual, axis=0) / np.maximum(robust.sum(axis=0), 1e-12)
-    total_robust = np.maximum(robust.sum(axis=0), 1e-12)
-    scatter = np.sqrt(np.sum((robust * (residual - mean)) ** 2, axis=0)) / total_robust
-    error = np.maximum(scatter, 1.0 / np.sqrt(total_robust))
+    total = np.maximum(robust.sum(axis=0), 1e-12)
+    scatter = np.sqrt(np.sum((robust * (residual - mean)) ** 2, axis=0)) / total
+    error = np.maximum(scatter, 1.0 / np.sqrt(total))
     # Circles pass the rows of voxels and the layers of the sheet in ever new ways: what that does from bin to bin is
-    # error too.
-    usual = ndimage.median_filter(np.abs(mean) / error, _AROUND, mode="nearest") / np.sqrt(_CHI2)
+    # error too, at least the usual scatter of the bins around.
+    usual = ndimage.median_filter(np.abs(mean) / error, 81, mode="nearest") / np.sqrt(_CHI2)
     error = error * np.maximum(usual, 1.0)
     return np.where(sure, mean, np.nan), np.where(sure, error, np.nan)
 
@@ -180,29 +177,24 @@ def _weighted_median(values: Floats, weight: Floats) -> Floats:
     return np.take_along_axis(np.take_along_axis(values, order, axis=0), middle[None], axis=0)[0]
 
 
-def _intervals(profile: Floats, error: Floats, share: float) -> list[tuple[int, int]]:
-    """First and last bin of every ring that has ``share`` of the height of the highest."""
+def _intervals(profile: Floats, error: Floats, share: float) -> list[slice]:
+    """Bins of every ring that has ``share`` of the height of the highest."""
     height = np.nan_to_num(profile)
     clarity = np.where(np.isfinite(error), np.abs(height) / np.nan_to_num(error, nan=1.0), 0.0)
     # What fills one bin only is no ring: its neighbours have to show it too.
     neighbours = ndimage.uniform_filter1d(np.where(clarity > 0, height, 0.0), 3) / np.where(clarity > 0, height, 1.0)
     clarity = np.minimum(clarity, neighbours * clarity * np.sqrt(3.0))
     clear = (clarity > _CLEAR) & (np.abs(height) > _LOWEST)
-    highest = float(np.abs(height[clear]).max()) if clear.any() else 0.0
-    seeds = np.flatnonzero(clear & (np.abs(height) >= share * highest))
-    in_ring = clarity > 1.5  # standard errors at which a ring ends
-    intervals: list[tuple[int, int]] = []
-    for seed in seeds:
-        if intervals and seed <= intervals[-1][1]:
-            continue
-        ends: list[int] = []
-        for step in (-1, 1):
-            edge = int(seed)
-            while 0 <= edge + step < height.size and in_ring[edge + step] and height[edge + step] * height[seed] > 0:
-                edge += step
-            ends.append(edge)
-        if _NARROWEST <= ends[1] - ends[0] + 1 <= _MOST_BINS:
-            intervals.append((ends[0], ends[1]))
+    highest = float(np.abs(height[clear]).max(initial=0.0))
+    # A ring ends where it is below 1.5 standard errors or changes its sign.
+    side = np.where(clarity > 1.5, np.sign(height), 0.0)
+    borders = np.flatnonzero(np.diff(side, prepend=0.0, append=0.0))
+    intervals: list[slice] = []
+    for first, end in pairwise(borders.tolist()):
+        seeds = clear[first:end] & (np.abs(height[first:end]) >= share * highest)
+        # No ring is narrower than the blur, and what is wider is left alone.
+        if seeds.any() and 3 <= end - first <= 40:
+            intervals.append(slice(first, end))
     return intervals
 
 
@@ -220,11 +212,9 @@ def _block_factors(shape: Floats, parts: list[tuple[Floats, Floats]]) -> Floats:
     variance = np.divide(1.0, power, out=np.full(len(parts), np.inf), where=power > 0)
     is_valid = np.isfinite(variance)
     n = int(np.count_nonzero(is_valid))
-    if n < 2:
+    excess = (factor[is_valid] - 1.0) ** 2
+    if n < 2 or float(np.sum(excess / variance[is_valid])) < n + 4.0 * np.sqrt(2.0 * n):
         return np.ones(len(parts))
-    chi2 = float(np.sum((factor[is_valid] - 1.0) ** 2 / variance[is_valid]))
-    if chi2 < n + 4.0 * np.sqrt(2.0 * n):
-        return np.ones(len(parts))
-    between = max(float(np.mean((factor[is_valid] - 1.0) ** 2 - variance[is_valid])), 0.0)
+    between = max(float(np.mean(excess - variance[is_valid])), 0.0)
     pull = np.where(is_valid, between / (between + np.where(is_valid, variance, 1.0)), 0.0)
     return 1.0 + pull * (factor - 1.0)

@@ -53,10 +53,9 @@ class HeldMaps:
 
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         """Make the arrays of a group for maps like these."""
-        arrays = {str(k): np.empty(grid.shape, data.dtype) for k, data in maps.data_vars.items()}
-        variables = {k: (maps[k].dims, values, maps[k].attrs) for k, values in arrays.items()}
-        self._groups[name] = xr.Dataset(variables, coords=_coords(grid, maps), attrs=maps.attrs)
-        return {str(k): data.values for k, data in self._groups[name].data_vars.items()}
+        variables = {k: (data.dims, np.empty(grid.shape, data.dtype), data.attrs) for k, data in maps.data_vars.items()}
+        self._groups[name] = group = xr.Dataset(variables, coords=_coords(grid, maps), attrs=maps.attrs)
+        return {str(k): data.values for k, data in group.data_vars.items()}
 
     def group(self, name: str) -> xr.Dataset:
         """Give a group of which all tiles were added."""
@@ -107,19 +106,20 @@ class StoredMaps(HeldMaps):
             return super()._create_arrays(name, grid, maps)
         group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
         group.attrs.update(_json_attrs(maps.attrs))
-        for axis, values, attrs in _coords(grid, maps).values():
-            coordinate = group.create_array(
-                axis, shape=values.shape, dtype=values.dtype, dimension_names=(axis,), compressors=CODECS,
-                attributes=_json_attrs(attrs),
-            )  # fmt: skip
-            coordinate[:] = values
+
+        def create(key: str, dims: tuple[str, ...], attrs: Mapping[Any, Any], **more: Any) -> Any:
+            more |= {"dimension_names": dims, "compressors": CODECS, "attributes": _json_attrs(attrs)}
+            return group.create_array(key, **more)
+
+        for axis, places, attrs in _coords(grid, maps).values():
+            create(axis, (axis,), attrs, shape=places.shape, dtype=places.dtype)[:] = places
         arrays: dict[str, Any] = {}
         for key, data in maps.data_vars.items():
-            arrays[str(key)] = group.create_array(
-                str(key), shape=grid.shape, dtype=data.dtype, chunks=(min(grid.shape[0], CHUNK),
-                min(grid.shape[1], CHUNK)), compressors=CODECS,
-                fill_value=np.nan if data.dtype.kind == "f" else 0, dimension_names=[str(d) for d in data.dims],
-                attributes=_json_attrs(data.attrs), config={"write_empty_chunks": True},
+            fill = np.nan if data.dtype.kind == "f" else 0
+            chunks, how = tuple(min(n, CHUNK) for n in grid.shape), {"write_empty_chunks": True}
+            arrays[str(key)] = create(
+                str(key), tuple(map(str, data.dims)), data.attrs, shape=grid.shape, dtype=data.dtype, chunks=chunks,
+                fill_value=fill, config=how,
             )  # fmt: skip
         self.stored.append(name)
         return arrays
@@ -168,20 +168,15 @@ def is_large(group: xr.Dataset) -> bool:
 def large_groups(path: Path) -> Iterator[str]:
     """Names of the groups of a store whose maps should stay there, and of their overviews."""
     with readable(path):
-        root = zarr.open_group(path, mode="r")
-        for name, group in root.members(max_depth=None):
-            if isinstance(group, zarr.Group):
-                # An overview, ``overviews/GROUP/LEVEL``, is as large as its group.
-                is_overview = name.startswith(f"{OVERVIEWS}/") and _map_bytes(group) > 0
-                shown = root[name.split("/", 1)[1].rsplit("/", 1)[0]] if is_overview else group
-                assert isinstance(shown, zarr.Group)
-                if _map_bytes(group) >= LARGE or _map_bytes(shown) >= LARGE:
-                    yield name
-
-
-def _map_bytes(group: zarr.Group) -> int:
-    """Bytes of the maps of a group, decoded."""
-    return sum(array.nbytes for _, array in _arrays(group) if array.ndim == 2)
+        members = zarr.open_group(path, mode="r").members(max_depth=None)
+        groups = [(name, node) for name, node in members if isinstance(node, zarr.Group)]
+        sizes = {name: sum(array.nbytes for _, array in _arrays(node) if array.ndim == 2) for name, node in groups}
+        for name, size in sizes.items():
+            # An overview, ``overviews/GROUP/LEVEL``, is as large as its group.
+            if size and name.startswith(f"{OVERVIEWS}/"):
+                size = max(size, sizes[name.split("/", 1)[1].rpartition("/")[0]])
+            if size >= LARGE:
+                yield name
 
 
 def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:

@@ -29,6 +29,10 @@ from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, l
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _METADATA = "zarr.json"
 _WORK_TEXT = "Results of single tiles of a run that planish is working on. It removes this folder at the end.\n"
+_IN_THE_WAY = (
+    "planish needs that name for a folder of its own while it writes {}. Nothing was changed. Move it away, or give "
+    "another name with --out."
+)
 
 
 @contextmanager
@@ -76,25 +80,21 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
     """
     check_length(path.absolute())
     work = path.with_name(f".{path.name}.work")
+    marker, note = work / WORK_MARKER, work / "key"
     with writing(path):
         claim_folder(work, WORK_MARKER, _WORK_TEXT, for_what=path)
         # Everything in it has to be planish's own.
         names = {entry.name for entry in work.iterdir()}
         foreign = sorted(name for name in names if is_link(work / name) or not _is_work_name(name))
-        marker = work / WORK_MARKER
         # Versions before the marker wrote a key of 64 digits and a lock.
-        marked = marker.read_text(encoding="utf-8") == _WORK_TEXT if marker.name in names else {"key", "lock"} <= names
+        marked = _has_text(marker, _WORK_TEXT) if marker.name in names else {"key", "lock"} <= names
         if foreign or not marked:
             reason = f"it holds {', '.join(foreign[:3])}" if foreign else f"it has no file {WORK_MARKER}"
-            raise FileError(
-                f"{work} was not made by planish ({reason}); planish needs that name for a folder of its own while it "
-                f"writes {path.name}. Nothing was changed. Move that folder away or give another name with --out."
-            )
+            raise FileError(f"{work} was not made by planish ({reason}). {_IN_THE_WAY.format(path.name)}")
         lock = acquire_lock(work / "lock", path)
         try:
             marker.write_text(_WORK_TEXT, encoding="utf-8", newline="\n")
-            note = work / "key"
-            if not (note.is_file() and note.read_text(encoding="utf-8") == key):
+            if not _has_text(note, key):
                 shutil.rmtree(work / "tiles", ignore_errors=True)
                 note.write_text(key, encoding="utf-8", newline="\n")
             for half in work.glob(".*.partial"):
@@ -105,15 +105,17 @@ def work_folder(path: Path, key: str) -> Generator[Path]:
             _remove_work_folder(work)
 
 
+def _has_text(file: Path, text: str) -> bool:
+    return file.is_file() and file.read_text(encoding="utf-8") == text
+
+
 def acquire_lock(lock: Path, path: Path) -> FileLock:
     """Take the lock of a folder in which ``path`` is made; FileError where another process has it."""
     file_lock = FileLock(lock)
     try:
         file_lock.acquire(timeout=0)
     except Timeout as error:
-        raise FileError(
-            f"Another planish is writing {path} at this moment. Wait for it, or give another name."
-        ) from error
+        raise FileError(f"Another planish is writing {path} now. Wait for it, or give another name.") from error
     return file_lock
 
 
@@ -125,12 +127,9 @@ def claim_folder(folder: Path, marker: str, text: str, *, for_what: Path) -> Non
     FileError
         If a link or a file stands at ``folder``: a link is never followed.
     """
-    if is_link(folder) or (folder.exists() and not folder.is_dir()):
+    if is_link(folder) or folder.is_file():
         kind = "a link" if is_link(folder) else "a file"
-        raise FileError(
-            f"{folder} is {kind}; planish needs that name for a folder of its own while it writes {for_what.name}. "
-            f"Nothing was changed. Remove it or give another name with --out."
-        )
+        raise FileError(f"{folder} is {kind}. {_IN_THE_WAY.format(for_what.name)}")
     if folder.exists():
         return
     folder.parent.mkdir(parents=True, exist_ok=True)
@@ -167,12 +166,12 @@ def _remove_work_folder(work: Path) -> None:
     """Remove what :func:`work_folder` has written, the marker last, and the folder if nothing else is in it."""
     if is_link(work) or not work.is_dir():
         return
-    for entry in sorted(work.iterdir(), key=lambda entry: entry.name == WORK_MARKER):
-        if _is_work_name(entry.name):
-            if entry.is_dir() and not is_link(entry):
-                remove(entry)
-            else:
-                delete(entry)
+    entries = [entry for entry in work.iterdir() if _is_work_name(entry.name)]
+    for entry in sorted(entries, key=lambda entry: entry.name == WORK_MARKER):
+        if entry.is_dir() and not is_link(entry):
+            remove(entry)
+        else:
+            delete(entry)
     with suppress(OSError):
         work.rmdir()
 
@@ -203,9 +202,7 @@ def refuse_existing(path: Path) -> None:
     """Raise FileError if something stands at ``path`` already, or nothing can have that name."""
     check_name(path)
     if path.exists() or path.is_symlink():
-        raise FileError(
-            f"{path} exists already. Results are never written over: give another name with --out, or remove it first."
-        )
+        raise FileError(f"{path} exists already. Give another name with --out, or remove it first.")
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
@@ -213,16 +210,13 @@ def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
 
     Groups that are in the store already stay.
     """
-    root = xr.Dataset(attrs={COMPLETE: True})
-    tree = xr.DataTree.from_dict({"/": root} | {f"/{name}": data for name, data in groups.items()})
-    codec = {"compressors": CODECS}
-    encoding = {
-        f"/{name}": {
-            str(key): codec | ({"chunks": tuple(min(n, CHUNK) for n in values.shape)} if values.ndim > 1 else {})
-            for key, values in data.variables.items()
-        }
-        for name, data in groups.items()
-    }
+    tree = xr.DataTree.from_dict({"/": xr.Dataset(attrs={COMPLETE: True}), **groups})
+    encoding: dict[str, dict[str, dict[str, Any]]] = {}
+    for name, group in groups.items():
+        encoding[f"/{name}"] = {str(key): {"compressors": CODECS} for key in group.variables}
+        for key, maps in group.variables.items():
+            if maps.ndim > 1:
+                encoding[f"/{name}"][str(key)]["chunks"] = tuple(min(n, CHUNK) for n in maps.shape)
     with warnings.catch_warnings(), zarr.config.set({"array.write_empty_chunks": True}):
         # zarr 3 warns that consolidated metadata are no part of its specification yet; without them every open warns.
         warnings.simplefilter("ignore", ZarrUserWarning)
@@ -234,9 +228,10 @@ def take_group(path: Path, source: Path, name: str) -> None:
 
     Chunks become links to the same files where the disk has these, otherwise copies: none is ever written over.
     """
-    shutil.copytree(source / name, path / name, copy_function=_link_or_copy)
-    if (source / OVERVIEWS / name).is_dir():
-        shutil.copytree(source / OVERVIEWS / name, path / OVERVIEWS / name, copy_function=_link_or_copy)
+    overviews = f"{OVERVIEWS}/{name}"
+    for group in (name, overviews) if (source / overviews).is_dir() else (name,):
+        shutil.copytree(source / group, path / group, copy_function=_link_or_copy)
+    if (path / OVERVIEWS).is_dir():
         shutil.copy2(source / OVERVIEWS / _METADATA, path / OVERVIEWS)
 
 
@@ -253,8 +248,7 @@ def read_groups(path: Path, names: Iterable[str]) -> dict[str, xr.Dataset]:
     with readable(path):
         root = zarr.open_group(path, mode="r")
         present = [name for name in names if name in root]
-        if root.attrs.get(COMPLETE):
-            _check_chunks(path, present)
+        _check_chunks(path, present)
         groups = {name: stored_group(path, name) for name in present}
         return {name: group if is_large(group) else group.load() for name, group in groups.items()}
 
@@ -270,27 +264,21 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     FileError
         If there is no store, or it is damaged.
     """
-    _check_store(path)
+    names = group_names(path)
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
-        if tree.attrs.get(COMPLETE):
-            _check_chunks(path)
         large = {name: stored_group(path, name) for name in large_groups(path)}
-        return large | {
-            node.path.strip("/"): node.to_dataset(inherit=False).load()
-            for node in tree.subtree
-            if node.data_vars and not node.path.startswith(f"/{OVERVIEWS}/") and node.path.strip("/") not in large
-        }
+        return large | {name: tree[name].to_dataset(inherit=False).load() for name in names if name not in large}
 
 
 def group_names(path: Path) -> list[str]:
     """Names of the groups of a store that hold arrays, without the smaller copies of maps; FileError as `read_tree`."""
-    _check_store(path)
+    if not (path / _METADATA).is_file():
+        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
     with readable(path):
-        root = zarr.open_group(path, mode="r")
-        if root.attrs.get(COMPLETE):
-            _check_chunks(path)
-        groups = [(name, node) for name, node in root.members(max_depth=None) if isinstance(node, zarr.Group)]
-        return sorted(name for name, node in groups if any(node.arrays()) and not name.startswith(f"{OVERVIEWS}/"))
+        _check_chunks(path)
+        members = zarr.open_group(path, mode="r").members(max_depth=None)
+        groups = [name for name, node in members if isinstance(node, zarr.Group) and any(node.arrays())]
+        return sorted(name for name in groups if not name.startswith(f"{OVERVIEWS}/"))
 
 
 def read_group(path: Path, name: str, variables: Iterable[str] | None = None) -> xr.Dataset:
@@ -309,21 +297,18 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
             return (data if variables is None else data[list(variables)]).load()
 
 
-def _check_store(path: Path) -> None:
-    """Raise FileError where a path is no store."""
-    if not (path / _METADATA).is_file():
-        raise FileError(f"{path} is no zarr store. Give the maps.zarr of a run, or what a stage's command wrote.")
-
-
 def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:
     """Raise FileError where a chunk was lost: zarr takes it for missing values."""
-    parts = (zarr.open_group(path, path=name, mode="r").members(max_depth=None) for name in groups)
-    for name, node in (member for part in parts for member in part):
-        if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
-            raise FileError(
-                f"{path} is damaged: {node.nchunks - node.nchunks_initialized} of {node.nchunks} chunks of {name} "
-                "are not there. Copy it once more, or repeat the run."
-            )
+    root = zarr.open_group(path, mode="r")
+    if not root.attrs.get(COMPLETE):
+        return
+    for group in (zarr.open_group(path, path=name, mode="r") for name in groups):
+        for name, node in group.members(max_depth=None):
+            if isinstance(node, zarr.Array) and node.nchunks_initialized < node.nchunks:
+                raise FileError(
+                    f"{path} is damaged: {node.nchunks - node.nchunks_initialized} of {node.nchunks} chunks of {name} "
+                    "are not there. Copy it once more, or repeat the run."
+                )
 
 
 def write_json(path: Path, data: Mapping[str, Any]) -> None:

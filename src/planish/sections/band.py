@@ -21,9 +21,6 @@ from planish.core.threads import map_threads
 from planish.core.typing import Bools, Floats
 from planish.sections.network import slow_part
 
-_BLOCK_UM = (5.0, 80.0)  # rows, cols of the blocks in which the sheet is looked for
-
-
 Stack = NDArray[Any] | LazyArray
 """Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
 
@@ -95,9 +92,8 @@ class SectionSeries:
         if not all(np.isfinite(p) and p > 0 for p in self.pixel_um):
             pixel = "{:g} x {:g}".format(*self.pixel_um)
             raise VolumeError(f"A pixel of {pixel} um is none. Give its size (row, col) in um.")
-        wrong = np.flatnonzero(~(np.diff(self.away_um) > 0))
-        if wrong.size:
-            i = int(wrong[0])
+        if wrong := np.flatnonzero(~(np.diff(self.away_um) > 0)).tolist():
+            i = wrong[0]
             raise VolumeError(
                 f"The sections {i + 1} and {i + 2} lie at {positions[i]:g} and {positions[i + 1]:g} um. Positions "
                 "have to be monotonic: correct the cut counter or put the sections in order."
@@ -120,13 +116,9 @@ class SectionSeries:
         # Block means of 5 x 80 um are separated by Otsu's threshold (1979, IEEE Trans. SMC 9, 62) on the difference to
         # the section's background; the largest connected part is the sheet.
         n, rows, cols = self.stack.shape
-        tall = max(1, min(round(_BLOCK_UM[0] / self.pixel_um[0]), rows // 16))
-        wide = max(1, min(round(_BLOCK_UM[1] / self.pixel_um[1]), cols // 8))
-
-        def means(i: int) -> NDArray[np.float32]:
-            return block_means(self.stack[i], tall, wide)
-
-        blocks = np.stack(map_threads(means, range(n)))
+        tall = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
+        wide = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
+        blocks = np.stack(map_threads(lambda i: block_means(self.stack[i], tall, wide), range(n)))
         border = max(1, int(0.15 * blocks.shape[1]))  # share of the rows at each end that is taken to be background
         background = _row_medians(np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1))
         sheet, weight = _find_sheet(blocks, background)
@@ -171,9 +163,8 @@ def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools,
     names, count = label(smoothed > float(threshold))
     if count == 0:
         raise VolumeError("No sheet found in the sections: all grey levels are alike. Check the files.")
-    sizes = np.bincount(names.ravel())
-    sizes[0] = 0
-    sheet = names == int(np.argmax(sizes))  # the largest connected part
+    largest = 1 + int(np.argmax(np.bincount(names.ravel())[1:]))
+    sheet = names == largest
     return sheet, np.where(sheet, difference, 0.0)
 
 
@@ -202,13 +193,7 @@ def _smooth_surface(middle: Floats, away_um: Floats) -> Floats:
     return gaussian_filter1d(np.stack(lines, axis=1), 1.0, axis=1, mode="nearest")
 
 
-_CORE = 0.7  # of half the thickness: away from the faces and their coatings
-_OFF_UM = 30.0  # beyond the faces
 _MOST = 50_000  # pixels for a level: the noise of a pixel is divided by 200
-_LEAST = 50  # pixels for a level
-_ROUNDS = 6
-_WIDTH = 2.0  # standard deviations on both sides that the mean of the crowd takes in
-_LARGEST_DRIFT = 0.3  # a gain farther from 1 is no drift of colour but another thing in the picture
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -249,7 +234,8 @@ def normalise_sections(series: SectionSeries) -> Gains:
     """
     band, pixel = series.band, series.pixel_um[0]
     n, rows, cols = series.stack.shape
-    near, far = _CORE * band.half_um / pixel, (band.half_um + _OFF_UM) / pixel
+    # The core lies away from the faces and their coatings, the background beyond the faces.
+    near, far = 0.7 * band.half_um / pixel, (band.half_um + 30.0) / pixel
     inside, outside = 2 * near * cols, max(1.0, rows - 2 * far) * cols
     step = max(1, round(inside / _MOST)), max(1, round(outside / _MOST))
 
@@ -261,7 +247,8 @@ def normalise_sections(series: SectionSeries) -> Gains:
     background, material = np.array(map_threads(levels, range(n)), np.float64).T
     contrast = material - background
     typical = float(np.nanmedian(contrast)) if np.isfinite(contrast).any() else np.nan
-    measured = np.abs(contrast - typical) <= _LARGEST_DRIFT * abs(typical)
+    # A gain farther from 1 is no drift of colour but another thing in the picture.
+    measured = np.abs(contrast - typical) <= 0.3 * abs(typical)
     gain = np.where(measured, typical / np.where(measured, contrast, 1.0), 1.0)
     level = float(np.median(background[measured])) if measured.any() else 0.0
     offset = np.where(measured, level - gain * np.where(measured, background, 0.0), 0.0)
@@ -284,13 +271,10 @@ def core_and_background(
 
 def _crowd_mean(greys: NDArray[np.float32]) -> float:
     """Value around which most of the data lie, by iteration from the median; NaN for a few pixels."""
-    if greys.size < _LEAST:
+    if greys.size < 50:
         return np.nan
     precise = greys.astype(np.float64)
-    level = float(np.median(precise))
-    spread = mad_sd(precise)
-    if spread == 0.0:
-        return level
-    for _ in range(_ROUNDS):
-        level = float(precise[np.abs(precise - level) <= _WIDTH * spread].mean())
+    level, spread = float(np.median(precise)), mad_sd(precise)
+    for _ in range(6 if spread > 0 else 0):
+        level = float(precise[np.abs(precise - level) <= 2.0 * spread].mean())
     return level

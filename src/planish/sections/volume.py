@@ -19,7 +19,6 @@ from planish.sections.align import Alignment
 from planish.sections.band import Gains, SectionSeries, Stack
 
 _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
-_MOST_GAPS = 5  # written out in a message
 
 
 def regular_volume(
@@ -68,8 +67,8 @@ def regular_volume(
     gaps = np.flatnonzero(missing > most_missing)
     if gaps.size and not real:
         um = series.positions_um[used]
-        named = ", ".join(f"{missing[k]} between {um[k]:g} and {um[k + 1]:g} um" for k in gaps[:_MOST_GAPS])
-        more = f" and {gaps.size - _MOST_GAPS} more" if gaps.size > _MOST_GAPS else ""
+        named = ", ".join(f"{missing[k]} between {um[k]:g} and {um[k + 1]:g} um" for k in gaps[:5])
+        more = f" and {gaps.size - 5} more" if gaps.size > 5 else ""
         raise VolumeError(
             f"Sections are missing or could not be aligned: {named}{more}. At most {most_missing} in a row can be "
             "interpolated: add the sections, or split the series there and treat each part as a volume of its own."
@@ -146,15 +145,17 @@ class Planes(LazyArray):
         pair = [int(self.before[k]), int(self.after[k])]
         first = self.stack[pair[0]]
         second = first if pair[0] == pair[1] else self.stack[pair[1]]
-        whole = self.dtype.kind != "f"
-        low, high = (float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max)) if whole else (-np.inf, np.inf)
+        whole, low, high = self.dtype.kind != "f", -np.inf, np.inf
+        if whole:
+            low, high = float(np.iinfo(self.dtype).min), float(np.iinfo(self.dtype).max)
         between(first, second, float(self.share[k]), self.poses[pair], self.grades[pair], low, high, whole, out)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Compute a part."""
         whole = np.empty(self.shape[1:], self.dtype)
-        parts: list[NDArray[Any]] = []
-        for k in range(where[0].start, where[0].stop, where[0].step):
+        planes = range(where[0].start, where[0].stop, where[0].step)
+        part = np.empty((len(planes), *whole[where[1:]].shape), self.dtype)
+        for i, k in enumerate(planes):
             self.fill(k, whole)
-            parts.append(whole[where[1:]].copy())
-        return np.stack(parts)
+            part[i] = whole[where[1:]]
+        return part
