@@ -1,8 +1,6 @@
 """Cupping: the sheet's grey above air, as a factor that is linear in the square of the radius.
 
-Base and coating are each compared with themselves, at the same depth below the face. Their border in grey moves with
-the factor, so a voxel is sorted after it was corrected, again and again until nothing changes: the histogram of every
-radius is kept for it.
+Base and coating are each compared with themselves at one depth, from histograms: their border moves with the factor.
 """
 
 from __future__ import annotations

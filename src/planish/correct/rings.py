@@ -1,8 +1,6 @@
 """Rings: what is added at a radius all around the axis, separated from the structure of the sheet there.
 
-Each material is compared with itself: the mean grey of a part of a circle against the running median of the same part
-over neighbouring radii. A ring shows alike in every part of the turn, along the axis and in every material; a layer or
-a fibre that happens to follow a circle shows in some. The scatter between the parts is the error of their mean.
+A ring shows alike in every part of the turn, along the axis and in every material: their scatter is its error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""What slices across the axis of rotation show: the greys of air and sheet, means on parts of circles, greys by radius.
-
-All sums are whole numbers. They do not depend on the order in which slices are read, nor on threads or memory.
-"""
+"""Whole-number sums over slices across the axis of rotation, which depend on no order: greys, circles, histograms."""
 
 from __future__ import annotations
 
@@ -297,9 +294,15 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
 
 
 def _add_to_rings(
-    grey: Counts, kind: NDArray[np.uint8], depth: Counts, bins: Counts, sectors: Counts,
-    count: Counts, total: Counts, level: Counts,
-) -> None:  # fmt: skip
+    grey: Counts,
+    kind: NDArray[np.uint8],
+    depth: Counts,
+    bins: Counts,
+    sectors: Counts,
+    count: Counts,
+    total: Counts,
+    level: Counts,
+) -> None:
     """Add the voxels of a slice to their circles, less the mean of their material at their depth in this slice."""
     # Near the axis a circle runs along the layers of a sheet. A layer is as bright as it is everywhere at its depth,
     # and so leaves nothing; a ring does. Sums of whole numbers are exact in double precision.

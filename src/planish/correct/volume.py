@@ -106,9 +106,13 @@ class Corrected:
 
 
 def correct_volume(
-    volume: xr.DataArray, *, params: CorrectParams, memory_bytes: int = 2**30, threads: int | None = None,
+    volume: xr.DataArray,
+    *,
+    params: CorrectParams,
+    memory_bytes: int = 2**30,
+    threads: int | None = None,
     progress: Progress | None = None,
-) -> Corrected:  # fmt: skip
+) -> Corrected:
     """Find rings and cupping of a micro-CT volume and correct them.
 
     Parameters

@@ -22,9 +22,14 @@ Size = float | tuple[float, ...]
 
 
 def volume(
-    array: Any, *, voxel_um: Size | None = None, through: Axis = "z", top: End = "high", override_size: bool = False,
+    array: Any,
+    *,
+    voxel_um: Size | None = None,
+    through: Axis = "z",
+    top: End = "high",
+    override_size: bool = False,
     unusual_size: bool = False,
-) -> xr.DataArray:  # fmt: skip
+) -> xr.DataArray:
     """Make a volume of an array: what :func:`planish.read_volume` gives of the same values in a file.
 
     Parameters
@@ -71,9 +76,14 @@ def volume(
 
 
 def image(
-    array: Any, *, pixel_um: Size | None = None, side: Side | None = None, channel: str = "luminance",
-    override_size: bool = False, unusual_size: bool = False,
-) -> xr.DataArray:  # fmt: skip
+    array: Any,
+    *,
+    pixel_um: Size | None = None,
+    side: Side | None = None,
+    channel: str = "luminance",
+    override_size: bool = False,
+    unusual_size: bool = False,
+) -> xr.DataArray:
     """Make an image of an array: what :func:`planish.read_image` gives of the same values in a file.
 
     Parameters
@@ -104,10 +114,17 @@ def image(
     colour = "rgb" if stored.ndim == 3 else "grey"
     picture = DecodedPicture(values=stored, colour=colour, bits=64, stated=(), orientation=1)
     values, long_name = pick_channel(picture, channel, file_name="The array")
-    attrs = {
-        "full_scale": picture.full_scale, "channel": channel, "stored_dtype": str(stored.dtype), "orientation": 1,
-        "long_name": long_name,
-    } | named.attrs | ({} if side is None else {"side": side})  # fmt: skip
+    attrs = (
+        {
+            "full_scale": picture.full_scale,
+            "channel": channel,
+            "stored_dtype": str(stored.dtype),
+            "orientation": 1,
+            "long_name": long_name,
+        }
+        | named.attrs
+        | ({} if side is None else {"side": side})
+    )
     return _labelled(values, named, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
 
 
@@ -150,9 +167,15 @@ def _array(array: Any, kind: Kind) -> xr.DataArray:
 
 
 def _labelled(
-    values: NDArray[Any] | LazyArray, named: xr.DataArray, kind: Kind, size_um: Size | None, attrs: dict[str, Any], *,
-    override: bool, unusual: bool,
-) -> xr.DataArray:  # fmt: skip
+    values: NDArray[Any] | LazyArray,
+    named: xr.DataArray,
+    kind: Kind,
+    size_um: Size | None,
+    attrs: dict[str, Any],
+    *,
+    override: bool,
+    unusual: bool,
+) -> xr.DataArray:
     """The values with the size that coordinates, attribute and call agree on, beginning where they did."""
     steps = {axis: None if override else step_um(named, axis) for axis in kind.axes}
     # Without a unit they may count voxels: they have to fit a size that is given, and are none by themselves.

@@ -1,7 +1,4 @@
-"""NIfTI files of one volume, versions 1 and 2, and MRC files (CCP4 maps, tomograms of electron microscopes).
-
-Raw values are mapped, packed ones unpacked at once.
-"""
+"""NIfTI files of one volume, versions 1 and 2, and MRC files: mapped, or unpacked at once where they are packed."""
 
 from __future__ import annotations
 

@@ -1,11 +1,9 @@
 """The table of formats: which module reads which file, the part of a path that chooses in a file, what a reader gives.
 
-A format is one line here and a module, its own or that of formats like it, with the function
-``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
-:data:`CHANNELS`, for formats in colour; ``memory_bytes`` is the largest decoded size, three quarters
-of the memory available where it is None. Values that stay in their file are given unread. It raises FileError for a
-file that is damaged or of another format, VolumeError for what is not one grey volume, SizeError, InputError for a
-channel that is not there, and ResourceError for what does not fit into the memory.
+A module has the function ``load(place, channel, memory_bytes) -> LoadedVolume``. ``channel`` is None or one of
+:data:`CHANNELS`; ``memory_bytes`` is the largest decoded size, None for three quarters of the memory available. It
+raises FileError for a file that is damaged or of another format, VolumeError for what is not one grey volume,
+SizeError, InputError for a channel that is not there, and ResourceError for what does not fit into the memory.
 """
 
 from __future__ import annotations

@@ -5,12 +5,13 @@ from __future__ import annotations
 import hashlib
 import os
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import Any
 
 import zarr
 
-from planish.core.files import delete, move
+from planish.core.files import delete, write_whole
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of, loader
 from planish.io.guard import reading, size_of_file
 from planish.io.sections import COUNTER, is_section_folder
@@ -31,12 +32,16 @@ def missing_shards(path: Path) -> list[str]:
 def store_fingerprint(path: Path) -> str:
     """SHA-256 over the checksums of all shards, for which no shard is read; empty where there are no checksums."""
     listed = sorted(_read_checksums(path).items())
-    if not listed:
-        return ""
     # The shards hold the voxels, the metadata their size.
-    meta = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray"))
-    listed += [(p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in meta]
-    return hashlib.sha256("".join(f"{sha}  {name}\n" for name, sha in listed).encode()).hexdigest()
+    meta = sorted(p for p in path.rglob("*") if p.name in ("zarr.json", ".zattrs", ".zarray")) if listed else []
+    hashes = listed + [(p.relative_to(path).as_posix(), hashlib.sha256(p.read_bytes()).hexdigest()) for p in meta]
+    return _hash_of_hashes(hashes) if listed else ""
+
+
+def _hash_of_hashes(hashes: Iterable[tuple[str, str]], part: str = "") -> str:
+    """Hash of files with their names (name, hash)."""
+    start = f"{part}\n" if part else ""
+    return hashlib.sha256((start + "".join(f"{sha}  {name}\n" for name, sha in hashes)).encode()).hexdigest()
 
 
 class ShardLists:
@@ -67,10 +72,8 @@ class ShardLists:
     def settle(self) -> None:
         """Sort the lists: they do not depend on the order in which blocks were written."""
         for path in self.folder.glob(f"*/{CHECKSUMS}"):
-            lines = sorted(set(path.read_text(encoding="utf-8").splitlines(keepends=True)), key=lambda line: line[64:])
-            part = path.with_suffix(".part")
-            part.write_text("".join(lines), encoding="utf-8", newline="\n")
-            move(part, path, over=True)
+            lines = sorted({*path.read_text(encoding="utf-8").splitlines(keepends=True)}, key=lambda line: line[64:])
+            write_whole(path, "".join(lines).encode(), over=True)
         for half in self.folder.rglob("*.partial"):  # of a writer that was killed
             delete(half)
 
@@ -110,18 +113,15 @@ def fingerprint(path: str | Path) -> str:
     """
     place = find_place(path)
     path = place.path
-    total = hashlib.sha256(f"{place.part}\n".encode() if place.part else b"")
     # A store that planish wrote has the hashes of its shards already.
     if format_of(place).members and (stored := store_fingerprint(path)):
-        total.update(stored.encode())
-        return total.hexdigest() if place.part else stored
+        return hashlib.sha256(f"{place.part}\n{stored}".encode()).hexdigest() if place.part else stored
     files = files_of(place)
     if files == [path] and not place.part:
         return hash_of_file(path)
     base = path if path.is_dir() else path.parent
-    for name, file in sorted((file.relative_to(base).as_posix(), file) for file in files):
-        total.update(f"{hash_of_file(file)}  {name}\n".encode())
-    return total.hexdigest()
+    named = sorted((file.relative_to(base).as_posix(), file) for file in files)
+    return _hash_of_hashes(((name, hash_of_file(file)) for name, file in named), place.part)
 
 
 def files_of(place: Place) -> list[Path]:

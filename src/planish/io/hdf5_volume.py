@@ -1,9 +1,7 @@
 """Volumes in HDF5 files, and in the NeXus files of reconstruction programs (NXtomoproc).
 
-NeXus names the volume that is meant, the order of its axes, and their steps; other programs write the voxel size into
-attributes. HDF5 opens other files without asking: through external links, external storage and virtual data sets. Every
-link is therefore followed here, by hand, and a file outside the folder is refused, as is one that is not there, which
-HDF5 would read as zeros.
+HDF5 opens other files without asking, and reads those that are not there as zeros: through external links, external
+storage and virtual data sets. So every link is followed here, by hand, and a file outside the folder is refused.
 """
 
 from __future__ import annotations

@@ -1,14 +1,6 @@
 """Volumes behind a header of text, NRRD, MetaImage and TOML: raw values are mapped, compressed ones unpacked at once.
 
-Header and values are one file or two. Compressed values of a MetaImage that do not fit into the memory are read in
-parts by SimpleITK. Raw binary values are described by a small TOML file beside them::
-
-    file = "sheet.raw"          # in the same folder; without it: the TOML's own name without .toml
-    shape = [400, 1200, 900]    # z, y, x; x runs fastest
-    dtype = "uint16"
-    byte_order = "little"       # or "big"; needed for types of more than one byte
-    offset = 0                  # bytes before the first value
-    voxel_um = 1.65             # or [z, y, x]
+Compressed values of a MetaImage that do not fit into the memory are read in parts by SimpleITK.
 """
 
 from __future__ import annotations
@@ -108,11 +100,14 @@ def _nrrd_header(head: bytes, path: Path) -> Header:
         raise FileError(f"{path.name} has the encoding {encoding!r}. Save it with the encoding raw or gzip.")
     name = keys.get("data file", keys.get("datafile"))
     return Header(
-        path=path, data=path if name is None else _data_file(str(name), path),
-        shape=tuple(sizes[axis] for axis in order), stored=dtype.newbyteorder(">" if endian == "big" else "<"),
-        offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0), packing=PACKINGS[encoding],
+        path=path,
+        data=path if name is None else _data_file(str(name), path),
+        shape=tuple(sizes[axis] for axis in order),
+        stored=dtype.newbyteorder(">" if endian == "big" else "<"),
+        offset=-1 if byte_skip == -1 else byte_skip + (end if name is None else 0),
+        packing=PACKINGS[encoding],
         stated=_stated_by_nrrd(keys, order),
-    )  # fmt: skip
+    )
 
 
 def _stated_by_nrrd(keys: Mapping[str, Any], order: tuple[int, ...]) -> list[Stated]:
@@ -177,11 +172,14 @@ def _meta_header(head: bytes, path: Path) -> Header:
             with reading(path):
                 stated.append(stated_in(source, [float(w) for w in words], [unit or "mm"] * len(sizes), order))
     return Header(
-        path=path, data=path if local else _data_file(name, path),
-        shape=tuple(sizes[axis] for axis in order), stored=dtype.newbyteorder(">" if big else "<"),
-        offset=-1 if skip == "-1" and not packed else end if local else 0, packing="deflate" if packed else "",
+        path=path,
+        data=path if local else _data_file(name, path),
+        shape=tuple(sizes[axis] for axis in order),
+        stored=dtype.newbyteorder(">" if big else "<"),
+        offset=-1 if skip == "-1" and not packed else end if local else 0,
+        packing="deflate" if packed else "",
         stated=stated,
-    )  # fmt: skip
+    )
 
 
 class MetaArray(FileArray):
@@ -245,7 +243,10 @@ def _raw_header(path: Path) -> Header:
         raise FileError(f"{header.name}: {'; '.join(faults)}. Correct the header, {EXAMPLE}.")
     voxel = tuple(None if v is None else float(v) for v in sizes)
     return Header(
-        path=header, data=data, shape=tuple(int(n) for n in shape or ()), offset=int(offset),
+        path=header,
+        data=data,
+        shape=tuple(int(n) for n in shape or ()),
+        offset=int(offset),
         stored=np.dtype(str(dtype)).newbyteorder(">" if order == "big" else "<"),
         stated=[Stated("the TOML header", voxel, "it has no voxel_um" if None in voxel else "")],
-    )  # fmt: skip
+    )

@@ -91,10 +91,17 @@ def read_image(
     check_memory(path, needed_bytes=4 * height * width, limit_bytes=memory_bytes)
     values, long_name = pick_channel(picture, channel, file_name=path.name)
     attrs = {
-        "units": "1", "long_name": long_name, "pixel_um": list(size), "pixel_um_source": source, "channel": channel,
-        "full_scale": picture.full_scale, "stored_dtype": str(picture.values.dtype),
-        "orientation": picture.orientation, "file_name": path.name, "file_bytes": size_of_file(path),
-    } | ({} if side is None else {"side": side})  # fmt: skip
+        "units": "1",
+        "long_name": long_name,
+        "pixel_um": list(size),
+        "pixel_um_source": source,
+        "channel": channel,
+        "full_scale": picture.full_scale,
+        "stored_dtype": str(picture.values.dtype),
+        "orientation": picture.orientation,
+        "file_name": path.name,
+        "file_bytes": size_of_file(path),
+    } | ({} if side is None else {"side": side})
     return labelled(values, PIXEL.axes, size, name="image", attrs=attrs)
 
 

@@ -103,9 +103,14 @@ def describe(
 
 
 def _describe_volume(
-    place: Place, agreed: Agreed, channel: str | None, memory_bytes: int, look: Look | None, wanted: bool,
+    place: Place,
+    agreed: Agreed,
+    channel: str | None,
+    memory_bytes: int,
+    look: Look | None,
+    wanted: bool,
     warnings: list[str],
-) -> dict[str, Any]:  # fmt: skip
+) -> dict[str, Any]:
     """Report what a volume holds; of its values, if they are wanted and can be read within the memory."""
     loaded = None
     with suppress(ResourceError):
@@ -140,12 +145,17 @@ def _describe_volume(
                 "'planish import' first."
             )
     return {
-        "bytes": loaded.file_bytes, "format": file_format.name, **facts, **size, "stored": stored,
+        "bytes": loaded.file_bytes,
+        "format": file_format.name,
+        **facts,
+        **size,
+        "stored": stored,
         "run_bytes": PROGRAM_BYTES + max(bytes_to_map(columns), bytes_to_hold(whole_bytes)),
         # What ``planish map`` takes for each column through the sheet and in any case, on two busy cores.
         "run_seconds": 15.0 + 35e-6 * columns,
-        "through": likely_through(grey) if is_read else None, "metadata": dict(loaded.attrs),
-    }  # fmt: skip
+        "through": likely_through(grey) if is_read else None,
+        "metadata": dict(loaded.attrs),
+    }
 
 
 def _describe_sections(sections: Sections, agreed: Agreed, warnings: list[str]) -> dict[str, Any]:
@@ -193,10 +203,16 @@ def _describe_image(
         facts["sampled"] = f"every {step} rows and columns"
     size = _size_facts(partial(agreed, across(picture.stated)), shape, warnings, ("Pixels", PIXEL.usual_um))
     return {
-        "bytes": size_of_file(path), **facts, "shape": list(shape), "dtype": str(whole.dtype), "colour": picture.colour,
-        "channels": whole.shape[2] if whole.ndim == 3 else 1, "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
-        "link_seconds": 2.5e-6 * math.prod(shape), **size,
-    }  # fmt: skip
+        "bytes": size_of_file(path),
+        **facts,
+        "shape": list(shape),
+        "dtype": str(whole.dtype),
+        "colour": picture.colour,
+        "channels": whole.shape[2] if whole.ndim == 3 else 1,
+        "link_bytes": LINK_BYTES + PIXEL_BYTES * math.prod(shape),
+        "link_seconds": 2.5e-6 * math.prod(shape),
+        **size,
+    }
 
 
 def is_image(place: Place) -> bool:
@@ -210,9 +226,14 @@ def is_image(place: Place) -> bool:
 
 
 def _value_facts(
-    values: Values, full_scale: int | None, warnings: list[str], dims: tuple[str, ...], look: Look | None,
-    is_read: bool, wanted: bool,
-) -> dict[str, Any]:  # fmt: skip
+    values: Values,
+    full_scale: int | None,
+    warnings: list[str],
+    dims: tuple[str, ...],
+    look: Look | None,
+    is_read: bool,
+    wanted: bool,
+) -> dict[str, Any]:
     if is_read:
         facts = inspect_values(values, full_scale, warnings, dims=dims)
         if look is not None:

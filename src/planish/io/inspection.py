@@ -72,7 +72,7 @@ def inspect_values(
     statistics = _Statistics(full_scale, stride)
     for index, number in enumerate(numbers):
         statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)
-    facts = declared_facts(values, dims) | {
+    facts: dict[str, Any] = declared_facts(values, dims) | {
         "nan_share": 1 - statistics.finite / statistics.count,
         "saturated_share": statistics.saturated / statistics.count,
         "bottom_share": statistics.bottom / statistics.count,

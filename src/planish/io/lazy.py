@@ -1,7 +1,4 @@
-"""Arrays that stay in their files, of which only the part that is asked for is read.
-
-Nothing that was read stays in memory, except the last few slices of formats that decode whole slices.
-"""
+"""Arrays that stay in their files, of which only the part that is asked for is read; a few decoded slices stay."""
 
 from __future__ import annotations
 

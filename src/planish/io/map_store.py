@@ -118,9 +118,15 @@ class StoredMaps(HeldMaps):
             fill = np.nan if data.dtype.kind == "f" else 0
             chunks, how = tuple(min(n, CHUNK) for n in grid.shape), {"write_empty_chunks": True}
             arrays[str(key)] = create(
-                str(key), tuple(map(str, data.dims)), data.attrs, shape=grid.shape, dtype=data.dtype, chunks=chunks,
-                fill_value=fill, config=how,
-            )  # fmt: skip
+                str(key),
+                tuple(map(str, data.dims)),
+                data.attrs,
+                shape=grid.shape,
+                dtype=data.dtype,
+                chunks=chunks,
+                fill_value=fill,
+                config=how,
+            )
         self.stored.append(name)
         return arrays
 

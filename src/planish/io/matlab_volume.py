@@ -1,7 +1,4 @@
-"""MATLAB files: a volume ``V(row, column, slice)`` becomes (z, y, x) with z its slices, y its rows, x its columns.
-
-Files up to version 7 are read at once; of those of version 7.3, which are HDF5 files, parts can be read.
-"""
+"""MATLAB files: a volume ``V(row, column, slice)`` becomes (z, y, x); of version 7.3 (HDF5), parts are read."""
 
 from __future__ import annotations
 

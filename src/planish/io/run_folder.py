@@ -1,7 +1,4 @@
-"""The run folder: written beside its place first and moved there when it is whole.
-
-A run that fails half way leaves nothing behind that could be taken for a result.
-"""
+"""The run folder: written beside its place and moved there when it is whole, so that a failed run leaves no results."""
 
 from __future__ import annotations
 
@@ -267,7 +264,11 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     names = group_names(path)
     with readable(path), xr.open_datatree(path, engine="zarr") as tree:
         large = {name: stored_group(path, name) for name in large_groups(path)}
-        return large | {name: tree[name].to_dataset(inherit=False).load() for name in names if name not in large}
+        return large | {
+            node.path.strip("/"): node.to_dataset(inherit=False).load()
+            for node in tree.subtree
+            if node.path.strip("/") in names and node.path.strip("/") not in large
+        }
 
 
 def group_names(path: Path) -> list[str]:

@@ -1,7 +1,6 @@
 """Photographs of serial sections: a folder of pictures and the cut counter that says where each was cut.
 
-The counter is ``sections.csv`` beside the pictures, with the columns ``file`` and ``position_um`` in the order of the
-cuts. Lines that start with ``#`` are comments; ``# kind: block-face`` or ``# kind: cut`` says what was photographed.
+The counter is ``sections.csv`` with the columns ``file`` and ``position_um``, and comments such as ``# kind: cut``.
 """
 
 from __future__ import annotations
@@ -98,13 +97,20 @@ def read_section_stack(
     sections = open_sections(Path(path), channel=channel, memory_bytes=memory_bytes)
     size, source = sections.agreed_size(voxel_um, override=override_size, unusual=unusual_size)
     attrs: dict[str, Any] = {
-        "voxel_um": list(size), "voxel_um_source": source, "full_scale": sections.full_scale,
-        "file_name": sections.folder.name, "file_bytes": sections.file_bytes, "section_kind": sections.kind,
-    } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)  # fmt: skip
+        "voxel_um": list(size),
+        "voxel_um_source": source,
+        "full_scale": sections.full_scale,
+        "file_name": sections.folder.name,
+        "file_bytes": sections.file_bytes,
+        "section_kind": sections.kind,
+    } | colour_attrs(check_channel(channel), sections.folder, in_colour=sections.first.in_colour)
     return SectionStack(
-        values=sections.values, positions_um=sections.positions_um, pixel_um=(size[1], size[2]), kind=sections.kind,
+        values=sections.values,
+        positions_um=sections.positions_um,
+        pixel_um=(size[1], size[2]),
+        kind=sections.kind,
         attrs=attrs,
-    )  # fmt: skip
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -1,7 +1,4 @@
-"""Voxel and pixel sizes: every length becomes micrometres here, and one size comes out or an error.
-
-A missing size is never taken as 1, and of two sizes that disagree none is preferred in silence.
-"""
+"""Voxel and pixel sizes, in um: a missing one is never taken as 1, of two that disagree none is taken in silence."""
 
 from __future__ import annotations
 

@@ -1,9 +1,7 @@
-"""Volumes as folders of slices: TIFF, PNG, BMP or JPEG, with the log of NRecon or without it.
+"""Volumes as folders of slices: TIFF, PNG, BMP or JPEG, with or without the log that NRecon writes beside them.
 
-The log file that NRecon writes beside its slices, ``*_rec.log``, states which slices there are, how large, and of what.
-The voxel size is ``Pixel Size (um)`` under ``[Reconstruction]``. ``Image Pixel Size (um)`` under ``[Acquisition]`` is
-the size before fine tuning, and ``Camera Pixel Size (um)`` that of the camera's chip; neither is meant. The slices are
-named by ``Filename Prefix`` under ``[File name convention]``, not by the key of the same name under ``[Acquisition]``.
+The voxel size is ``Pixel Size (um)`` under ``[Reconstruction]``, not that of the camera or before fine tuning; slices
+are named by ``Filename Prefix`` under ``[File name convention]``, not by the key under ``[Acquisition]``.
 """
 
 from __future__ import annotations
@@ -168,11 +166,17 @@ def read_scan(folder: Path) -> Scan | None:
         written = sections.get(section, {})
         details |= {name: written[name.casefold()] for name in names if name.casefold() in written}
     return Scan(
-        log=log, stated=Stated("NRecon log", (size * step, size, size)),
+        log=log,
+        stated=Stated("NRecon log", (size * step, size, size)),
         prefix=sections.get("file name convention", {}).get("filename prefix") or None,
-        count=count, first=first, last=last, step=step, extent=(rows, columns),
-        window=None if low is None or high is None or low >= high else (low, high), details=details,
-    )  # fmt: skip
+        count=count,
+        first=first,
+        last=last,
+        step=step,
+        extent=(rows, columns),
+        window=None if low is None or high is None or low >= high else (low, high),
+        details=details,
+    )
 
 
 def _log_sections(path: Path) -> dict[str, dict[str, str]]:
@@ -245,8 +249,8 @@ def load(place: Place, channel: str | None, memory_bytes: int | None) -> LoadedV
     if scan is not None:
         if any(wanted not in (None, n) for wanted, n in zip(scan.extent, values.shape[1:], strict=True)):
             raise VolumeError(
-                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states "
-                f"{size_words(scan.extent)}. If the slices were cropped, move the log elsewhere and give --voxel-um."
+                f"{files[0].name} is {size_words(values.shape[1:])} pixels, {scan.log.name} states {scan.extent[0]} "
+                f"x {scan.extent[1]}. If the slices were cropped, move the log elsewhere and give --voxel-um."
             )
         attrs |= {"nrecon": scan.details} | ({} if scan.window is None else {"attenuation_window": list(scan.window)})
         stated = (scan.stated, *stated)

@@ -1,9 +1,7 @@
 """The working store: a volume as sharded, multiscale, checksummed OME-Zarr, written block by block.
 
-A block is a multiple of a shard in every direction, on every level that it fills, and one thread or one process of a
-cluster writes it: two writers of one shard would lose values without an error. What is finished is noted in a list of
-checksums, so an import that was killed goes on after the last whole block, and a shard that gets lost later does not
-read as zeros.
+A block is whole shards on every level that it fills and one writer's own: two writers of one shard would lose values
+without an error. A list of checksums says what is finished, so that an import that was killed goes on there.
 """
 
 from __future__ import annotations
@@ -107,9 +105,14 @@ def write_store(
             done = ShardLists(partial, ome)
             with limit_threads(threads):
                 _write_finest_levels(
-                    volume, levels, done, memory_bytes=memory_bytes, executor=executor, workers=workers,
+                    volume,
+                    levels,
+                    done,
+                    memory_bytes=memory_bytes,
+                    executor=executor,
+                    workers=workers,
                     progress=progress,
-                )  # fmt: skip
+                )
                 for fine, coarse in pairwise(levels[1:]):
                     _write_coarser_level(fine, coarse, done)
             done.settle()
@@ -125,9 +128,15 @@ def write_store(
 
 
 def _write_finest_levels(
-    volume: xr.DataArray, levels: list[Array], done: ShardLists, *, memory_bytes: int, executor: Executor | None,
-    workers: int, progress: Progress | None,
-) -> None:  # fmt: skip
+    volume: xr.DataArray,
+    levels: list[Array],
+    done: ShardLists,
+    *,
+    memory_bytes: int,
+    executor: Executor | None,
+    workers: int,
+    progress: Progress | None,
+) -> None:
     """Write the volume and its half in one pass over the input."""
     most = min(_AT_WORK, count_threads()) if executor is None else workers
     block, at_once = _plan_blocks(levels[0], memory_bytes, most)

@@ -1,8 +1,6 @@
 """TIFF files, checked before they are decoded, then mapped or decoded whole: never short, never filled up.
 
-A TIFF file is a chain of tables, one a page; each names the position of the next. A file that was cut while
-it was copied has a chain that leads out of it, a damaged one may lead in a circle. Libraries stop there and
-return the pages found so far, which would be a shorter volume without a word. Here both are errors.
+Libraries stop where the chain of pages leads out of a file that was cut, or in a circle; here both are errors.
 """
 
 from __future__ import annotations

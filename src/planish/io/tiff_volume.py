@@ -1,7 +1,4 @@
-"""Volumes in one TIFF file: classic, BigTIFF, ImageJ, OME; mapped where they lie there as they are.
-
-Otherwise rows of pages are decoded strip by strip or tile by tile, while the file is otherwise closed.
-"""
+"""Volumes in one TIFF file: mapped where they lie there as they are, otherwise decoded by strips or tiles."""
 
 from __future__ import annotations
 

@@ -83,9 +83,13 @@ def read_topography(
         has_size = all(v is not None for v in sizes)
         lengths = [float(v) / n * length for v, n in zip(sizes, grid, strict=True)] if has_size else [None, None]
         size, source = agreed_size(
-            [Stated("the topography file", tuple(lengths[::-1]))], pixel_um, file_name=path.name, asked=PIXEL,
-            override=override_size, unusual=unusual_size,
-        )  # fmt: skip
+            [Stated("the topography file", tuple(lengths[::-1]))],
+            pixel_um,
+            file_name=path.name,
+            asked=PIXEL,
+            override=override_size,
+            unusual=unusual_size,
+        )
         missing_sizes: dict[str, Any] = {}
         if not has_size:
             y, x = size_per_axis(size, PIXEL)
@@ -103,7 +107,12 @@ def read_topography(
     if not np.isfinite(values).any():
         raise FileError(f"{path.name} has no height in it, all are missing. Export it again.")
     attrs = {
-        "units": "um", "long_name": "Height", "pixel_um": list(size), "pixel_um_source": source,
-        "file_format": file_format, "file_name": path.name, "file_bytes": file_bytes,
-    }  # fmt: skip
+        "units": "um",
+        "long_name": "Height",
+        "pixel_um": list(size),
+        "pixel_um_source": source,
+        "file_format": file_format,
+        "file_name": path.name,
+        "file_bytes": file_bytes,
+    }
     return labelled(values, PIXEL.axes, size, name="topography", attrs=attrs)

@@ -83,9 +83,16 @@ def read_volume(
         loaded.stated, voxel_um, file_name=name, asked=VOXEL, override=override_size, unusual=unusual_size
     )
     attrs = {
-        "units": "1", "long_name": "Grey value", "voxel_um": list(size), "voxel_um_source": source,
-        "full_scale": loaded.full_scale, "file_name": name, "file_bytes": loaded.file_bytes, **loaded.attrs, **lies,
-    }  # fmt: skip
+        "units": "1",
+        "long_name": "Grey value",
+        "voxel_um": list(size),
+        "voxel_um_source": source,
+        "full_scale": loaded.full_scale,
+        "file_name": name,
+        "file_bytes": loaded.file_bytes,
+        **loaded.attrs,
+        **lies,
+    }
     # How it is best read, for those who read it in tiles.
     lazy = loaded.values if isinstance(loaded.values, FileArray) else None
     encoding = {} if lazy is None else {"whole_slices": lazy.whole_slices, "chunks": lazy.chunks}

@@ -1,12 +1,7 @@
 """Joint alignment of serial sections: each against its neighbours on both sides, and only what changes quickly.
 
-Aligning each section to the one before adds up errors and straightens the specimen's true bend. Here the offsets
-between all sections up to five apart are fitted together, and waves longer than some fifty sections, in which the
-bend of the sheet cannot be separated from a drift of the stage, are left as they are.
-
-What is fixed to the stage, the edge of the block or a line of the fixture, shows that drift itself. An edge or line
-along the rows of the photographs gives the place along the columns and the rotation, one along the columns the other
-place.
+Offsets between all sections up to five apart are fitted together; waves longer than some fifty sections, in which the
+bend of the sheet cannot be told from a drift of the stage, stay, unless something fixed to the stage shows that drift.
 """
 
 from __future__ import annotations

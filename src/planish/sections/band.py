@@ -1,7 +1,6 @@
 """Course of the sheet in a stack of sections: a smooth surface through its middle, and the grey levels on both sides.
 
-The surface need not be exact. It straightens the band in which neighbours are compared, and it is smooth from section
-to section, so it lends neighbours no difference of its own. Gains and offsets make the grey levels equal.
+It straightens the band in which neighbours are compared; smooth, it lends neighbours no difference of its own.
 """
 
 from __future__ import annotations
@@ -118,7 +117,11 @@ class SectionSeries:
         n, rows, cols = self.stack.shape
         tall = max(1, min(round(5.0 / self.pixel_um[0]), rows // 16))
         wide = max(1, min(round(80.0 / self.pixel_um[1]), cols // 8))
-        blocks = np.stack(map_threads(lambda i: block_means(self.stack[i], tall, wide), range(n)))
+
+        def means(i: int) -> NDArray[np.float32]:
+            return block_means(self.stack[i], tall, wide)
+
+        blocks = np.stack(map_threads(means, range(n)))
         border = max(1, int(0.15 * blocks.shape[1]))  # share of the rows at each end that is taken to be background
         background = _row_medians(np.concatenate([blocks[:, :border], blocks[:, -border:]], axis=1).reshape(n, -1))
         sheet, weight = _find_sheet(blocks, background)
@@ -141,11 +144,13 @@ class SectionSeries:
         # A section without a sheet has no contrast of its own; a drift of colour is far less than a factor of two.
         is_fair = np.isfinite(contrast) & (np.abs(contrast - typical) < 0.5 * abs(typical))
         return SheetBand(
-            row=smooth, at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1), jump=jump,
+            row=smooth,
+            at_col=np.arange(blocks.shape[2], dtype=np.float64) * wide + 0.5 * (wide - 1),
+            jump=jump,
             half_um=0.5 * usual * tall * self.pixel_um[0],
             background=np.where(np.isfinite(background), background, np.nanmedian(background)),
             contrast=np.where(is_fair, contrast, typical),
-        )  # fmt: skip
+        )
 
 
 def _find_sheet(blocks: NDArray[np.float32], background: Floats) -> tuple[Bools, Floats]:

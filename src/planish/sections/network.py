@@ -1,7 +1,4 @@
-"""From the offsets between pairs of sections to one place for every section, and the slow part of their course.
-
-The slow part belongs to the specimen and is never corrected.
-"""
+"""One place for every section from the offsets between pairs, and the slow part of their course: the specimen's own."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
 """Offsets between two sections from the band along the sheet: texture and faces, by gradients, in parts of the columns.
 
-The scatter between parts gives the error of an offset. Neighbouring samples share their fibres, so residuals of single
-samples underestimate it; parts of some 150 um are independent.
+Neighbouring samples share their fibres; parts of some 150 um are independent: their scatter is the error of an offset.
 """
 
 from __future__ import annotations

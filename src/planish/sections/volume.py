@@ -22,9 +22,13 @@ _ON_SECTION = 1e-3  # of a pitch: a plane so near to a section is that section
 
 
 def regular_volume(
-    series: SectionSeries, *, alignment: Alignment | None = None, gains: Gains | None = None, most_missing: int = 3,
+    series: SectionSeries,
+    *,
+    alignment: Alignment | None = None,
+    gains: Gains | None = None,
+    most_missing: int = 3,
     attrs: Mapping[str, Any] | None = None,
-) -> xr.DataArray:  # fmt: skip
+) -> xr.DataArray:
     """Put aligned sections on a regular grid.
 
     Parameters
@@ -80,10 +84,16 @@ def regular_volume(
         map_threads(planes.fill, range(planes.shape[0]), values)
     voxel = (series.pitch_um, *map(float, series.pixel_um))
     volume_attrs: dict[str, Any] = {
-        "units": "1", "long_name": "Grey value", "voxel_um": list(voxel), "voxel_um_source": "given",
-        "full_scale": None if real else int(np.iinfo(stack.dtype).max), **(attrs or {}), "sections": int(used.size),
-        "sections_missing": int(np.maximum(missing, 0).sum()), "first_position_um": float(series.positions_um[used[0]]),
-    }  # fmt: skip
+        "units": "1",
+        "long_name": "Grey value",
+        "voxel_um": list(voxel),
+        "voxel_um_source": "given",
+        "full_scale": None if real else int(np.iinfo(stack.dtype).max),
+        **(attrs or {}),
+        "sections": int(used.size),
+        "sections_missing": int(np.maximum(missing, 0).sum()),
+        "first_position_um": float(series.positions_um[used[0]]),
+    }
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
     encoding = {} if isinstance(stack, np.ndarray) else {"whole_slices": True}
@@ -91,9 +101,12 @@ def regular_volume(
 
 
 def _place_planes(
-    series: SectionSeries, used: NDArray[np.intp], gaps: NDArray[np.intp], alignment: Alignment | None,
+    series: SectionSeries,
+    used: NDArray[np.intp],
+    gaps: NDArray[np.intp],
+    alignment: Alignment | None,
     gains: Gains | None,
-) -> Planes:  # fmt: skip
+) -> Planes:
     """Place the planes of a regular grid between the sections that are used; those in one of the gaps are empty."""
     places, pitch, n = series.away_um[used], series.pitch_um, series.stack.shape[0]
     planes = places[0] + pitch * np.arange(int((places[-1] - places[0]) / pitch + 0.5 * _ON_SECTION) + 1)
@@ -110,10 +123,14 @@ def _place_planes(
         poses[:, 2] = alignment.rotation_rad * series.pixel_um[1] / series.pixel_um[0]
         poses[:, 3] = alignment.rotation_rad * series.pixel_um[0] / series.pixel_um[1]
     return Planes(
-        stack=series.stack, before=used[before], after=used[after], share=share,
-        empty=(share > 0) & (share < 1) & np.isin(before, gaps), poses=poses,
+        stack=series.stack,
+        before=used[before],
+        after=used[after],
+        share=share,
+        empty=(share > 0) & (share < 1) & np.isin(before, gaps),
+        poses=poses,
         grades=np.tile([1.0, 0.0], (n, 1)) if gains is None else np.stack([gains.gain, gains.offset], axis=1),
-    )  # fmt: skip
+    )
 
 
 @dataclass(kw_only=True, eq=False)
