@@ -5,8 +5,9 @@ A ring shows alike in every part of the turn, along the axis and in every materi
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -25,8 +26,7 @@ _CHI2 = 0.4549  # median of the square of a standard normal number
 _SHOWN = 0.5  # of its height that a ring shows in every material
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RingFit:
+class RingFit(NamedTuple):
     """Rings and how their heights vary along the axis."""
 
     rings: tuple[RingArtefact, ...]

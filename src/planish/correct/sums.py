@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from itertools import islice
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -24,8 +24,7 @@ from planish.correct.params import Axis
 _WINDOW = 9
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Levels:
+class Levels(NamedTuple):
     """Greys of a volume."""
 
     air: float
@@ -68,7 +67,7 @@ def find_levels(slices: list[NDArray[Any]], radius: Floats) -> Levels | None:
         dark += np.count_nonzero(below)
         cut += np.count_nonzero(below & (s == lowest))
     # Where all of the air has the same value it has no noise: nothing was cut off.
-    return replace(levels, padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
+    return levels._replace(padding=padding, air_cut=0.05 < cut / max(dark, 1) < 0.8)
 
 
 def _padding(slices: list[NDArray[Any]], lowest: float, radius: Floats) -> float:
@@ -136,8 +135,7 @@ SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of t
 _LEAST_PLANE, _LEAST_LENGTH = 24, 8
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Turning:
+class Turning(NamedTuple):
     """The axis of rotation.
 
     ``centre_um`` and ``pitch_um`` are its place and the voxel size along the two other axes, in array order; ``shape``

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -23,8 +23,7 @@ from planish.correct.sums import Levels, Slice, Sums, Turning, find_levels, make
 Progress = Callable[[str, str], None]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Change:
+class Change(NamedTuple):
     """The change of a voxel: grey taken off at its radius, then a factor on what is above air.
 
     ``blocks`` are the middles of the blocks along the axis, ``mean_factor`` is that of the cupping over the sheet.

@@ -12,9 +12,8 @@ import importlib
 import math
 import os
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, field, replace
 from pathlib import Path
-from types import ModuleType
+from types import MappingProxyType, ModuleType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -59,8 +58,7 @@ TIFF = VolumeFormat("TIFF", "tiff_volume", (".tif", ".tiff", ".btf", ".tf8"))
 SLICES = VolumeFormat("folder of slices", "slice_volume")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Place:
+class Place(NamedTuple):
     """A file or folder, and which of its volumes is meant: what stands behind the colon."""
 
     path: Path
@@ -151,15 +149,14 @@ def extra(module: str, path: Path) -> ModuleType:
         ) from error
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class LoadedVolume:
+class LoadedVolume(NamedTuple):
     """Values of a volume and what its files say about them."""
 
     values: Values  # dims (z, y, x)
     stated: Sequence[Stated]  # voxel size along z, y, x in the metadata
     files: Sequence[Path]  # all that it is made of
     bits: int = 64  # of a whole number, where the file uses fewer than its type has
-    attrs: Mapping[str, Any] = field(default_factory=dict[str, Any])  # further ones of the volume, plain values
+    attrs: Mapping[str, Any] = MappingProxyType({})  # further ones of the volume, plain values
     notes: Sequence[str] = ()  # sentences about what looks wrong in the files
 
     @property
@@ -189,7 +186,7 @@ def checked_volume(volume: LoadedVolume, path: Path, *, memory_bytes: int | None
     if len(shape) != 3 or min(shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
     check_type(volume.values.dtype, path)
-    return replace(volume, values=read_if_small(volume.values, memory_bytes=memory_bytes))
+    return volume._replace(values=read_if_small(volume.values, memory_bytes=memory_bytes))
 
 
 def check_type(dtype: np.dtype[Any], path: Path) -> None:

@@ -86,6 +86,13 @@ def size_of_file(path: Path) -> int:
     return size
 
 
+def head_of(path: Path, most: int) -> bytes:
+    """First bytes of a file that is there and not empty."""
+    size_of_file(path)
+    with reading(path), path.open("rb") as file:
+        return file.read(most)
+
+
 def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
     """Refuse compressed data that claim far more than so few bytes can hold."""
     # A small image does no harm whatever its ratio: constant ones pass.

@@ -6,17 +6,16 @@ import bz2
 import math
 import zlib
 from collections.abc import Iterator
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume
-from planish.io.guard import check_blown_up, reading, size_of_file
+from planish.io.guard import check_blown_up, head_of, reading, size_of_file
 from planish.io.lazy import Values, WholeArray, mapped
 from planish.io.sizes import Stated
 from planish.io.tiff import size_words
@@ -24,8 +23,7 @@ from planish.io.tiff import size_words
 READ_BYTES = 4 * 2**20
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Header:
+class Header(NamedTuple):
     """Contents of a header."""
 
     path: Path  # its file
@@ -33,9 +31,9 @@ class Header:
     shape: tuple[int, ...]  # z, y, x
     stored: np.dtype[Any]
     offset: int  # byte at which they begin; -1 where they end with the file
+    stated: list[Stated]
     packing: str = ""  # or "deflate" or "bzip2"
     skip: int = 0  # unpacked bytes before the values
-    stated: list[Stated]
 
     @property
     def needed_bytes(self) -> int:
@@ -45,13 +43,6 @@ class Header:
     def volume(self, values: Values, **more: Any) -> LoadedVolume:
         """The volume of these values, with further fields."""
         return LoadedVolume(values=values, stated=self.stated, files=[self.path, self.data], **more)
-
-
-def head_of(path: Path, most: int) -> bytes:
-    """First bytes of a file that is there and not empty."""
-    size_of_file(path)
-    with reading(path), path.open("rb") as file:
-        return file.read(most)
 
 
 def unpacked_head(path: Path, most: int) -> bytes:

@@ -17,8 +17,8 @@ from numpy.typing import NDArray
 from planish.core.errors import FileError, VolumeError
 from planish.core.lazy import Where
 from planish.io.formats import LoadedVolume, Place, extra, referenced_file
-from planish.io.guard import memory_limit, reading, size_of_file
-from planish.io.headed import Header, axes_of, head_of, unpacked_parts, values_behind
+from planish.io.guard import head_of, memory_limit, reading, size_of_file
+from planish.io.headed import Header, axes_of, unpacked_parts, values_behind
 from planish.io.lazy import FileArray, Values
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from contextlib import suppress
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -185,7 +184,7 @@ def _describe_image(
     whole, shape = picture.values, picture.values.shape[:2]
     # Of a larger image, some rows and columns are looked at.
     step = max(1, math.ceil(math.sqrt(math.prod(shape) / 4_000_000)))
-    picture = replace(picture, values=whole[::step, ::step])
+    picture = picture._replace(values=whole[::step, ::step])
     try:
         values, _ = pick_channel(picture, "luminance", file_name=path.name)
     except FileError:

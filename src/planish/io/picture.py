@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from io import BytesIO
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple
 
 import imagecodecs
 import numpy as np
@@ -17,7 +16,7 @@ from tifffile import PHOTOMETRIC, TiffPageSeries
 
 from planish.core.errors import FileError
 from planish.io.formats import full_scale
-from planish.io.guard import check_blown_up, check_memory, reading, size_of_file
+from planish.io.guard import check_blown_up, check_memory, head_of, reading
 from planish.io.sizes import Stated, stated_by_tiff, stated_density
 from planish.io.tiff import has_rgb, is_tiff, long_axes, map_or_decode, mapped_from, open_series, shape_words
 
@@ -31,8 +30,7 @@ PICTURE_AXES = frozenset({"YX", "YXS", "SYX", "CYX"})
 Colour = Literal["grey", "rgb", "other"]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class DecodedPicture:
+class DecodedPicture(NamedTuple):
     """A decoded picture."""
 
     values: NDArray[Any]  # dims (y, x) or (y, x, sample), as stored; palettes are looked up
@@ -54,9 +52,7 @@ class DecodedPicture:
 
 def kind_of(path: Path) -> str:
     """``tiff``, ``png``, ``jpeg`` or ``bmp``, by the first bytes, whatever the name says."""
-    size_of_file(path)
-    with reading(path), path.open("rb") as file:
-        head = file.read(8)
+    head = head_of(path, 8)
     if is_tiff(head):
         return "tiff"
     for start, kind in ((b"\x89PNG\r\n\x1a\n", "png"), (b"\xff\xd8\xff", "jpeg"), (b"BM", "bmp")):

@@ -91,8 +91,8 @@ def write_store(
             noted = None
         if not isinstance(noted, dict) or not source.keys() - {"corrections"} <= noted.keys():
             raise InputError(
-                f"{partial} is in the way and no import that stopped. Nothing was changed. Move that folder away, or "
-                "give another name with --out."
+                f"{partial} is in the way and no import that stopped. Move that folder away, or give another name with "
+                "--out."
             )
         if noted != json.loads(json.dumps(source)):
             raise InputError(
@@ -104,15 +104,7 @@ def write_store(
             levels = _make_levels(partial, volume, ome)
             done = ShardLists(partial, ome)
             with limit_threads(threads):
-                _write_finest_levels(
-                    volume,
-                    levels,
-                    done,
-                    memory_bytes=memory_bytes,
-                    executor=executor,
-                    workers=workers,
-                    progress=progress,
-                )
+                _write_finest_levels(volume, levels, done, memory_bytes, executor, workers, progress)
                 for fine, coarse in pairwise(levels[1:]):
                     _write_coarser_level(fine, coarse, done)
             done.settle()
@@ -131,7 +123,6 @@ def _write_finest_levels(
     volume: xr.DataArray,
     levels: list[Array],
     done: ShardLists,
-    *,
     memory_bytes: int,
     executor: Executor | None,
     workers: int,
@@ -260,29 +251,22 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
         datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
     axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
     name = str(volume.attrs.get("file_name", "volume"))
-    scales = [{"name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}]
-    attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": scales}}
+    scales = {"name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}
+    attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": [scales]}}
+    how: dict[str, Any] = {"compressors": ZstdCodec(level=1, checksum=True), "dimension_names": list("zyx")}
     if ome == "0.4":
-        attributes = {"multiscales": [{"version": ome, **scales[0]}]}
+        attributes = {"multiscales": [{"version": ome, **scales}]}
+        how = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
     attr_names = ("full_scale", "voxel_um_source", "stored_dtype", "channel", "sections", "corrections", "history")
-    attributes["planish"] = {"source": name} | {
-        k: volume.attrs[k] for k in attr_names if volume.attrs.get(k) is not None
-    }
+    noted = {key: volume.attrs[key] for key in attr_names if volume.attrs.get(key) is not None}
     group = zarr.open_group(folder, mode="a", zarr_format=3 if ome == "0.5" else 2)
-    group.attrs.update(attributes)
-    levels: list[Array] = []
+    group.attrs.update(attributes | {"planish": {"source": name} | noted})
     for k, size in enumerate(shapes):
-        if str(k) in group:
-            levels.append(_level(folder, k))
-            continue
-        shard = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, size, CHUNK, strict=True))
-        how: dict[str, Any] = {"chunk_key_encoding": {"name": "v2", "separator": "/"}}
         if ome == "0.5":
-            codec = ZstdCodec(level=1, checksum=True)
-            how = {"shards": shard, "compressors": [codec], "dimension_names": list("zyx")}
-        group.create_array(str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **how)
-        levels.append(_level(folder, k))
-    return levels
+            how["shards"] = tuple(min(s, -(-n // c) * c) for s, n, c in zip(SHARD, size, CHUNK, strict=True))
+        if str(k) not in group:
+            group.create_array(str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **how)
+    return [_level(folder, k) for k in range(len(shapes))]
 
 
 def _level(folder: Path, k: int) -> Array:

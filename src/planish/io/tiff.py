@@ -88,31 +88,33 @@ def _count_pages(path: Path) -> int:
         count, tag, pointer = (struct.Struct(order + part) for part in (widths[0], widths[1:4], widths[4]))
         offset: int = pointer.unpack(head[first // 2 : first])[0]
         while offset:
+            page = f"page {len(offsets) + 1}"
             if offset in offsets:
-                raise damaged(path, f"page {len(offsets) + 1} of its chain is one of the pages before it")
+                raise damaged(path, f"{page} of its chain is one of the pages before it")
             if len(offsets) == MOST_PAGES:
                 raise damaged(path, f"it claims more than {MOST_PAGES} pages")
             offsets.add(offset)
             if not first <= offset <= size - count.size:
-                raise damaged(path, f"page {len(offsets)} should begin at byte {offset}, the file has {size}")
+                raise damaged(path, f"{page} should begin at byte {offset}, the file has {size}")
             file.seek(offset)
             tags = count.unpack(file.read(count.size))[0]
             if not 0 < tags <= 4096:
-                raise damaged(path, f"page {len(offsets)} claims {tags} tags")
-            table = file.read(tags * (tag.size + pointer.size) + pointer.size)
-            if len(table) != tags * (tag.size + pointer.size) + pointer.size:
-                raise damaged(path, f"the file ends within the table of page {len(offsets)}")
-            for start in range(0, len(table) - pointer.size, tag.size + pointer.size):
+                raise damaged(path, f"{page} claims {tags} tags")
+            step = tag.size + pointer.size
+            table = file.read(tags * step + pointer.size)
+            if len(table) != tags * step + pointer.size:
+                raise damaged(path, f"the file ends within the table of {page}")
+            for start in range(0, tags * step, step):
                 code, kind, values = tag.unpack_from(table, start)
                 length = values * TYPE_BYTES.get(kind, 0)
                 if code not in NEEDED_TAGS:
                     continue
                 if length == 0:
-                    raise damaged(path, f"tag {code} of page {len(offsets)} has no value")
+                    raise damaged(path, f"tag {code} of {page} has no value")
                 # Values that are short enough stand in the table itself.
                 if length > pointer.size and pointer.unpack_from(table, start + tag.size)[0] + length > size:
-                    raise damaged(path, f"tag {code} of page {len(offsets)} lies outside the file of {size} bytes")
-            offset = pointer.unpack_from(table, len(table) - pointer.size)[0]
+                    raise damaged(path, f"tag {code} of {page} lies outside the file of {size} bytes")
+            offset = pointer.unpack_from(table, tags * step)[0]
     if not offsets:
         raise damaged(path, "it holds no page")
     return len(offsets)

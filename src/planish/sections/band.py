@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +24,7 @@ Stack = NDArray[Any] | LazyArray
 """Sections (section, row, col): an array, or photographs that are decoded when they are asked for."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetBand:
+class SheetBand(NamedTuple):
     """Course of the sheet.
 
     Attributes

@@ -5,7 +5,7 @@ Neighbouring samples share their fibres; parts of some 150 um are independent: t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,8 +30,7 @@ _ALIKE = 0.5  # correlation of two bands below which they do not show the same s
 _BLOCK = 32  # sections that a thread takes at a time
 
 
-@dataclass(frozen=True, slots=True)
-class SectionPairs:
+class SectionPairs(NamedTuple):
     """Offsets between pairs of sections: pose of the second less that of the first, along row and col in um, and rad.
 
     ``alike`` pairs show the same sheet, and the offset of ``sound`` ones is also known well enough. The offsets follow
@@ -56,8 +55,7 @@ class SectionPairs:
         return _solve(self.sums[:, remaining], self.first, self.second, self.base, self.alike, self.fine)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Bands:
+class Bands(NamedTuple):
     """Makes straightened bands of sections and compares them.
 
     Fine bands show texture between some 1 and 4 um along the columns; what is wider wanders along the
