@@ -24,10 +24,9 @@ from planish.core.text import printable
 from planish.io.guard import quiet
 from planish.io.lazy import Values, read_if_small
 from planish.io.sizes import Stated
-from planish.io.tiff import size_words
+from planish.io.tiff import damaged, size_words
 
 ADVICE = "Save one grey volume alone, as a stack of slices."
-EXPORT_AGAIN = "It is damaged: copy or export it again."
 LUMINANCE = (0.2126, 0.7152, 0.0722)  # weights of red, green and blue, Rec. ITU-R BT.709
 COLOURS = {"red": 0, "green": 1, "blue": 2}
 CHANNELS = ("luminance", *COLOURS)
@@ -182,7 +181,7 @@ def checked_volume(volume: LoadedVolume, path: Path, *, memory_bytes: int | None
     shape = volume.values.shape
     # No scan has more; a larger number is damage.
     if 0 in shape or math.prod(shape) > 2**50:
-        raise FileError(f"{path.name} declares {size_words(shape)} voxels, which no volume has. {EXPORT_AGAIN}")
+        raise damaged(path, f"it declares {size_words(shape)} voxels, which no volume has")
     if len(shape) != 3 or min(shape) == 1:
         raise VolumeError(f"{path.name} is no volume but {size_words(shape)} voxels (z, y, x). {ADVICE}")
     check_type(volume.values.dtype, path)

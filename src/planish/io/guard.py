@@ -16,8 +16,6 @@ from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.threads import control_groups
 
 MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
-# Decoded over stored bytes. Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below.
-BLOWN_UP_RATIO = 2000
 
 
 class _Quiet:
@@ -95,11 +93,12 @@ def head_of(path: Path, most: int) -> bytes:
 
 def check_blown_up(path: Path, *, decoded_bytes: int, stored_bytes: int) -> None:
     """Refuse compressed data that claim far more than so few bytes can hold."""
-    # A small image does no harm whatever its ratio: constant ones pass.
-    if decoded_bytes > 16 * 2**20 and decoded_bytes > BLOWN_UP_RATIO * stored_bytes:
+    # Deflate ends at 1032, LZW at about 1400, and scans, which are noisy, far below. A small image does no harm
+    # whatever its ratio: constant ones pass.
+    if decoded_bytes > 16 * 2**20 and decoded_bytes > 2000 * stored_bytes:
         raise FileError(
-            f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, "
-            f"more than {BLOWN_UP_RATIO} to 1. It is damaged: copy or export it again."
+            f"{path.name} claims {decoded_bytes} bytes of image in {stored_bytes} stored bytes, more than 2000 to 1. "
+            "It is damaged: copy or export it again."
         )
 
 

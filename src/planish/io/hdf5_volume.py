@@ -33,7 +33,7 @@ from planish.io.formats import (
 from planish.io.guard import reading, size_of_file
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
-from planish.io.tiff import size_words
+from planish.io.tiff import damaged, size_words
 
 MOST_LINKS = 32  # links that one path may pass; more is a circle
 
@@ -169,12 +169,11 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     """Return an array that reads a data set in parts, and what looks wrong; refuse one without values."""
     check_storage(dataset, path)
-    chunks, name = dataset.chunks, f"{path.name}: {dataset.name}"
-    array = Hdf5Array(path, dataset)
+    chunks, array = dataset.chunks, Hdf5Array(path, dataset)
     if dataset.is_virtual:
         return array, ()
     if dataset.id.get_storage_size() == 0:
-        raise FileError(f"{name} has no values stored. It is cut off: copy or export it again.")
+        raise damaged(path, f"{dataset.name} has no values stored")
     if chunks is None or dataset.id.get_num_chunks() == math.prod(
         -(-n // c) for n, c in zip(array.shape, chunks, strict=True)
     ):
@@ -185,7 +184,7 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
         present.append(tuple(o // c for o, c in zip(chunk.chunk_offset, chunks, strict=True)))
 
     dataset.id.chunk_iter(note)
-    return array, check_chunks(present, array.shape, chunks, name=name)
+    return array, check_chunks(present, array.shape, chunks, name=f"{path.name}: {dataset.name}")
 
 
 class Hdf5Array(FileArray):

@@ -18,7 +18,7 @@ from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
 from planish.io.lazy import Values, WholeArray, mapped
 from planish.io.sizes import Stated
-from planish.io.tiff import size_words
+from planish.io.tiff import damaged, size_words
 
 READ_BYTES = 4 * 2**20
 
@@ -108,10 +108,7 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
                 yield part[-filled:] if filled < len(part) else part
     if filled != needed or not unpacker.eof:
         amount = f"more than the {needed}" if filled > needed else f"{max(filled, 0)} of the {needed}"
-        raise FileError(
-            f"{header.path.name}: the packed values in {header.data.name} hold {amount} bytes declared. It is cut off "
-            "or damaged, or its header is wrong: copy or export it again."
-        )
+        raise damaged(header.path, f"the packed values in {header.data.name} hold {amount} bytes declared")
 
 
 def axes_of(sizes: tuple[int, ...], several: str, path: Path) -> tuple[int, ...]:

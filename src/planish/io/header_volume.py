@@ -141,10 +141,7 @@ def _meta_header(head: bytes, path: Path) -> Header:
             break
     name = keys.get("elementdatafile")
     if name is None:
-        raise FileError(
-            f"{path.name} is no MetaImage, or its header is damaged: the line ElementDataFile is missing. Export it "
-            "again."
-        )
+        raise FileError(f"{path.name} is no MetaImage: the line ElementDataFile is missing. Export it again.")
 
     def switched(key: str, default: str) -> bool:
         return keys.get(key, default).casefold() in {"true", "t", "1"}

@@ -15,7 +15,7 @@ from planish.core.lazy import labelled
 from planish.core.typing import Pair
 from planish.io.formats import extra
 from planish.io.guard import check_memory, quiet, reading, size_of_file
-from planish.io.sizes import PIXEL, Stated, agreed_size, size_per_axis, unit_um
+from planish.io.sizes import PIXEL, Stated, agreed_size, unit_um
 from planish.io.tiff import size_words
 
 
@@ -75,27 +75,25 @@ def read_topography(
         check_memory(path, needed_bytes=3 * 8 * grid[0] * grid[1], limit_bytes=memory_bytes)
         length = unit_um(str(channel.unit or ""))
         if length is None:
-            stated = f"in {channel.unit!r}, which is no unit of length" if channel.unit else "without a unit"
-            raise SizeError(
-                f"{path.name} has heights {stated}. Export it in a format that states the unit, such as X3P or SUR."
-            )
+            fault = f"in {channel.unit!r}, which is no unit of length" if channel.unit else "without a unit"
+            raise SizeError(f"{path.name} has heights {fault}. Export it in a format that states one: X3P or SUR.")
         sizes: Any = channel.physical_sizes or (None, None)
-        has_size = all(v is not None for v in sizes)
-        lengths = [float(v) / n * length for v, n in zip(sizes, grid, strict=True)] if has_size else [None, None]
+        stated: list[Stated] = []
+        if None not in sizes:
+            x, y = (float(v) / n * length for v, n in zip(sizes, grid, strict=True))
+            stated = [Stated("the topography file", (y, x))]
         size, source = agreed_size(
-            [Stated("the topography file", tuple(lengths[::-1]))],
+            stated,
             pixel_um,
             file_name=path.name,
             asked=PIXEL,
             override=override_size,
             unusual=unusual_size,
         )
-        missing_sizes: dict[str, Any] = {}
-        if not has_size:
-            y, x = size_per_axis(size, PIXEL)
-            missing_sizes = {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}
+        y, x = size
+        missing: Any = {} if stated else {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}
         with reading(path):
-            heights = np.ma.asarray(reader.topography(**missing_sizes).heights()).astype(np.float64)
+            heights = np.ma.asarray(reader.topography(**missing).heights()).astype(np.float64)
             file_format = str(reader.format() if callable(getattr(reader, "format", None)) else "")
     with quiet:
         # Some readers map the file and complain when they are thrown away, which would be at any time later.

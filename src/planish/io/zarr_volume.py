@@ -21,7 +21,7 @@ from planish.io.guard import reading
 from planish.io.hashes import missing_shards
 from planish.io.lazy import FileArray, transposed
 from planish.io.sizes import Stated, stated_in
-from planish.io.tiff import size_words
+from planish.io.tiff import damaged, size_words
 
 # Files of a zarr store that are no chunks.
 METADATA = frozenset({"zarr.json", ".zarray", ".zattrs", ".zgroup", ".zmetadata"})
@@ -101,7 +101,7 @@ def _open_node(path: Path, name: str) -> Any:
     if not metadata:
         raise FileError(f"{path.name} has nothing at {where}: no zarr.json, .zarray or .zgroup. Check the name.")
     if any((place / file).stat().st_size > 50_000_000 for file in metadata):
-        raise FileError(f"{path.name}: the metadata of {where} are larger than 50 MB. Export it again.")
+        raise damaged(path, f"the metadata of {where} are larger than 50 MB")
     with reading(path):
         # Each node is opened by its own folder: neither parents nor consolidated metadata are read.
         return zarr.open(store=LocalStore(place, read_only=True), mode="r", use_consolidated=False)
@@ -144,7 +144,7 @@ def _multiscale_of(group: Any, path: Path) -> Keys | None:
     image: Any = images[0] if isinstance(images, list) and images else None
     levels: Any = image.get("datasets") if isinstance(image, dict) else None
     if not isinstance(levels, list) or not levels or not all(isinstance(level, dict) for level in levels):
-        raise FileError(f"{path.name}: its multiscales metadata name no data sets. Export it again as OME-Zarr.")
+        raise damaged(path, "its multiscales metadata name no data sets")
     return {**image, "omero": ome.get("omero")}
 
 
@@ -157,7 +157,7 @@ def _axes(multiscale: Keys | None, shape: tuple[int, ...], path: Path) -> tuple[
     listed = axes if isinstance(axes, (list, str)) else []
     axes = [axis if isinstance(axis, dict) else {"name": axis} for axis in listed]
     if len(axes) != len(shape):
-        raise FileError(f"{path.name} names {len(axes)} axes, its array has {len(shape)}. Export it again as OME-Zarr.")
+        raise damaged(path, f"it names {len(axes)} axes, its array has {len(shape)}")
     names = [str(axis.get("name", "")).casefold() for axis in axes]
     shape_words = f"{size_words(shape)} ({', '.join(names)}). {ADVICE}"
     for name, n in zip(names, shape, strict=True):
@@ -204,7 +204,6 @@ def _check_blosc(array: Any, where: Where, folder: Path, path: Path) -> None:
         stored_bytes = chunk.stat().st_size
         unpacked, packed = struct.unpack_from("<4xIxxxxI", head) if len(head) == 16 else (0, 0)
         if (unpacked, packed) != (needed, stored_bytes):
-            raise FileError(
-                f"{path.name}: its chunk {chunk.relative_to(path).as_posix()} is cut off or damaged: {stored_bytes} "
-                f"bytes of {packed}, for {unpacked} bytes of values, where {needed} are needed. Copy it again."
-            )
+            name = chunk.relative_to(path).as_posix()
+            sizes = f"{stored_bytes} bytes of {packed}, for {unpacked} bytes of values"
+            raise damaged(path, f"its chunk {name} has {sizes}, where {needed} are needed")
