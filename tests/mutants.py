@@ -44,7 +44,7 @@ MUTANTS = [
     Mutant("core/transform.py", "np.where(below > 0, below, np.nan)", "below", "core/test_transform.py register/test_models.py register/test_refusals.py"),
     Mutant("core/transform.py", "np.rad2deg(0.5 * np.arctan2(sine, cosine))", "np.rad2deg(np.arctan2(sine, cosine))", "core/test_transform.py resample/test_maps.py measure/test_orientation.py"),
     # io: sizes and files
-    Mutant("io/sizes.py", "um = length / per_unit", "um = length * per_unit", "io/test_sizes.py"),
+    Mutant("io/sizes.py", "um = length / density", "um = length * density", "io/test_sizes.py"),
     Mutant("core/arrays.py", "TOLERANCE * min(first, second)", "100 * TOLERANCE * min(first, second)", "io/test_sizes.py"),
     Mutant("io/sizes.py", "abs(25400.0 / um - dpi) <= 1.0", "abs(25400.0 / um - dpi) <= 0.0001", "io/test_sizes.py"),
     Mutant("io/slice_volume.py", "count != (last - first) / step + 1", "count != (last - first) / step", "io/test_nrecon.py io/test_formats.py"),

@@ -119,23 +119,23 @@ def _fit_powers(histogram: Counts, limits: Pair, share: Floats, offset: Floats) 
     """Fit 1 + p share² to the grey, less ``offset``, of a material at each depth; give p, and p of each depth alone."""
     low, high = limits
     rows = histogram.reshape(-1, histogram.shape[-1]).astype(np.float64)
-    middles = GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0])
-    count, total = (np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (rows, rows * middles))
+    greys = rows * (GREYS[:-1] + 0.5 * (GREYS[1] - GREYS[0]))
+    count, total = (np.pad(np.cumsum(r, axis=1), ((0, 0), (1, 0))) for r in (rows, greys))
     depths = histogram.shape[1]
     t, offset = np.repeat(np.minimum(share, 1.0) ** 2, depths), np.repeat(offset, depths)
     depth = np.tile(np.arange(depths), COARSE)
     # Depths at which base and coating meet: there the least shift of a face changes the grey.
     border = (low if np.isfinite(low) else high) * np.ones(len(rows))
-    whole = np.bincount(depth, count[:, -1])
-    lower = np.bincount(depth, _sum_between(count, -np.inf * border, border)) if np.isfinite(border[0]) else whole
+    whole = lower = np.bincount(depth, count[:, -1])
+    if np.isfinite(border[0]):
+        lower = np.bincount(depth, _sum_between(count, -np.inf * border, border))
     mixed = np.minimum(lower, whole - lower) > 0.05 * whole  # of the voxels of a depth may be of the other material
     power = 0.0
     used, grey, n = np.zeros(len(rows), bool), np.zeros(len(rows)), np.zeros(len(rows))
     for _ in range(40):  # of sorting and fitting
         curve = 1.0 + power * t
-        ends = low * curve + offset, high * curve + offset
-        n = _sum_between(count, *ends)
-        grey = _sum_between(total, *ends) / np.maximum(n, 1.0) - offset
+        n, grey = (_sum_between(sums, low * curve + offset, high * curve + offset) for sums in (count, total))
+        grey = grey / np.maximum(n, 1.0) - offset
         # A depth has to be there at many radii, or its level cannot be separated from the trend.
         used = (n > 0.02 * n.max()) & ~mixed[depth]
         used &= (np.bincount(depth, used, depths) >= _LEAST_RADII)[depth]

@@ -264,10 +264,10 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
     """Add up all slices."""
     length = turning.shape[0]
     blocks = int(np.clip(length // _LEAST_BLOCK, 1, _BLOCKS))
-    r, c = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
-    radius, turn = np.hypot(r, c), np.arctan2(r, c) / (2 * np.pi) % 1.0
-    # Parts begin at the axes of the array.
-    sectors = np.minimum((turn * SECTORS).astype(np.int64), SECTORS - 1)
+    offsets = turning.offsets_um(*(np.arange(n) for n in turning.shape[1:]))
+    radius = np.hypot(*offsets)
+    # Parts of the turn begin at the axes of the array.
+    sectors = np.minimum((np.arctan2(*offsets) / (2 * np.pi) % 1.0 * SECTORS).astype(np.int64), SECTORS - 1)
     bins = (radius / turning.step_um).astype(np.int64)
     coarse = np.minimum((radius / turning.farthest_um * COARSE).astype(np.int64), COARSE - 1)
     count = np.zeros((blocks, SECTORS, len(MATERIALS), turning.bins), np.int64)
@@ -281,14 +281,20 @@ def take_sums(slices: Iterator[tuple[int, Slice]], turning: Turning, levels: Lev
             for number, grey, kind, depth in pool.map(partial(_classify, levels=levels), group):
                 k = min(int(number * blocks / length), blocks - 1)
                 _add_to_rings(grey, kind, depth, bins, sectors, count[k], total[k], level)
-                # Voxels inside the sheet by quarter of the turn, radius, depth and grey.
-                fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
-                deep = np.searchsorted(DEPTHS, depth, side="right") - 1
-                cells = np.ravel_multi_index((quarters, coarse, deep, fine), histogram[k].shape)[kind > 1 + AIR]
-                histogram[k] += np.bincount(cells, minlength=histogram[k].size).reshape(histogram[k].shape)
+                _add_to_histogram(grey, kind, depth, quarters, coarse, histogram[k])
                 done += 1
     middles = (np.arange(blocks) + 0.5) * length / blocks - 0.5
     return Sums(count=count, total=total, histogram=histogram, blocks=middles, level=level, slices=done)
+
+
+def _add_to_histogram(
+    grey: Counts, kind: NDArray[np.uint8], depth: Counts, quarters: Counts, coarse: Counts, histogram: Counts
+) -> None:
+    """Count the voxels of a slice inside the sheet by quarter of the turn, radius, depth and grey."""
+    fine = np.clip(((grey / UNIT - GREYS[0]) / (GREYS[1] - GREYS[0])).astype(np.int64), 0, GREYS.size - 2)
+    deep = np.searchsorted(DEPTHS, depth, side="right") - 1
+    cells = np.ravel_multi_index((quarters, coarse, deep, fine), histogram.shape)[kind > 1 + AIR]
+    histogram += np.bincount(cells, minlength=histogram.size).reshape(histogram.shape)
 
 
 def _add_to_rings(

@@ -120,32 +120,24 @@ def align_sections(series: SectionSeries, *, fixed: Floats | None = None) -> Ali
     pose[~aligned] = 0.0
     variance = np.full(3, np.nan)
     if aligned.any():
-        spread = _spread_without_groups(series, coarse, fine, groups, cutoff)
-        variance = np.mean(spread[aligned], axis=0) * (GROUPS - 1)
+        variance = _variance_without_groups(series, coarse, fine, groups, cutoff)[aligned].mean(axis=0) * (GROUPS - 1)
     # A narrow image determines rotations badly: they are shortened to what is more than their own error (Wiener).
     mean_square_turn = float(np.mean(pose[aligned, 2] ** 2)) if aligned.any() else 0.0
     pose[:, 2] *= max(0.0, 1.0 - variance[2] / mean_square_turn) if mean_square_turn > 0 else 0.0
-    # The slow part of what something fixed shows.
-    fixed = np.full((n, 3), np.nan) if fixed is None else fixed
-    is_fixed = [bool(np.isfinite(course).mean() >= 0.5) for course in fixed.T]
-    for axis in np.flatnonzero(is_fixed):
-        weights = np.isfinite(fixed[:, axis]).astype(np.float64)
-        slow = slow_part(away, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff, weights=weights)
-        pose[aligned, axis] += slow[aligned]
-    pairs_used = int(np.count_nonzero(is_used))
+    is_fixed = _add_fixed_drift(pose, fixed, away, cutoff, aligned) if fixed is not None else [False] * 3
     return Alignment(
         shift_um=pose[:, :2].copy(),
         rotation_rad=pose[:, 2].copy(),
         aligned=aligned,
         jitter_left_um=np.sqrt(variance[:2]),
-        pairs_used=pairs_used,
-        pairs_refused=is_used.size - pairs_used,
+        pairs_used=int(is_used.sum()),
+        pairs_refused=int((~is_used).sum()),
         cutoff_um=cutoff,
         fixed=tuple(is_fixed),
     )
 
 
-def _spread_without_groups(
+def _variance_without_groups(
     series: SectionSeries, coarse: SectionPairs, fine: SectionPairs | None, groups: list[Index], cutoff: float
 ) -> Floats:
     """Variance of the poses (sections, 3) where one run of columns after the other is left out, of the surface too."""
@@ -158,6 +150,16 @@ def _spread_without_groups(
         places += _sheet_course(series, without=k)
         poses.append(quick_places(places, series.away_um, groups, cutoff_um=cutoff))
     return np.var(poses, axis=0)
+
+
+def _add_fixed_drift(pose: Floats, fixed: Floats, away: Floats, cutoff: float, aligned: Bools) -> list[bool]:
+    """Add the slow part of what something fixed shows; True for each axis that it shows."""
+    is_fixed = [bool(np.isfinite(course).mean() >= 0.5) for course in fixed.T]
+    for axis in np.flatnonzero(is_fixed):
+        weights = np.isfinite(fixed[:, axis]).astype(np.float64)
+        slow = slow_part(away, np.nan_to_num(fixed[:, axis]), cutoff_um=cutoff, weights=weights)
+        pose[aligned, axis] += slow[aligned]
+    return is_fixed
 
 
 def neighbours(away_um: Floats, pitch_um: float, reach: int) -> tuple[Index, Index]:
@@ -253,12 +255,12 @@ def fixed_places(stack: Stack, pixel_um: Pair, *, rows: Strip | None = None, col
 
 def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple[Floats, Floats]:
     """Place in um and slope of the line of each section, against their mean."""
-    pixel, length, (first, last) = pixel_um[axis], stack.shape[2 - axis], strip
+    pixel, length, rows = pixel_um[axis], stack.shape[2 - axis], slice(strip[0], strip[1] + 1)
     edges = np.linspace(0, length, _PARTS + 1).astype(int)
 
     def cut(i: int) -> Floats:
         grey = np.asarray(stack[i], dtype=np.float64)
-        grey = grey[first : last + 1] if axis == 0 else grey[:, first : last + 1].T
+        grey = grey[rows] if axis == 0 else grey[:, rows].T
         return np.add.reduceat(grey, edges[:-1], axis=1).T / np.diff(edges)[:, None]
 
     profiles = np.stack(map_threads(cut, range(stack.shape[0])))  # (sections, pieces, across)
@@ -276,8 +278,8 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     if np.count_nonzero(is_clear) < 0.5 * is_clear.size:
         direction = "rows" if axis == 0 else "columns"
         raise VolumeError(
-            f"The {direction} {first} to {last} show no line or edge that lies still in most sections. Look at a few "
-            "photographs and give a strip that shows the same straight line throughout."
+            f"The {direction} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at a "
+            "few photographs and give a strip that shows the same straight line throughout."
         )
     along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
     # The mean course of all sections is the line's own and is taken off.

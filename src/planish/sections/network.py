@@ -16,11 +16,7 @@ from planish.core.typing import Floats
 
 Index = NDArray[np.intp]
 
-_ROUNDS = 25
-_CAUCHY = 2.385  # 95 % as good as least squares where nothing is wrong (Holland and Welsch 1977)
 LEAST_SHARE = 0.05  # a pair with less than this share of its weight is refused
-_PRIOR_WEIGHT = 1e-7  # weight of the prior "where the stage put it", against the pairs: settles what they leave open
-_LEAST_PART = 6  # sections tied to each other, below which slow and quick parts cannot be separated
 _ORDER = 4
 """Of the derivative that is held down. With 3 a wave of 600 um and 48 um height is bent by 0.5 um at the ends of the
 series, with 4 by 0.1 um."""
@@ -44,20 +40,22 @@ def solve_places(first: Index, second: Index, offset: Floats, sigma: Floats, n: 
     if first.size == 0:
         return place, shares
     reach = int(np.max(second - first))
-    for _ in range(_ROUNDS):
+    for _ in range(25):
         w = trust * shares
         band = np.zeros((reach + 1, n))
         np.add.at(band[reach], first, w)
         np.add.at(band[reach], second, w)
         np.add.at(band, (reach - (second - first), second), -w)
-        band[reach] += _PRIOR_WEIGHT * float(np.median(trust))
+        # Weight of the prior "where the stage put it", against the pairs: settles what they leave open.
+        band[reach] += 1e-7 * float(np.median(trust))
         right_side = np.zeros(n)
         np.add.at(right_side, second, w * offset)
         np.add.at(right_side, first, -w * offset)
         place = np.asarray(solveh_banded(band, right_side), np.float64)
         residual = np.abs(offset - (place[second] - place[first])) / sigma
         scale = max(mad_sd(residual, 0.0), 1.0)
-        shares = 1.0 / (1.0 + (residual / (_CAUCHY * scale)) ** 2)
+        # 95 % as good as least squares where nothing is wrong (Holland and Welsch 1977).
+        shares = 1.0 / (1.0 + (residual / (2.385 * scale)) ** 2)
     return place, shares
 
 
@@ -66,7 +64,8 @@ def parts(first: Index, second: Index, n: int) -> list[Index]:
     ties = coo_array((np.ones(first.size), (first, second)), shape=(n, n))
     names: NDArray[np.int32] = connected_components(ties, directed=False)[1]
     sizes = np.bincount(names, minlength=1)
-    return [np.flatnonzero(names == k) for k in np.flatnonzero(sizes >= min(_LEAST_PART, n))]
+    # With fewer sections, slow and quick parts cannot be separated.
+    return [np.flatnonzero(names == k) for k in np.flatnonzero(sizes >= min(6, n))]
 
 
 def quick_places(places: Floats, away_um: Floats, groups: list[Index], *, cutoff_um: float) -> Floats:

@@ -203,10 +203,7 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
         pull = right - np.einsum("pkij,pj->pki", matrix, answer)
         spread = np.einsum("pk,pki,pkj->pij", weight**2, pull, pull)
         covariance = np.einsum("pij,pjk,pkl->pil", inverse, spread, inverse)
-        # A part of the columns weighs less where it pulls farther than the others.
-        away = np.abs(pull / np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12))
-        sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
-        weight = np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
+        weight = _part_weights(matrix, pull)
     offset = base.copy()
     offset[:, :size] += answer / scale
     parts = sums.shape[1]
@@ -216,6 +213,13 @@ def _solve(sums: Floats, first: Index, second: Index, base: Floats, alike: Bools
     sigma = np.maximum(sigma, 0.02)  # no pair is better than this, whatever its parts say
     sigma[:, 2] /= _TURN_UM
     return SectionPairs(first, second, offset, sigma, alike, sound, sums, base, fine)
+
+
+def _part_weights(matrix: Floats, pull: Floats) -> Floats:
+    """Weigh each part of the columns (pairs, parts): less where it pulls farther than the others."""
+    away = np.abs(pull / np.sqrt(np.maximum(np.einsum("pkii->pki", matrix), 0.0) + 1e-12))
+    sigmas = np.max(away / (1.4826 * np.median(away, axis=1, keepdims=True) + 1e-12), axis=2)
+    return np.where(sigmas > _OUTLIER_SIGMAS, _OUTLIER_SIGMAS / np.maximum(sigmas, 1e-9), 1.0)
 
 
 def _gaussian(sigma: float) -> Samples:
