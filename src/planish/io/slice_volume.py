@@ -128,9 +128,7 @@ class Scan:
     stated: Stated  # voxel size (z, y, x)
     prefix: str | None  # of the names of the slices
     count: int | None
-    first: int | None
-    last: int | None
-    step: int  # from the number of a slice to the next
+    numbers: range | None  # of the slices
     extent: tuple[int | None, int | None]  # rows and columns of a slice
     window: Pair | None  # attenuation at grey 0 and at the largest grey value, in NRecon's units
     details: dict[str, str]  # further keys, as written
@@ -170,9 +168,7 @@ def read_scan(folder: Path) -> Scan | None:
         stated=Stated("NRecon log", (size * step, size, size)),
         prefix=sections.get("file name convention", {}).get("filename prefix") or None,
         count=count,
-        first=first,
-        last=last,
-        step=step,
+        numbers=None if first is None or last is None else range(first, last + 1, step),
         extent=(rows, columns),
         window=None if low is None or high is None or low >= high else (low, high),
         details=details,
@@ -192,11 +188,11 @@ def _log_sections(path: Path) -> dict[str, dict[str, str]]:
     sections: dict[str, dict[str, str]] = {}
     section: dict[str, str] = {}
     for line in map(str.strip, text.splitlines()):
-        key, equals, value = line.partition("=")
+        key, equals, setting = line.partition("=")
         if line.startswith("[") and line.endswith("]"):
             section = sections.setdefault(line[1:-1].strip().casefold(), {})
         elif equals:
-            section.setdefault(key.strip().casefold(), value.strip())
+            section.setdefault(key.strip().casefold(), setting.strip())
     return sections
 
 
@@ -214,12 +210,12 @@ def named_slices(scan: Scan, folder: Path) -> list[Path]:
             f"{ELSEWHERE}"
         )
     numbers = [number for number, _ in numbered]
-    if scan.first is not None and scan.last is not None:
-        wanted = range(scan.first, scan.last + 1, scan.step)
+    if scan.numbers is not None:
+        wanted = scan.numbers
         if missing := _first_missing(wanted, numbers):
             raise VolumeError(
                 f"{scan.log.name} states {len(wanted)} sections, {folder.name} holds {len(numbers)}. Missing: "
-                f"{missing}. Add the missing slices, {ELSEWHERE}"
+                f"{missing}. Add them, {ELSEWHERE}"
             )
         if odd := [n for n in numbers if n not in wanted]:
             raise VolumeError(
@@ -262,7 +258,7 @@ def slice_files(folder: Path, scan: Scan | None) -> list[Path]:
     files = list_slices(folder) if scan is None or scan.prefix is None else named_slices(scan, folder)
     if scan is not None and scan.count not in (None, len(files)):
         raise VolumeError(
-            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(files)}. Add the missing slices, "
+            f"{scan.log.name} states {scan.count} sections, {folder.name} holds {len(files)}. Add the others, "
             f"{ELSEWHERE}"
         )
     _check_several(files)
