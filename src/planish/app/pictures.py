@@ -190,7 +190,7 @@ def image_picture(file: ImageFile, *, plane: Plane, name: str) -> PlanePicture:
         If it has no such channel.
     """
     head = load_picture(file.path, decode=False)
-    _, title = channel_of(replace(head, values=head.values[:1, :1]), file.channel, file_name=file.path.name)
+    _, title = channel_of(head._replace(values=head.values[:1, :1]), file.channel, file_name=file.path.name)
     rows, cols = head.values.shape[:2]
     place = cache_place(file.path, "image", file.channel)
     levels = ComputedLevels(_ImageValues(file, (rows, cols)), place, keep_all=not is_mapped(file.path))
@@ -213,7 +213,7 @@ class _ImageValues(LazyArray):
         with self._opening:
             if self._picture is None:
                 self._picture = load_picture(self._file.path)
-        part = replace(self._picture, values=self._picture.values[where])
+        part = self._picture._replace(values=self._picture.values[where])
         return channel_of(part, self._file.channel, file_name=self._file.path.name)[0]
 
 
