@@ -2,15 +2,12 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core._envelope_kernels import rolled
 from planish.core.errors import VolumeError
-from planish.core.frame import Frame
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
@@ -38,44 +35,63 @@ def assemble(
     ``levels``: grey of air and base.
     """
     pitch, up = columns.pitch[:2], columns.frame.sign
-    f = _orient(faces, doubt, columns.frame)
-    thickness = float(np.nanmedian(up * (f.top - f.bottom))) if f.has_faces.any() else float("nan")
-    if not np.isfinite(thickness):
+    thick = up * (faces.heights["top"] - faces.heights["bottom"])
+    has_faces = thick > 0
+    runs_out = doubt[1] & ~has_faces
+    touching = doubt[0] & ~runs_out
+    has_faces &= ~touching
+    stuck = faces.stuck & ~(has_faces | touching | runs_out)
+    if not has_faces.any():
         raise VolumeError(
             "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."
         )
-    is_sheet = f.has_faces | f.touching | f.stuck
-    sheet, rim, outline = regions(is_sheet, f.runs_out, pitch, params.rim_um)
-    middle = np.where(sheet & ~rim & f.has_faces, 0.5 * (f.top + f.bottom), np.nan)
+    thickness = float(np.median(thick[has_faces]))
+    heights = {name: np.where(has_faces, height, np.nan) for name, height in faces.heights.items()}
+    is_sheet = has_faces | touching | stuck
+    sheet, rim, outline = regions(is_sheet, runs_out, pitch, params.rim_um)
+    middle = np.where(sheet & ~rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
     if not np.isfinite(middle).any():
         raise VolumeError(
             f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
             "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = centre_surface(middle, outline, pitch, params)
-    status = _status(centre, sheet, rim, f)
-    variables = _face_variables(f, pitch, up, params.envelope_um, centre)
-    between = 0.5 * (f.interface_top + f.interface_bottom) - middle
-    variables |= {
-        name: _variable(height.astype(np.float32), title)
-        for name, (height, title) in alternative_surfaces(between, middle, centre, outline, pitch, params).items()
-    }
-    variables |= {
-        name: _variable(share, TITLES[name], "1", layer=list(LAYERS[name]))
-        for name, share in find_presence(columns, centre, thickness, up, levels, engine).items()
-    }
+    variables = {name: _variable(heights[name], f"{name.capitalize()} face") for name in ("top", "bottom")}
+    for side in ("top", "bottom"):
+        name = f"interface_{side}"
+        variables[name] = _variable(heights[name], f"Interface between {side} coating and base")
+    variables["centre"] = _variable(centre, "Centre surface")
+    if params.envelope_um is not None:
+        for name, outward in (("top", up), ("bottom", -up)):
+            ball = rolled(filled(outward * heights[name]), pitch, params.envelope_um)
+            title = f"{name.capitalize()} face below a ball of {params.envelope_um:g} um"
+            variables[f"{name}_envelope"] = _variable(outward * np.where(has_faces, ball, np.nan), title)
+    between = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - middle
+    for name, (height, title) in alternative_surfaces(between, middle, centre, outline, pitch, params).items():
+        variables[name] = _variable(height.astype(np.float32), title)
+    presence = find_presence(columns, centre, thickness, up, levels, engine)
+    for (name, share), place in zip(
+        presence.items(), ("below the top face", "around the centre surface", "above the bottom face"), strict=True
+    ):
+        variables[name] = _variable(share, f"Material {place}", "1", layer=list(LAYERS[name]))
     is_bridged = cutoff_used > params.cutoff_um
     if is_bridged.any():
-        variables["centre_cutoff_um"] = _variable(
-            cutoff_used.astype(np.float32), "Cut-off of the centre surface, wider than stated across gaps"
-        )
+        title = "Cut-off of the centre surface, wider than stated across gaps"
+        variables["centre_cutoff_um"] = _variable(cutoff_used.astype(np.float32), title)
+    has_centre = np.isfinite(centre)
+    status = np.select(
+        [~(has_centre & sheet), rim, has_faces, stuck],
+        [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE], Status.FACE_NOT_FOUND,
+    )  # fmt: skip
+    status[touching & sheet] = Status.TOUCHING
+    status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
     variables["status"] = ("y", "x"), status.astype(np.uint8), status_flags()
     off_rims = (status != Status.NO_SHEET) & (status != Status.RIM)
-    holes, lateral_um = half_closed(is_sheet, f.runs_out, pitch), columns.lateral_um()
+    holes, lateral_um = half_closed(is_sheet, runs_out, pitch), columns.lateral_um()
     attrs = columns.frame.attrs() | {
         "thickness_um": thickness,
         "cutoff_um": params.cutoff_um,
-        "bridged_share": float(np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(centre))),
+        "bridged_share": float(np.count_nonzero(is_bridged) / np.count_nonzero(has_centre)),
         "bridged_off_rims_share": float(is_bridged[off_rims].mean()) if off_rims.any() else 0.0,
         "rim_um": params.rim_um,
         "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
@@ -83,78 +99,18 @@ def assemble(
         "half_closed_holes": len(holes),
         "half_closed_at_um": [
             float(np.interp(k, np.arange(um.size), um))
-            for hole in holes for k, um in zip((hole.row, hole.col), lateral_um, strict=True)
+            for hole in holes for k, um in zip(hole, lateral_um, strict=True)
         ],
-        **({} if params.method == "profile" else {"method": params.method}),
     }  # fmt: skip
+    if params.method != "profile":
+        attrs["method"] = params.method
     return xr.Dataset(
-        variables, {axis: ((axis,), um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
+        variables, {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
     )
-
-
-class _Oriented(NamedTuple):
-    """Faces by the side of the sheet, NaN where a column does not show both, and what such columns are."""
-
-    top: Floats
-    bottom: Floats
-    interface_top: Floats
-    interface_bottom: Floats
-    has_faces: Bools
-    stuck: Bools
-    touching: Bools
-    runs_out: Bools
-
-
-def _orient(faces: Faces, doubt: tuple[Bools, Bools], frame: Frame) -> _Oriented:
-    """Name the faces by the side of the sheet, and sort the columns that do not show both."""
-    top, inner_top = faces.high, faces.interface_high
-    bottom, inner_bottom = faces.low, faces.interface_low
-    if frame.top == "low":
-        (top, inner_top), (bottom, inner_bottom) = (bottom, inner_bottom), (top, inner_top)
-    has_faces = np.isfinite(top) & np.isfinite(bottom) & (frame.sign * (top - bottom) > 0)
-    runs_out = doubt[1] & ~has_faces
-    touching = doubt[0] & ~runs_out
-    has_faces &= ~touching
-    top, bottom, inner_top, inner_bottom = (
-        np.where(has_faces, height, np.nan) for height in (top, bottom, inner_top, inner_bottom)
-    )
-    stuck = faces.stuck & ~has_faces & ~touching & ~runs_out
-    return _Oriented(top, bottom, inner_top, inner_bottom, has_faces, stuck, touching, runs_out)
-
-
-def _face_variables(
-    f: _Oriented, pitch: tuple[float, float], up: float, envelope_um: float | None, centre: Floats
-) -> dict[str, Variable]:
-    """Give faces, interfaces and centre surface, and the envelopes below balls of a radius, as variables."""
-    variables = {
-        "top": _variable(f.top, "Top face"),
-        "bottom": _variable(f.bottom, "Bottom face"),
-        "interface_top": _variable(f.interface_top, "Interface between top coating and base"),
-        "interface_bottom": _variable(f.interface_bottom, "Interface between bottom coating and base"),
-        "centre": _variable(centre, "Centre surface"),
-    }
-    if envelope_um is not None:
-        for name, face, outward in (("top", f.top, up), ("bottom", f.bottom, -up)):
-            envelope = outward * np.where(f.has_faces, rolled(filled(outward * face), pitch, envelope_um), np.nan)
-            title = f"{name.capitalize()} face below a ball of {envelope_um:g} um"
-            variables[f"{name}_envelope"] = _variable(envelope, title)
-    return variables
 
 
 def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs: object) -> Variable:
     return ("y", "x"), field, {"units": units, "long_name": title, **attrs}
-
-
-def _status(centre: Floats, sheet: Bools, rim: Bools, f: _Oriented) -> NDArray[np.int64]:
-    """Say for each column that it was measured, or why not."""
-    outside = ~np.isfinite(centre) | ~sheet
-    status = np.select(
-        [outside, rim, f.has_faces], [Status.NO_SHEET, Status.RIM, Status.MEASURED], Status.FACE_NOT_FOUND
-    )
-    status[f.stuck & (status == Status.FACE_NOT_FOUND)] = Status.PARTICLE
-    status[f.touching & sheet] = Status.TOUCHING
-    status[f.runs_out & (status > 0)] = Status.LEAVES_VOLUME
-    return status
 
 
 def alternative_surfaces(
@@ -201,15 +157,6 @@ _INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to t
 LAYERS = {"presence": (_FROM, _TO), "presence_centre": (-_INNER, _INNER), "presence_bottom": (-_TO, -_FROM)}
 """First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
 
-TITLES = {
-    "presence": "Material below the top face",
-    "presence_centre": "Material around the centre surface",
-    "presence_bottom": "Material above the bottom face",
-}
-
-
-_TileJob = tuple[Columns, list[Floats], float, tuple[float, float]]  # depth and normals in voxels
-
 
 def find_presence(
     columns: Columns, centre: Floats, thickness: float, up: float, levels: tuple[float, float], engine: Engine
@@ -227,25 +174,14 @@ def find_presence(
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
-    def job(tile: Tile) -> _TileJob:
+    def job(tile: Tile) -> tuple[Columns, list[Floats], float, tuple[float, float]]:
         return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
 
     parts = engine.map("layers", _tile_presence, job, columns.tiles(engine))
     return dict(zip(LAYERS, join_tiles(parts, np.full((len(LAYERS), *columns.shape[:2]), np.nan)), strict=True))
 
 
-def _places() -> tuple[Floats, NDArray[np.int64]]:
-    """Places along the normal in shares of the thickness, and which of them each layer is the mean of."""
-    outer = np.linspace(_FROM, _TO, _STEPS)
-    # The centre's layer takes the two places of either neighbour that lie in it, and three of its own.
-    inner = np.array([0.0, 2 * outer[0] - outer[1]])
-    places = np.concatenate([outer, -outer, inner, -inner[1:]])
-    top = np.arange(_STEPS)
-    centre = np.array([0, 1, _STEPS, _STEPS + 1, *range(2 * _STEPS, places.size)])
-    return places, np.stack([top, centre, top + _STEPS]).astype(np.int64)
-
-
-def _tile_presence(job: _TileJob, tile: Tile) -> Floats:
+def _tile_presence(job: tuple[Columns, list[Floats], float, tuple[float, float]], tile: Tile) -> Floats:
     """Give the presence in a tile, (layers, rows, cols)."""
     columns, fields, thickness, levels = job
     whole = columns.shape
@@ -254,19 +190,24 @@ def _tile_presence(job: _TileJob, tile: Tile) -> Floats:
     is_sheet = np.isfinite(depth) & np.isfinite(along)
     if not is_sheet.any():
         return out
-    places, layers = _places()
-    offsets = places * thickness
+    # Places along the normal, and which of them each layer is the mean of: the centre's layer takes the two places of
+    # either neighbour that lie in it, and three of its own.
+    outer, top = np.linspace(_FROM, _TO, _STEPS), np.arange(_STEPS)
+    inner = 2 * outer[0] - outer[1]
+    offsets = thickness * np.concatenate([outer, -outer, [0.0, inner, -inner]])
+    centre = [0, 1, _STEPS, _STEPS + 1, *range(2 * _STEPS, offsets.size)]
+    layers = np.array([top, centre, top + _STEPS])
     # Only what the normals pass through is read.
     ends = [depth[is_sheet] + s * along[is_sheet] for s in (offsets.min(), offsets.max())]
-    low, high = min(float(e.min()) for e in ends), max(float(e.max()) for e in ends)
+    low, high = float(np.min(ends)), float(np.max(ends))
     if high < 0 or low > whole[2] - 1:
         return out
     first = min(max(int(np.floor(low)), 0), whole[2] - 2)
     lead = [int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1 for n in (rows, cols)]
     outside = tile.grown(lead[0], lead[1], whole[:2])
-    inner = tile.within(outside)
+    inside = tile.within(outside)
     grey = columns.grey(outside, depth=slice(first, min(int(np.ceil(high)) + 2, whole[2])))
     _kernels.presence(
-        grey, first, whole[2], inner.r0, inner.c0, depth, rows, cols, along, offsets, layers, *levels, out
+        grey, first, whole[2], inside.r0, inside.c0, depth, rows, cols, along, offsets, layers, *levels, out
     )
     return out

@@ -7,7 +7,7 @@ has a coating, paper and coating. A coating thinner than the blur comes out as t
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -26,47 +26,43 @@ from planish.surface.regions import doubtful
 from planish.surface.survey import survey_labels
 
 _BINS = 128
-_BYTES = 16  # that a voxel of a slab takes
 
 
 def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
     """Find the faces and interfaces of every column with its slice's own thresholds; ``particles`` float in the air."""
     rows, cols, depth = columns.shape
-    # Whole rows: a threshold belongs to a slice.
-    high = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * _BYTES)), 1)
+    # Whole rows: a threshold belongs to a slice. A voxel of a slab takes 16 bytes.
+    high = max(int(engine.memory_bytes / (engine.at_once + 1) / (cols * columns.step**2 * depth * 16)), 1)
 
     def job(tile: Tile) -> FitJob:
-        return FitJob(columns=columns, guide=guide.part(priors.scale.grown(tile, (rows, cols))), priors=priors)
+        return columns, guide.part(priors.scale.grown(tile, (rows, cols))), priors, None
 
-    tiles = tiles_of((rows, cols), (high, cols))
-    depths = join_tiles(engine.map("slices", _fit_slices, job, tiles), np.empty((4, rows, cols)))
-    return faces_from_depths(depths, columns, priors.coated, particles=particles)
+    parts = engine.map("slices", _fit_slices, job, tiles_of((rows, cols), (high, cols)))
+    return faces_from_depths(join_tiles(parts, np.empty((4, rows, cols))), columns, priors.coated, particles=particles)
 
 
 def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
-    columns, priors = job.columns, job.priors
-    grey = oriented(columns, tile, job.guide, priors.scale)
-    guide = job.guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
+    columns, guide, priors, _ = job
+    grey = oriented(columns, tile, guide, priors.scale)
+    guide = guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
     margin = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
     out = np.full((4, *tile.shape), np.nan)
     reach = priors.reach / guide.tilt
     depth = np.arange(grey.shape[2])
-    for i in range(tile.shape[0]):
+    for i, row in enumerate(grey):
         low, high = guide.low[i][:, None], guide.high[i][:, None]
         with np.errstate(invalid="ignore"):
             near = (depth >= low - margin) & (depth <= high + margin)
-        grey_near = grey[i][near & np.isfinite(grey[i])]
+        grey_near = row[near & np.isfinite(row)]
         if grey_near.size < 100:
             continue
         paper, coating = otsu(grey_near.astype(np.float64), 3 if any(priors.coated) else 2)
         for k, end in enumerate((True, False)):
-            side = priors.sides[end]
-            column = grey[i, :, ::-1] if end else grey[i]
+            column = (row[:, ::-1] if end else row).astype(np.float64)
             outer, other = (a[i] for a in guide.faces(grey.shape[2], high=end))
-            out[2 * k : 2 * k + 2, i] = _outer_boundaries(
-                column.astype(np.float64), outer, other, outer - reach[i], paper, coating if side.coated else np.inf
-            )
+            level = coating if priors.sides[end].coated else np.inf
+            out[2 * k : 2 * k + 2, i] = _outer_boundaries(column, outer, other, outer - reach[i], paper, level)
     return out
 
 
@@ -142,14 +138,13 @@ def otsu(grey: Floats, classes: int) -> tuple[float, float]:
 
 _CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}
 _UNKNOWN = 255
-_COATED_SHARE = 0.02  # of the columns; below it a side has no coating
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class LabelColumns(Columns):
     """Columns of labels: codes of air, base, void and coating, or 1 where there is any sheet."""
 
-    codes: tuple[tuple[int, int], ...] = ()  # (label, code)
+    codes: dict[int, int]  # by label
     sheet: bool = True  # give 1 for all that is not air
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
@@ -157,13 +152,13 @@ class LabelColumns(Columns):
         # Slots leave a dataclass without its class cell, so super() needs it.
         raw = super(LabelColumns, self).voxels(tile, depth)
         out = np.full(raw.shape, _UNKNOWN, dtype=np.uint8)
-        for label, code in self.codes:
+        for label, code in self.codes.items():
             out[raw == label] = code
         if (out == _UNKNOWN).any():
-            label = raw[out == _UNKNOWN].flat[0]
             raise VolumeError(
-                f"The volume holds the label {label}, and its meaning is not given. Say which labels are air, "
-                "base, coating and void with --label-air, --label-base, --label-coating and --label-void."
+                f"The volume holds the label {raw[out == _UNKNOWN].flat[0]}, and its meaning is not given. Say which "
+                "labels are air, base, coating and void with --label-air, --label-base, --label-coating and "
+                "--label-void."
             )
         return (out > 0).astype(np.uint8) if self.sheet else out
 
@@ -176,30 +171,28 @@ def surfaces_from_labels(
         raise VolumeError(
             f"Labels are integers; this volume holds {labels.dtype}. Give the label volume, not the grey."
         )
-    by_label: dict[int, int] = {}
+    codes: dict[int, int] = {}
     for name, code in _CODES.items():
         for label in getattr(meaning, name):
-            if by_label.setdefault(int(label), code) != code:
+            if codes.setdefault(int(label), code) != code:
                 raise VolumeError(
                     f"The label {label} was given two meanings, one of them {name}. Give each label once."
                 )
-    columns = LabelColumns(volume=labels, frame=frame, codes=tuple(sorted(by_label.items())))
+    columns = LabelColumns(volume=labels, frame=frame, codes=dict(sorted(codes.items())))
     coarse, empty_share = survey_labels(columns, params, engine)
-    guide = make_guide(coarse, columns)
-    coded = LabelColumns(volume=labels, frame=frame, codes=columns.codes, sheet=False)
+    guide, coded = make_guide(coarse, columns), replace(columns, sheet=False)
     reach = 2.0 + 1.5 * coarse.block * max(columns.pitch[:2]) / columns.pitch[2]
     parts = engine.map("labels", _boundaries, lambda tile: (coded, guide.part(tile), reach), columns.tiles(engine))
     depths = join_tiles(parts, np.empty((4, *columns.shape[:2])))
-    share = [float(np.mean(thickness[np.isfinite(thickness)] > 0)) if np.isfinite(thickness).any() else 0.0
-             for thickness in (depths[1], depths[3])]  # fmt: skip
-    coated = share[0] > _COATED_SHARE, share[1] > _COATED_SHARE
+    # A side with a coating in fewer than 2 % of its columns has none.
+    seen = [thickness[np.isfinite(thickness)] > 0 for thickness in depths[1::2]]
+    high, low = (bool(part.size and part.mean() > 0.02) for part in seen)
     surfaces = assemble(
-        columns, params, faces_from_depths(depths, columns, coated, particles=coarse.specks),
+        columns, params, faces_from_depths(depths, columns, (high, low), particles=coarse.specks),
         doubtful(guide, coarse, 0.0, columns.shape[2]), (0.0, 1.0), engine,
     )  # fmt: skip
-    surfaces.attrs["empty_share"] = empty_share
-    surfaces.attrs["from_labels"] = " ".join(f"{label}:{code}" for label, code in columns.codes)
-    return surfaces
+    from_labels = " ".join(f"{label}:{code}" for label, code in columns.codes.items())
+    return surfaces.assign_attrs(empty_share=empty_share, from_labels=from_labels)
 
 
 def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
@@ -214,8 +207,9 @@ def _boundaries(job: tuple[LabelColumns, Guide, float], tile: Tile) -> Floats:
         middle, start = (np.where(is_seen, a, -1.0) for a in (0.5 * (outer + other), outer - reach / guide.tilt))
         part = codes[:, :, ::-1] if high else codes
         # The outermost boundary of base or coating, and the outermost run of coating.
-        face = first_where((part == _CODES["base"]) | (part == _CODES["coating"]), np.floor(start))
-        end = first_where(part != _CODES["coating"], face)
+        is_coating = part == _CODES["coating"]
+        face = first_where(is_coating | (part == _CODES["base"]), np.floor(start))
+        end = first_where(~is_coating, face)
         is_boundary = is_seen & (face > 0) & (face <= np.minimum(middle.astype(int), last - 1))
-        out[2 * k][is_boundary], out[2 * k + 1][is_boundary] = face[is_boundary] - 0.5, (end - face)[is_boundary]
+        out[2 * k : 2 * k + 2] = np.where(is_boundary, [face - 0.5, end - face], np.nan)
     return out

@@ -24,7 +24,7 @@ _CHOOSE = (
     "Choose one by its grey values with --sheet-grey LOW,HIGH, by a point in it with --seed-um Z,Y,X, or crop the "
     "volume."
 )
-_MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
+MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
 _SPECK = 8  # blocks; fewer are noise
 _NEAR = 3  # voxels: a seed point may lie so far beside its object
 
@@ -134,7 +134,7 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
         low, high = (np.full(run_shape, -1, np.int64) for run_shape in (inside.shape[:2],) * 2)
         merged = np.zeros(inside.shape[:2], np.bool_)
         _kernels.follow(inside, row, col, start, stop, most, low, high, merged)
-        most = _MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
+        most = MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
     is_sheet = low >= 0
     if is_sheet.mean() < _LEAST_COVER:
         raise VolumeError(

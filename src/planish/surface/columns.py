@@ -226,13 +226,6 @@ class Side:
     spread: Floats  # of the same; only those of the greys are used
     coated: bool
 
-    def brighter(self, factor: float) -> Side:
-        """Return the side with a coating whose grey is known: so many times what it was."""
-        level, wide = self.level.copy(), self.spread.copy()
-        level[2] *= factor
-        wide[2] = 1e-3 * level[2]
-        return Side(level=level, spread=wide, coated=True)
-
 
 Sides = dict[bool, Side]  # by whether they lie at the high end of the columns
 

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,48 +15,64 @@ from planish.core.typing import Bools, Floats
 from planish.surface import _fit_kernels
 from planish.surface.columns import Columns, Guide, Priors, join_tiles, oriented
 
-_SPIKE_UM = 3.0
 _FLOATS = 3.0  # voxels outside the coarse sheet: two of air and one for its own inaccuracy
-_PROUD_UM = 6.0  # it stands out by so much
-_PLATE_UM = 100.0  # as wide as a floating particle may be
 _MOST_OF = 0.8
-_NARROW_UM = 15.0  # an attached particle is narrower
+
+FitJob = tuple[Columns, Guide, Priors, Floats | None]
+"""Of a tile's fit: the guide is that of the tile and its halo; of (2, rows, cols), where given, only columns with a
+number, and those next to them, are fitted."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Faces:
-    """Heights in um of the faces and of the interfaces below them, (rows, cols); NaN where nothing was found.
+    """Faces of every column.
 
+    ``heights``: of both faces and the interfaces below them, (rows, cols) in um, NaN where nothing was found;
     ``stuck`` (rows, cols): columns below an attached particle; ``particles``: how many particles were removed.
     """
 
-    high: Floats
-    low: Floats
-    interface_high: Floats
-    interface_low: Floats
+    heights: dict[str, Floats]
     stuck: Bools
     particles: int
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitJob:
-    """Job of a tile's fit, with the guide of the tile and its halo."""
-
-    columns: Columns
-    guide: Guide
-    priors: Priors
-    again: Floats | None = None  # (2, rows, cols): only columns with a number here, and next to it
-
-
 def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, particles: int = 0) -> Faces:
     """Fit every column from both ends; ``particles`` float in the air beside the sheet."""
-    shape = columns.shape[:2]
+    shape, depth = columns.shape[:2], columns.shape[2]
 
     def job(tile: Tile) -> FitJob:
-        return FitJob(columns=columns, guide=guide.part(priors.scale.grown(tile, shape)), priors=priors)
+        return columns, guide.part(priors.scale.grown(tile, shape)), priors, None
 
-    depths = join_tiles(engine.map("faces", _fit_tile, job, columns.tiles(engine)), np.empty((4, *shape)))
-    particles += _below_particles(depths, fit_job=job, columns=columns, guide=guide, priors=priors, engine=engine)
+    tiles = columns.tiles(engine)
+    depths = join_tiles(engine.map("faces", _fit_tile, job, tiles), np.empty((4, *shape)))
+    if not priors.embedded_level:
+        # The coarse sheet is one connected object: what is seen far outside it hangs on nothing, and the face is looked
+        # for again below it. Where the gap is so narrow that the coarse search saw one object, a plate with a step all
+        # around is tried too. Such plates are counted here; what floats farther away was counted by the coarse search.
+        floating, expected = np.zeros((2, *shape), dtype=bool), np.empty((2, *shape))
+        plates: list[NDArray[np.int32]] = []
+        for k, high in enumerate((True, False)):
+            plate, opened = _plates(-depths[2 * k], columns.pitch)
+            plates.append(plate)
+            expected[k] = np.where(plate > 0, -opened, guide.faces(depth, high=high)[0])
+            with np.errstate(invalid="ignore"):
+                floating[k] = (expected[k] - depths[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
+        again = np.where(floating, expected, np.nan)
+
+        def job_below(tile: Tile) -> FitJob:
+            return *job(tile)[:3], again[:, tile.rows, tile.cols]
+
+        tiles = [t for t in tiles if floating[:, t.rows, t.cols].any()]
+        parts = engine.map("faces_below", _fit_tile, job_below, tiles)
+        below = join_tiles(parts, np.full((4, *shape), np.nan))
+        for k, plate in enumerate(plates):
+            better = floating[k] & np.isfinite(below[2 * k])
+            # A plate floats when there is a face below most of it.
+            floats = np.append(False, _share(better, plate, int(plate.max())) > _MOST_OF)
+            particles += int(np.count_nonzero(floats))
+            better &= (plate == 0) | floats[plate]
+            depths[2 * k][floats[plate] & ~better] = np.nan
+            depths[2 * k : 2 * k + 2, better] = below[2 * k : 2 * k + 2, better]
     return faces_from_depths(depths, columns, priors.coated, cleaned=True, particles=particles)
 
 
@@ -70,71 +85,32 @@ def faces_from_depths(
     low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
     ``particles`` were removed before.
     """
-    shape, depth_um, step = columns.shape[:2], columns.depth_um, columns.pitch[2]
-    first, last = float(depth_um[0]), columns.shape[2] - 1
+    shape, step = columns.shape[:2], columns.pitch[2]
+    first, last = float(columns.depth_um[0]), columns.shape[2] - 1
     stuck = np.zeros(shape, dtype=bool)
-    heights: list[Floats] = []
-    for high, (outer, thickness) in zip((True, False), (depths[:2], depths[2:]), strict=True):
-        if cleaned:
-            is_finite = np.isfinite(outer)
-            if is_finite.any():
-                # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
-                off = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
-                limit = max(8.0 * mad_sd(off[is_finite]) + 1.0, _SPIKE_UM / step, 3.0)
-                outer = np.where(is_finite & (off <= limit), outer, np.nan)
-            narrow = _narrow(-outer, columns.pitch)
+    heights: dict[str, Floats] = {}
+    sides = ("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")
+    for k, side in enumerate(sides):
+        outer, thickness = depths[2 * k : 2 * k + 2]
+        is_finite = np.isfinite(outer)
+        if cleaned and is_finite.any():
+            # Columns whose face stands far off its neighbours' are dust, or fits that went astray.
+            off = np.abs(outer - ndimage.median_filter(filled(outer), size=5, mode="nearest"))
+            limit = max(8.0 * mad_sd(off[is_finite]) + 1.0, 3.0 / step, 3.0)  # 3 um or voxels
+            outer = np.where(is_finite & (off <= limit), outer, np.nan)
+            # What stands 6 um or 3 voxels out of the face, and by more than its roughness, in a narrow place.
+            is_finite, whole = np.isfinite(outer), filled(-outer)
+            rows, cols = (max(int(15.0 / p), 1) + 1 for p in columns.pitch[:2])  # an attached particle is narrower
+            hat = whole - _opened(whole, (rows, cols))
+            limit = max(8.0 * mad_sd(hat[is_finite]) + 1.0, 6.0 / step, 3.0)
+            narrow = is_finite & (hat > limit)
             particles += int(ndimage.label(narrow, np.ones((3, 3)))[1])
             stuck |= narrow
             outer = np.where(narrow, np.nan, outer)
-        inner = np.where(np.isfinite(outer), outer + thickness, np.nan)
-        if not coated[0 if high else 1]:
-            inner = np.full(shape, np.nan)
-        heights += [first + step * (last - d) if high else first + step * d for d in (outer, inner)]
-    return Faces(
-        high=heights[0], interface_high=heights[1], low=heights[2], interface_low=heights[3], stuck=stuck,
-        particles=particles,
-    )  # fmt: skip
-
-
-def _below_particles(
-    depths: Floats, *, fit_job: Callable[[Tile], FitJob], columns: Columns, guide: Guide, priors: Priors, engine: Engine
-) -> int:
-    """Look again, below it, where the face was found on something that floats above the sheet; count what was."""
-    # The coarse sheet is one connected object; what is found far outside it hangs on nothing. Where the gap is so
-    # narrow that the coarse search saw one object, a plate with a step all around is tried too. Such plates are counted
-    # here; what floats farther away was counted by the coarse search.
-    if priors.embedded_level:
-        return 0
-    shape, depth = columns.shape[:2], columns.shape[2]
-    floating = np.zeros((2, *shape), dtype=bool)
-    expected = np.empty((2, *shape))
-    plates: list[NDArray[np.int32]] = []
-    for k, high in enumerate((True, False)):
-        expected[k] = guide.faces(depth, high=high)[0]
-        plate, opened = _plates(-depths[2 * k], columns.pitch)
-        plates.append(plate)
-        expected[k] = np.where(plate > 0, -opened, expected[k])
-        with np.errstate(invalid="ignore"):
-            floating[k] = (expected[k] - depths[2 * k] > _FLOATS / guide.tilt) | (plate > 0)
-    tiles = [t for t in columns.tiles(engine) if floating[:, t.rows, t.cols].any()]
-
-    def job(tile: Tile) -> FitJob:
-        return replace(fit_job(tile), again=np.where(floating, expected, np.nan)[:, tile.rows, tile.cols])
-
-    below = join_tiles(engine.map("faces_below", _fit_tile, job, tiles), np.full((4, *shape), np.nan))
-    count = 0
-    for k, plate in enumerate(plates):
-        better = floating[k] & np.isfinite(below[2 * k])
-        # A plate floats when there is a face below most of it.
-        index = np.arange(1, int(plate.max()) + 1)
-        if index.size:
-            share = _share(better, plate)
-            count += int(np.count_nonzero(share > _MOST_OF))
-            better &= (plate == 0) | np.isin(plate, index[share > _MOST_OF])
-            depths[2 * k][np.isin(plate, index[share > _MOST_OF]) & ~better] = np.nan
-        for n in (2 * k, 2 * k + 1):
-            depths[n][better] = below[n][better]
-    return count
+        inner = np.where(np.isfinite(outer), outer + thickness, np.nan) if coated[k] else np.full(shape, np.nan)
+        for name, d in ((side, outer), (f"interface_{side}", inner)):
+            heights[name] = first + step * (last - d if k == 0 else d)
+    return Faces(heights=heights, stuck=stuck, particles=particles)
 
 
 def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray[np.int32], Floats]:
@@ -143,18 +119,15 @@ def _plates(outward: Floats, pitch: tuple[float, float, float]) -> tuple[NDArray
     if not is_finite.any():
         return np.zeros(outward.shape, np.int32), outward
     whole = filled(outward)
-    size = int(_PLATE_UM / pitch[0]) + 2, int(_PLATE_UM / pitch[1]) + 2
-    opened = _opened(whole, size)
+    opened = _opened(whole, (int(100.0 / pitch[0]) + 2, int(100.0 / pitch[1]) + 2))  # as wide as it may be, in um
     hat = whole - opened
     labels, count = ndimage.label(is_finite & (hat > max(_FLOATS - 0.5, 8.0 * mad_sd(hat[is_finite]))))
     if not count:
         return np.asarray(labels, np.int32), opened
     # A bump, or a fibre that lies on others with its ends, has no step all around.
-    grown = ndimage.grey_dilation(labels, size=(9, 9))
-    ring = np.where((labels == 0) & is_finite, grown, 0)
-    index = np.arange(1, count + 1)
-    alone = _share(hat < 1.5, ring, count) > _MOST_OF
-    return np.where(np.isin(labels, index[alone]), labels, 0).astype(np.int32), opened
+    ring = np.where((labels == 0) & is_finite, ndimage.grey_dilation(labels, size=(9, 9)), 0)
+    is_plate = np.append(False, _share(hat < 1.5, ring, count) > _MOST_OF)
+    return np.where(is_plate[labels], labels, 0).astype(np.int32), opened
 
 
 def _opened(height: Floats, size: tuple[int, int]) -> Floats:
@@ -165,44 +138,29 @@ def _opened(height: Floats, size: tuple[int, int]) -> Floats:
     return ndimage.grey_opening(wide, size=size)[inner]
 
 
-def _share(mask: Bools, labels: NDArray[np.integer], count: int = 0) -> Floats:
-    """Share of each label's columns, 1 to the last, in which ``mask`` is set."""
+def _share(mask: Bools, labels: NDArray[np.integer], count: int) -> Floats:
+    """Share of the columns of each of ``count`` labels in which ``mask`` is set."""
     flat = labels.ravel()
     number = np.bincount(flat, minlength=count + 1)[1:]
     return np.bincount(flat, weights=mask.ravel(), minlength=count + 1)[1:] / np.maximum(number, 1)
 
 
-def _fit_tile(fit: FitJob, tile: Tile) -> Floats:
+def _fit_tile(job: FitJob, tile: Tile) -> Floats:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
-    columns, priors = fit.columns, fit.priors
+    columns, guide, priors, again = job
     edge = priors.edge
-    grey = oriented(columns, tile, fit.guide, priors.scale)
-    outside = priors.scale.grown(tile, columns.shape[:2])
-    guide = fit.guide.part(tile.within(outside))
+    grey = oriented(columns, tile, guide, priors.scale)
+    guide = guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
     tilt = np.ascontiguousarray(guide.tilt)
-    out = np.empty((4, *tile.shape))
-    result = np.empty((5, *tile.shape))
+    out, fit = np.empty((4, *tile.shape)), np.empty((5, *tile.shape))
     for k, high in enumerate((True, False)):
         outer, other = (np.ascontiguousarray(a) for a in guide.faces(grey.shape[2], high=high))
-        side = priors.sides[high]
-        embedded_level = priors.embedded_level
-        if fit.again is not None:
-            outer, embedded_level = np.ascontiguousarray(fit.again[k]), 0.5 * priors.base
+        side, embedded_level = priors.sides[high], priors.embedded_level
+        if again is not None:
+            outer, embedded_level = np.ascontiguousarray(again[k]), 0.5 * priors.base
         _fit_kernels.fit_faces(
             grey, outer, other, tilt, 0.0, edge.width, priors.scatter, side.level, side.spread, side.coated,
-            priors.reach, result, 0.0, embedded_level, edge.fringe or None, edge.ratio, high,
+            priors.reach, fit, 0.0, embedded_level, edge.fringe or None, edge.ratio, high,
         )  # fmt: skip
-        out[2 * k : 2 * k + 2] = result[:2]
+        out[2 * k : 2 * k + 2] = fit[:2]
     return out
-
-
-def _narrow(outward: Floats, pitch: tuple[float, float, float]) -> Bools:
-    """Columns that stand out of the face by more than its roughness, in places narrower than a particle may be."""
-    is_finite = np.isfinite(outward)
-    if not is_finite.any():
-        return np.zeros(outward.shape, dtype=bool)
-    whole = filled(outward)
-    size = max(int(_NARROW_UM / pitch[0]), 1) + 1, max(int(_NARROW_UM / pitch[1]), 1) + 1
-    hat = whole - _opened(whole, size)
-    limit = max(8.0 * mad_sd(hat[is_finite]) + 1.0, _PROUD_UM / pitch[2], 3.0)
-    return is_finite & (hat > limit)

@@ -2,21 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 from scipy import ndimage, spatial
 
 from planish.core.typing import Bools, Floats
-from planish.surface.coarse import CoarseSheet, flags_to_columns
+from planish.surface.coarse import MERGED, CoarseSheet, flags_to_columns
 from planish.surface.columns import Guide
 
-_MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
-_BESIDE = 2  # columns beside such a place whose faces it disturbs
 _HOLE_UM = 600.0  # a gap wider than this is missing sheet, not a hole
-_EDGE_UM = 20.0  # kept clear of the sheet's edge, which nothing has burnt
-_OPEN = 0.7  # share of a hole's ellipse that must be open
-_LEAST_UM = 40.0  # width of what counts as a hole at all
 
 
 def regions(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float], rim_um: float) -> tuple[Bools, Bools, Bools]:
@@ -34,16 +27,17 @@ def regions(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float], rim_um
     sheet = ndimage.binary_opening(sheet, _disc(reach))[inner] | ndimage.binary_erosion(sheet, _disc(1))[inner]
     labels, count = ndimage.label(~sheet)
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    area = np.bincount(labels.ravel(), minlength=count + 1) * pitch[0] * pitch[1]
-    hole = area <= np.pi / 4 * _HOLE_UM**2
-    hole[border] &= area[border] <= np.pi / 8 * _HOLE_UM**2  # half of it lies beyond the border
-    hole[0] = False
-    columns = np.maximum(np.bincount(labels.ravel(), minlength=count + 1), 1)
-    goes_on = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=count + 1) > 0.5 * columns
+    size = np.bincount(labels.ravel(), minlength=count + 1)
+    # Half of a hole at the border lies beyond it.
+    widest = np.full(count + 1, np.pi / 4 * _HOLE_UM**2)
+    widest[border] /= 2
+    goes_on = np.bincount(labels.ravel(), weights=runs_out.ravel(), minlength=count + 1) > 0.5 * np.maximum(size, 1)
     goes_on[0] = False
-    hole &= ~goes_on
+    hole = (size * pitch[0] * pitch[1] <= widest) & ~goes_on
+    hole[0] = False
     holes = hole[labels]
-    rim = _near(holes, pitch, rim_um) | _near(~sheet & ~holes & ~goes_on[labels], pitch, min(rim_um, _EDGE_UM))
+    # The sheet's edge, which nothing has burnt, is kept clear of 20 um.
+    rim = _near(holes, pitch, rim_um) | _near(~sheet & ~holes & ~goes_on[labels], pitch, min(rim_um, 20.0))
     return sheet, rim & sheet, sheet | holes
 
 
@@ -52,10 +46,10 @@ def doubtful(guide: Guide, coarse: CoarseSheet, width: float, depth: int) -> tup
     extent = (guide.high - guide.low) * guide.tilt
     is_finite = np.isfinite(extent)
     usual = float(np.median(extent[is_finite])) if is_finite.any() else np.inf
-    touching = is_finite & (np.where(is_finite, extent, 0.0) > _MERGED * usual + 2.0 * width)
+    touching = is_finite & (np.where(is_finite, extent, 0.0) > MERGED * usual + 2.0 * width)
     touching |= flags_to_columns(coarse.touching, coarse.block, extent.shape)
     if touching.any():
-        touching = ndimage.binary_dilation(touching, _disc(_BESIDE))
+        touching = ndimage.binary_dilation(touching, _disc(2))  # the columns beside whose faces it disturbs
     # Two widths of the blur and the block's own inaccuracy are needed outside a face.
     margin = 2.0 * width / guide.tilt + 2.0
     near = (guide.low < margin) | (guide.high > depth - 1 - margin)
@@ -74,50 +68,40 @@ def _disc(radius: int) -> Bools:
     return x * x + y * y <= radius * radius + 0.5
 
 
-class Hole(NamedTuple):
-    """A hole in the sheet.
-
-    ``row``, ``col``: middle, in columns; ``open_um2``: area without sheet; ``ellipse_um2``: area of the ellipse with
-    the second moments of its convex outline.
-    """
-
-    row: float
-    col: float
-    open_um2: float
-    ellipse_um2: float
-
-
-def half_closed(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float]) -> list[Hole]:
-    """Find the holes of which less than 70 % is open.
+def half_closed(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float]) -> Floats:
+    """Middles (n, 2), in columns, of the holes of which less than 70 % is open.
 
     A hole is compared with its own ellipse, and where there are three or more, with the usual ellipse of all: what has
     half closed with a straight edge is a smaller ellipse of its own. ``is_sheet``: columns with a sheet; ``runs_out``:
     columns in which it goes on beyond the volume.
     """
-    holes = all_holes(is_sheet | runs_out, pitch)
-    usual = float(np.median([h.ellipse_um2 for h in holes])) if len(holes) >= 3 else 0.0
-    return [h for h in holes if h.open_um2 < _OPEN * max(h.ellipse_um2, usual)]
+    middles, open_um2, ellipse_um2 = np.split(all_holes(is_sheet | runs_out, pitch), (2, 3), axis=1)
+    usual = float(np.median(ellipse_um2)) if len(ellipse_um2) >= 3 else 0.0
+    return middles[(open_um2 < 0.7 * np.maximum(ellipse_um2, usual))[:, 0]]
 
 
-def all_holes(sheet: Bools, pitch: tuple[float, float]) -> list[Hole]:
-    """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map."""
+def all_holes(sheet: Bools, pitch: tuple[float, float]) -> Floats:
+    """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map, (n, 4).
+
+    Row and column of the middle; area without sheet, and of the ellipse with the second moments of the convex outline.
+    """
     reach = max(1, round(3.0 / float(np.sqrt(pitch[0] * pitch[1]))))
     # Fibres and flaps across a hole belong to its outline, single columns without a face do not.
     gaps = ndimage.binary_opening(~sheet, np.ones((2, 2), dtype=bool))
     around, count = ndimage.label(ndimage.binary_dilation(gaps, iterations=reach))
-    out: list[Hole] = []
+    holes: list[tuple[float, ...]] = []
     for k, place in enumerate(ndimage.find_objects(around)[:count], start=1):
         if any(s.start == 0 or s.stop == n for s, n in zip(place, sheet.shape, strict=True)):
             continue
         where: Floats = np.argwhere(gaps[place] & (around[place] == k)).astype(np.float64) * np.asarray(pitch)
         if where.shape[0] < 8 or np.ptp(where, axis=0).min() <= 0:
             continue
-        area = where.shape[0] * pitch[0] * pitch[1]
         ellipse = _ellipse(where)
-        if np.pi / 4 * _LEAST_UM**2 <= ellipse <= np.pi / 4 * _HOLE_UM**2:
-            middle = where.mean(axis=0) / pitch
-            out.append(Hole(place[0].start + middle[0], place[1].start + middle[1], area, ellipse))
-    return out
+        if np.pi / 4 * 40.0**2 <= ellipse <= np.pi / 4 * _HOLE_UM**2:
+            row, col = where.mean(axis=0) / pitch
+            area = where.shape[0] * pitch[0] * pitch[1]
+            holes.append((place[0].start + row, place[1].start + col, area, ellipse))
+    return np.array(holes).reshape(-1, 4)
 
 
 def _ellipse(points: Floats) -> float:

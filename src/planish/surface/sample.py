@@ -16,13 +16,8 @@ from planish.surface import _fit_kernels
 from planish.surface.columns import Columns, Edge, GreyScale, Guide, Side, oriented
 from planish.surface.survey import Survey
 
-_ROWS = 24  # rows that are read for it
 _QUIET = 8.0  # contrast-to-noise ratio below which columns are smoothed with their neighbours
-_CORRELATED = 1.15  # noise over that of neighbouring voxels' differences, from which on it is no longer white
-_ROUNDED = 12.0**-0.5  # standard deviation of what rounding to whole numbers takes off
-_MISFIT = 0.01  # of the base's contrast: no column is a staircase to within less
 _ASTRAY = 400.0  # cost of a column whose fit went astray; no worse one counts for more
-_USUAL = 4.0  # times the usual cost: the same where most columns cost so much
 
 
 class Sample(NamedTuple):
@@ -48,32 +43,31 @@ class Sampler:
     def __init__(self, columns: Columns, guide: Guide, survey: Survey) -> None:
         self.columns, self.guide = columns, guide
         self.embedded_level = survey.coarse.threshold if survey.surroundings != "air" else 0.0
-        self.depth = columns.shape[2]
-        self.pitch = columns.pitch
         self.scale = GreyScale(air=survey.air, polarity=survey.polarity)
+        pitch = columns.pitch
         # How far the block's face may lie from a column's own: a block's slope and the roughness.
-        self.reach = 2.0 + 1.5 * survey.coarse.block * max(self.pitch[:2]) / self.pitch[2]
+        self.reach = 2.0 + 1.5 * survey.coarse.block * max(pitch[:2]) / pitch[2]
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
         self.scatter = self.single_noise = self.noise
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
         rows = np.flatnonzero(has_sheet.any(axis=1))
-        rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, _ROWS)).astype(int))]
+        rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, 24)).astype(int))]
         wide = min(columns.shape[1], 1024)  # columns of each of them
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
         # golden section.
         starts = ((np.arange(rows.size) * 0.6180339887498949) % 1.0 * (columns.shape[1] - wide + 1)).astype(int)
         self.rows = [Tile(int(r), int(r) + 1, int(c), int(c) + wide) for r, c in zip(rows, starts, strict=True)]
-        self.cache: dict[tuple[Tile, float], NDArray[np.float32]] = {}
+        self.cache: dict[Tile, NDArray[np.float32]] = {}
+
+    def _blend(self, blend: float) -> None:
+        self.scale, self.cache = replace(self.scale, blend=blend), {}
 
     def _read(self, tile: Tile, *, high: bool) -> NDArray[np.float32]:
         # The same columns are looked at several times.
-        key = (tile, self.scale.blend)
-        if key not in self.cache:
-            if any(blend != self.scale.blend for _, blend in self.cache):
-                self.cache.clear()
+        if tile not in self.cache:
             guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
-            self.cache[key] = oriented(self.columns, tile, guide, self.scale)[0]
-        part = self.cache[key]
+            self.cache[tile] = oriented(self.columns, tile, guide, self.scale)[0]
+        part = self.cache[tile]
         return np.ascontiguousarray(part[:, ::-1]) if high else part
 
     def sample(self, *, high: bool) -> Sample:
@@ -88,7 +82,7 @@ class Sampler:
         parts: list[Sample] = []
         for number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
-            outer, other = (a[0] for a in guide.faces(self.depth, high=high))
+            outer, other = (a[0] for a in guide.faces(self.columns.shape[2], high=high))
             good = np.flatnonzero(np.isfinite(outer) & np.isfinite(other))
             good = good[np.unique(np.linspace(0, good.size - 1, min(good.size, per_row)).astype(int))]
             if good.size:
@@ -102,33 +96,33 @@ class Sampler:
     def calm(self, base: float) -> None:
         """Choose how far columns are averaged with their neighbours, and what noise and scatter that leaves."""
         whole = self._air_noise()
-        if whole > _CORRELATED * self.noise:
+        if whole > 1.15 * self.noise:
             # Neighbouring voxels share their noise, or streaks lie in the air: averaging helps less, so it is tried.
             self.noise = self.single_noise = whole
             for blend in (0.5, 0.75, 1.0, 1.5, 2.0):  # voxels
                 if base / self.noise >= _QUIET:
                     break
-                self.scale = replace(self.scale, blend=blend)
+                self._blend(blend)
                 self.noise = self._air_noise()
         elif (cnr := base / self.noise) < _QUIET:
             # Averaging over a Gaussian of s voxels divides white noise by 2 sqrt(pi) s.
             blend = min(_QUIET / cnr / (2 * np.sqrt(np.pi)), 1.5)
-            self.scale = replace(self.scale, blend=blend)
+            self._blend(blend)
             self.noise /= max(1.0, 2 * np.sqrt(np.pi) * blend)
-        is_rounded = np.issubdtype(self.columns.volume.dtype, np.integer)
-        self.scatter = max(self.noise, _ROUNDED if is_rounded else 0.0, _MISFIT * base)
+        # What rounding to whole numbers takes off, and no column is a staircase to within a hundredth of its contrast.
+        rounded = 12.0**-0.5 if np.issubdtype(self.columns.volume.dtype, np.integer) else 0.0
+        self.scatter = max(self.noise, rounded, 0.01 * base)
 
     def _air_noise(self) -> float:
         """Standard deviation of the air just outside the faces, as the fit will see it; NaN where there is none."""
         if self.embedded_level:
             return float("nan")  # what lies beside is no air
-        width = int(np.ceil(15.0 / self.pitch[2]))  # from the face into the air
+        width = int(np.ceil(15.0 / self.columns.pitch[2]))  # from the face into the air
         samples: list[NDArray[np.float32]] = []
         for tile in self.rows:
-            part = self._read(tile, high=False)
             for high in (True, False):
-                outer = self.guide.part(tile).faces(self.depth, high=high)[0][0]
-                grey = part[:, ::-1] if high else part
+                grey = self._read(tile, high=high)
+                outer = self.guide.part(tile).faces(grey.shape[1], high=high)[0][0]
                 first = np.where(np.isfinite(outer), outer - self.reach, -1.0).astype(int) - width
                 for start in (first, first - width):
                     is_inside = np.flatnonzero(start >= 0)
@@ -137,24 +131,22 @@ class Sampler:
 
     def quiet(self, samples: Samples, width: float) -> Samples:
         """Sample columns that are means over their neighbours, as far as the sheet's slope does not widen the blur."""
-        guide, scale = self.guide, self.scale
-        steep = float(np.nanpercentile(np.hypot(guide.slope_r, guide.slope_c), 90)) * self.columns.step
-        blend = min(2.0, 0.3 * width / max(steep, 1e-3))  # columns
-        if blend <= max(scale.blend, 0.3):
+        steep = float(np.nanpercentile(np.hypot(self.guide.slope_r, self.guide.slope_c), 90)) * self.columns.step
+        blend, usual = min(2.0, 0.3 * width / max(steep, 1e-3)), self.scale.blend  # columns
+        if blend <= max(usual, 0.3):
             return samples
-        self.scale = replace(scale, blend=blend)
+        self._blend(blend)
         quiet = {high: self.sample(high=high) for high in samples}
-        self.scale = scale
+        self._blend(usual)
         return quiet
 
     def fit(self, sample: Sample, side: Side, edge: Edge, window: float = 0.0) -> Floats:
         """Fit every column: (5, 1, n) face, thickness, both greys and cost."""
         fit = np.empty((5, *sample.outer.shape))
-        outer, other, tilt = (np.ascontiguousarray(a) for a in (sample.outer, sample.other, sample.tilt))
+        grey, outer, other, tilt = map(np.ascontiguousarray, sample[:4])
         _fit_kernels.fit_faces(
-            np.ascontiguousarray(sample.grey), outer, other, tilt, 0.0, edge.width, self.scatter, side.level,
-            side.spread, side.coated, self.reach, fit, window, self.embedded_level, edge.fringe or None, edge.ratio,
-            False,
+            grey, outer, other, tilt, 0.0, edge.width, self.scatter, side.level, side.spread, side.coated, self.reach,
+            fit, window, self.embedded_level, edge.fringe or None, edge.ratio, False,
         )  # fmt: skip
         return fit
 
@@ -165,4 +157,4 @@ def most_cost(cost: Floats) -> float:
     Where most columns cost more than that, the staircase is what does not fit, and what fits it worse must still show.
     """
     finite = cost[np.isfinite(cost)]
-    return max(_ASTRAY, _USUAL * float(np.median(finite))) if finite.size else _ASTRAY
+    return max(_ASTRAY, 4.0 * float(np.median(finite))) if finite.size else _ASTRAY
