@@ -11,7 +11,7 @@ import numpy as np
 from planish.core.errors import VolumeError
 from planish.core.frame import Axis
 from planish.core.robust import mad_sd
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats
 from planish.surface.coarse import CORE, Blocks, Choice, CoarseSheet, followed_sheet, search_sheet
 from planish.surface.columns import Columns, voxel_pitch
 from planish.surface.params import SurfaceParams
@@ -19,43 +19,33 @@ from planish.surface.params import SurfaceParams
 Surroundings = Literal["air", "others", "material"]
 """What lies beside a sheet: air alone, other objects beyond air, or material from which a grey has to separate it."""
 
-_SHARES = np.linspace(0.5, 0.95, 19)  # of the grey at the seed, tried as threshold
-_BRIGHTER = 1.6  # times that grey: not the same object
-_CLEAR = 0.1  # of the brightest: below it there is nothing at the seed
-_SAME_DEPTH = 2.0  # voxels by which the thickness of one sheet may differ, found with the seed and without
-_LEAST_GAP, _NEAR_SHARE = 12, 0.001  # voxels of air beside a sheet that stands apart; columns that may have less
-_ENOUGH = 2**21  # block means from which levels are told; of more, every so many
 _SIGMAS = 6.0  # a block is material when it differs from the air by so many standard deviations
-_FEWER_SIGMAS = 4.5  # where that is not enough to see the base of a sheet
 
 
 def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams) -> Choice:
     """Give the width of a block, the seed point in block indices, and the words for a place in block indices."""
     volume, frame, wide = columns.volume, columns.frame, block * columns.step
-    scale = {frame.rows: wide, frame.cols: wide, frame.through: 1}
-    order: tuple[Axis, ...] = (frame.rows, frame.cols, frame.through)
+    scale: dict[Axis, int] = {frame.rows: wide, frame.cols: wide, frame.through: 1}
 
     def describe(block_index: tuple[int, int, int]) -> str:
-        index = dict(zip(order, block_index, strict=True))
-        place = {k: volume[k].values[min(int((i + 0.5) * scale[k]), volume.sizes[k] - 1)] for k, i in index.items()}
-        return ",".join(f"{float(place[k]):.4g}" for k in ("z", "y", "x"))
+        place: dict[str, float] = {}
+        for (axis, size), i in zip(scale.items(), block_index, strict=True):
+            place[axis] = float(volume[axis].values[min(int((i + 0.5) * size), volume.sizes[axis] - 1)])
+        return ",".join(f"{place[axis]:.4g}" for axis in ("z", "y", "x"))
 
     choice = Choice(block=block, describe=describe)
     if params.seed_um is None:
         return choice
     seed: list[int] = []
-    seed_um = dict(zip(("z", "y", "x"), params.seed_um, strict=True))
-    for axis, most in zip(order, shape, strict=True):
-        values = volume.coords[axis].values
-        pitch = voxel_pitch(volume, axis)
-        index = (seed_um[axis] - float(values[0])) / pitch
-        if not -0.5 <= index < values.size - 0.5:
-            limits = f"{float(values[0]):g} to {float(values[-1]):g}"
+    for (axis, size), most in zip(scale.items(), shape, strict=True):
+        um, seed_um = volume.coords[axis].values, params.seed_um["zyx".index(axis)]
+        index = (seed_um - float(um[0])) / voxel_pitch(volume, axis)
+        if not -0.5 <= index < um.size - 0.5:
             raise VolumeError(
-                f"The seed point lies outside the volume: its {axis} is {seed_um[axis]:g} um, the volume goes from "
-                f"{limits} um. Check --seed-um and --voxel-um."
+                f"The seed point lies outside the volume: its {axis} is {seed_um:g} um, the volume goes from "
+                f"{float(um[0]):g} to {float(um[-1]):g} um. Check --seed-um and --voxel-um."
             )
-        seed.append(min(int((index + 0.5) / scale[axis]), most - 1))
+        seed.append(min(int((index + 0.5) / size), most - 1))
     return replace(choice, seed=(seed[0], seed[1], seed[2]))
 
 
@@ -72,33 +62,45 @@ def choose_sheet(
         return sheet, "air" if choice.seed is None else "material", polarity
     polarity, threshold, least = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)
-    if choice.seed is not None:
-        # Layers may be thinner than what the blocks are smoothed over.
-        above = _above_air(sharp, air, polarity)
-        alone: CoarseSheet | None = None
-        with suppress(VolumeError):
-            alone = _refined(oriented, threshold, replace(choice, seed=None))
-            row, col, depth = choice.seed
-            if not alone.low[row, col] - 0.5 <= depth <= alone.high[row, col] + 0.5:
-                alone = None
+    if choice.seed is None:
         try:
-            sheet, is_embedded = _chosen(oriented, above, threshold, choice)
+            return _refined(oriented, threshold, choice), "air", polarity
         except VolumeError:
-            if alone is None:
-                raise
-            return alone, "air", polarity
-        if alone is not None and _shows_as_much(alone, sheet):
-            return alone, "air", polarity
-        far = not is_embedded and _stands_apart(oriented > sheet.threshold, sheet)
-        return sheet, "material" if is_embedded else "air" if far else "others", polarity
+            # Two bright coatings on a dim base look like two sheets. With a lower threshold they are one, if they are
+            # one.
+            if least < 0.7 * threshold:
+                with suppress(VolumeError):
+                    return _refined(oriented, least, choice), "air", polarity
+            raise
+    alone: CoarseSheet | None = None
+    with suppress(VolumeError):
+        alone = _refined(oriented, threshold, replace(choice, seed=None))
+        row, col, depth = choice.seed
+        if not alone.low[row, col] - 0.5 <= depth <= alone.high[row, col] + 0.5:
+            alone = None
     try:
-        return _refined(oriented, threshold, choice), "air", polarity
+        # Layers may be thinner than what the blocks are smoothed over.
+        sheet, is_embedded = _chosen(oriented, _above_air(sharp, air, polarity), threshold, choice)
     except VolumeError:
-        # Two bright coatings on a dim base look like two sheets. With a lower threshold they are one, if they are one.
-        if least < 0.7 * threshold:
-            with suppress(VolumeError):
-                return _refined(oriented, least, choice), "air", polarity
-        raise
+        if alone is None:
+            raise
+        return alone, "air", polarity
+    if alone is not None:
+        # A sheet that was found without the seed is the one at the seed, in as many columns: then nothing lies beside
+        # it, and its faces need not be told from those of others, which takes sheets of few voxels for their own blur.
+        thick = [float(np.median((s.high - s.low)[s.is_whole])) for s in (alone, sheet) if s.is_whole.any()]
+        is_same = len(thick) < 2 or abs(thick[0] - thick[1]) <= 2.0
+        if is_same and np.count_nonzero(alone.is_whole) >= np.count_nonzero(sheet.is_whole):
+            return alone, "air", polarity
+    if is_embedded:
+        return sheet, "material", polarity
+    # Is there so much air beside it that no search for its faces meets another object?
+    least_gap = max(12, 4 + 3 * sheet.block)
+    index, near = np.arange(oriented.shape[2]), 0
+    for row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):  # one by one: it takes less memory
+        away = np.fmax(low[:, None] - index, index - high[:, None])
+        near += np.count_nonzero(((row > sheet.threshold) & (away > 2) & (away < least_gap)).any(axis=1))
+    return sheet, "air" if near < 0.001 * sheet.low.size else "others", polarity
 
 
 def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tuple[float, float, float]:
@@ -107,13 +109,12 @@ def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tu
     ``blocks`` are block means; a sheet is what stands out from the air's own scatter, which is that of the half nearest
     to the air where ``air_scatter`` is not given.
     """
-    subset = blocks.ravel()[:: 1 + blocks.size // _ENOUGH]
+    subset = blocks.ravel()[:: 1 + blocks.size // 2**21]  # enough to tell the levels from
     deviation = subset[np.isfinite(subset)].astype(np.float64) - air
     size = np.abs(deviation)
     scatter = mad_sd(deviation[size <= np.percentile(size, 50)]) if air_scatter is None else air_scatter
     scatter = max(scatter, 1e-3 * float(np.ptp(deviation)), 1e-9)
-    bright = deviation > _SIGMAS * scatter
-    dark = deviation < -_SIGMAS * scatter
+    bright, dark = deviation > _SIGMAS * scatter, deviation < -_SIGMAS * scatter
     if max(np.count_nonzero(bright), np.count_nonzero(dark)) < 1e-4 * deviation.size:
         raise VolumeError(
             f"There is no sheet in the volume: all of it lies within {_SIGMAS:g} standard deviations of the air's grey "
@@ -122,7 +123,7 @@ def material(blocks: Blocks, air: float, air_scatter: float | None = None) -> tu
     polarity = 1.0 if size[bright].sum() >= size[dark].sum() else -1.0
     typical = float(np.median(size[bright if polarity > 0 else dark]))
     ends = np.concatenate([blocks[..., :3].ravel(), blocks[..., -3:].ravel()]).astype(np.float64)
-    least = max(_FEWER_SIGMAS * mad_sd(ends), 0.08 * typical)
+    least = max(4.5 * mad_sd(ends), 0.08 * typical)
     return polarity, max(_SIGMAS * scatter, 0.35 * typical), least
 
 
@@ -137,7 +138,7 @@ def _above_air(blocks: Blocks, air: float, polarity: float) -> Blocks:
 def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     """Find the sheet with a threshold, and once more with a better one."""
     sheet = search_sheet(oriented, oriented > threshold, threshold, choice)
-    rows, cols = np.nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high))
+    rows, cols = np.nonzero(sheet.is_whole)
     if rows.size == 0:
         raise VolumeError(
             "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one side, or it is "
@@ -162,19 +163,20 @@ def _chosen(oriented: Blocks, sharp: Blocks, threshold: float, choice: Choice) -
             return sheet, False
     except VolumeError as error:
         failure = error
-    own_grey = float(seed_grey(sharp, choice.seed).max())
-    if failure is not None and own_grey < _CLEAR * float(np.percentile(sharp, 99)):
+    seed_level = float(seed_grey(sharp, choice.seed).max())
+    # There is nothing at the seed where that is so far below the brightest.
+    if failure is not None and seed_level < 0.1 * float(np.percentile(sharp, 99)):
         raise failure
     # The best of them shows both faces, without a neighbour, in the most columns.
     most, best = 0, None
-    for share in _SHARES:
-        inside = (sharp > share * own_grey) & (sharp < _BRIGHTER * own_grey)
+    for share in np.linspace(0.5, 0.95, 19):  # what is brighter than 1.6 times that grey is not the same object
+        inside = (sharp > share * seed_level) & (sharp < 1.6 * seed_level)
         try:
-            sheet = followed_sheet(sharp, inside, float(share * own_grey), choice)
+            sheet = followed_sheet(sharp, inside, float(share * seed_level), choice)
         except VolumeError as error:
             failure = error
             continue
-        shown = int(np.count_nonzero(np.isfinite(sheet.low) & np.isfinite(sheet.high)))
+        shown = int(np.count_nonzero(sheet.is_whole))
         if shown > most and _merged(sheet) < 0.6:  # above it the sheet cannot be followed
             most, best = shown, sheet
     if best is not None:
@@ -184,27 +186,6 @@ def _chosen(oriented: Blocks, sharp: Blocks, threshold: float, choice: Choice) -
         "it cannot be separated from them. Crop the volume to a part where it stands alone, or "
         "choose another point with --seed-um."
     ) from failure
-
-
-def _shows_as_much(alone: CoarseSheet, sheet: CoarseSheet) -> bool:
-    """Tell if a sheet that was found without the seed is the one at the seed, in as many columns."""
-    # Then nothing lies beside it, and its faces need not be told from those of others, which takes sheets of few voxels
-    # for their own blur.
-    first, second = (np.isfinite(s.low) & np.isfinite(s.high) for s in (alone, sheet))
-    thick = [float(np.median((s.high - s.low)[shown])) for s, shown in ((alone, first), (sheet, second)) if shown.any()]
-    same = len(thick) < 2 or abs(thick[0] - thick[1]) <= _SAME_DEPTH
-    return bool(same and np.count_nonzero(first) >= np.count_nonzero(second))
-
-
-def _stands_apart(material: Bools, sheet: CoarseSheet) -> bool:
-    """Tell if so much air lies beside a sheet that no search for its faces meets another object."""
-    least_gap = max(_LEAST_GAP, 4 + 3 * sheet.block)
-    depth = np.arange(material.shape[2])
-    near = 0
-    for inside, low, high in zip(material, sheet.low, sheet.high, strict=True):  # row by row: it takes less memory
-        away = np.fmax(low[:, None] - depth, depth - high[:, None])
-        near += np.count_nonzero((inside & (away > 2) & (away < least_gap)).any(axis=1))
-    return bool(near < _NEAR_SHARE * sheet.low.size)
 
 
 def _merged(sheet: CoarseSheet) -> float:

@@ -17,16 +17,14 @@ from planish.surface.centre import interpolate
 Blocks = NDArray[np.float32]
 """Means over blocks of columns: (block rows, block cols, depth)."""
 CORE = (0.35, 0.65)  # share of the way through the sheet that counts as its core
-_SECOND_SHEET = 0.25  # share of the largest piece's area above which a second piece counts as another sheet
 _LEAVES = 0.5  # share of columns that may run out of the volume
 _LEAST_COVER = 0.02
 _CHOOSE = (
     "Choose one by its grey values with --sheet-grey LOW,HIGH, by a point in it with --seed-um Z,Y,X, or crop the "
     "volume."
 )
-MERGED = 1.6  # times the usual thickness: two sheets that touch, or one that folds back
-_SPECK = 8  # blocks; fewer are noise
-_NEAR = 3  # voxels: a seed point may lie so far beside its object
+MERGED = 1.6
+"""Times the usual thickness: two sheets that touch, or one that folds back."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,6 +40,11 @@ class CoarseSheet:
     touching: Bools
     specks: int = 0  # other objects in the air beside the sheet
 
+    @property
+    def is_whole(self) -> Bools:
+        """Block columns with both faces."""
+        return np.isfinite(self.low) & np.isfinite(self.high)
+
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Choice:
@@ -53,48 +56,56 @@ class Choice:
     seed: tuple[int, int, int] | None = None
 
 
+def first_and_last(mask: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """First and last index along the last axis at which a mask is set somewhere; the whole length where it is not."""
+    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
+
+
 def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
-    """Find the sheet at the seed point, or the only one where no seed is given."""
-    return (coarse_sheet if choice.seed is None else followed_sheet)(blocks, inside, threshold, choice)
+    """Measure the sheet at the seed point; where there is none, the only slab of ``inside``.
 
-
-def coarse_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
-    """Measure the largest slab of ``inside``; VolumeError for none, for several, and for one from end to end."""
+    VolumeError for none, for several, and for one from end to end.
+    """
+    if choice.seed is not None:
+        return followed_sheet(blocks, inside, threshold, choice)
     labels, count = ndimage.label(inside)
     if count == 0:
         raise VolumeError(
             "There is no sheet in the volume: nothing has the grey that was asked for. Check --sheet-grey."
         )
-    cover = _cover(labels, count)
-    order = np.argsort(cover)[::-1]
-    largest = int(order[0]) + 1
-    area = cover[largest - 1] / labels[..., 0].size
+    # Columns in which each object appears.
+    cover, sizes = np.zeros(count + 1, dtype=np.int64), np.zeros(count + 1, dtype=np.int64)
+    for row in labels:
+        ordered = np.sort(row, axis=-1)
+        cover += np.bincount(ordered[np.diff(ordered, axis=-1, prepend=-1) > 0], minlength=count + 1)
+        sizes += np.bincount(ordered.ravel(), minlength=count + 1)
+    order, columns = np.argsort(cover[1:])[::-1] + 1, labels[..., 0].size
+    largest = int(order[0])
+    area = cover[largest] / columns
     if area < _LEAST_COVER:
         raise VolumeError(
             f"There is no sheet in the volume: the largest connected object covers {100 * area:.2g} % of the columns. "
             "Check --through (the axis that runs through the sheet) and --sheet-grey."
         )
-    other_labels = [int(k) + 1 for k in order[1:6] if cover[k] > _SECOND_SHEET * cover[largest - 1]]
-    if other_labels:
-        shares = ", ".join(f"{100 * cover[k - 1] / labels[..., 0].size:.0f} %" for k in (largest, *other_labels))
-        points = "; ".join(choice.describe(_inner_point(labels == k)) for k in (largest, *other_labels))
+    sheets = [int(k) for k in order[:6] if cover[k] > 0.25 * cover[largest]]
+    if len(sheets) > 1:
+        shares = ", ".join(f"{100 * cover[k] / columns:.0f} %" for k in sheets)
+        points = "; ".join(choice.describe(_inner_point(labels == k)) for k in sheets)
         raise VolumeError(
-            f"The volume shows {1 + len(other_labels)} separate sheets (they cover {shares} of the columns). {_CHOOSE} "
-            f"Points in them: {points}."
+            f"The volume shows {len(sheets)} separate sheets (they cover {shares} of the columns). {_CHOOSE} Points in "
+            f"them: {points}."
         )
     mask = labels == largest
-    touching = {end: mask[..., k].mean() / area for end, k in (("low", 0), ("high", -1))}
-    end = max(touching, key=lambda k: touching[k])
-    if touching[end] > _LEAVES:
+    leaves, end = max((mask[..., k].mean() / area, end) for end, k in (("low", 0), ("high", -1)))
+    if leaves > _LEAVES:
         raise VolumeError(
-            f"Material reaches the {end} end of the axis through the sheet in {100 * touching[end]:.0f} % of the "
-            f"columns: the sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
+            f"Material reaches the {end} end of the axis through the sheet in {100 * leaves:.0f} % of the columns: the "
+            f"sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
         )
-    counts = mask.sum(axis=-1)
-    first = np.argmax(mask, axis=-1)
-    last = mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
-    is_sheet = counts > 0
-    gappy = np.median(counts[is_sheet] / (last - first + 1)[is_sheet])
+    filled = mask.sum(axis=-1)
+    first, last = first_and_last(mask)
+    is_sheet = filled > 0
+    gappy = np.median(filled[is_sheet] / (last - first + 1)[is_sheet])
     if gappy < 0.4:
         raise VolumeError(
             "Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
@@ -102,10 +113,10 @@ def coarse_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             f"{_CHOOSE}"
         )
     low, high = _extent(blocks, np.where(is_sheet, first, -1), np.where(is_sheet, last, -1), threshold)
-    sizes = np.sum([np.bincount(row.ravel(), minlength=count + 1) for row in labels], axis=0)[1:]
+    specks = int(np.count_nonzero(sizes[1:] >= 8)) - 1  # fewer blocks are noise
     return CoarseSheet(
         low=low, high=high, block=choice.block, leaves=mask[..., 0] | mask[..., -1], threshold=threshold,
-        touching=np.zeros(is_sheet.shape, bool), specks=int(np.count_nonzero(sizes >= _SPECK)) - 1,
+        touching=np.zeros(is_sheet.shape, bool), specks=specks,
     )  # fmt: skip
 
 
@@ -113,8 +124,8 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     """Follow the sheet at the seed point from column to column; VolumeError if there is none."""
     assert choice.seed is not None
     seed = np.asarray(choice.seed)
-    corner = np.maximum(seed - _NEAR, 0)
-    places = np.argwhere(inside[tuple(slice(int(a), int(k) + _NEAR + 1) for a, k in zip(corner, seed, strict=True))])
+    corner = np.maximum(seed - 3, 0)  # a seed point may lie so many voxels beside its object
+    places = np.argwhere(inside[tuple(slice(int(a), int(k) + 4) for a, k in zip(corner, seed, strict=True))])
     if places.size == 0:
         raise VolumeError(
             f"There is only air at the seed point {choice.describe(choice.seed)} um (z, y, x). Give a point inside the "
@@ -127,27 +138,25 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
     start = int(outside[outside < depth].max(initial=-1)) + 1
     stop = int(outside[outside > depth].min(initial=run.size)) - 1
     # The seed's own run says roughly how thick the sheet is, the median of what was found then says it well.
-    low = high = np.empty((0, 0), np.int64)
-    merged = np.empty((0, 0), np.bool_)
+    shape = inside.shape[:2]
+    low, high, merged = np.empty(shape, np.int64), np.empty(shape, np.int64), np.empty(shape, np.bool_)
     most = 2.0 * (stop - start + 1) + 2.0
     for _ in range(2):
-        low, high = (np.full(run_shape, -1, np.int64) for run_shape in (inside.shape[:2],) * 2)
-        merged = np.zeros(inside.shape[:2], np.bool_)
+        low[:], high[:], merged[:] = -1, -1, False
         _kernels.follow(inside, row, col, start, stop, most, low, high, merged)
         most = MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
     is_sheet = low >= 0
+    place = f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x)"
     if is_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
-            f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x) covers "
-            f"{100 * is_sheet.mean():.2g} % of the columns only. Check --through (the axis that runs "
+            f"{place} covers {100 * is_sheet.mean():.2g} % of the columns only. Check --through (the axis that runs "
             "through the sheet) and --seed-um."
         )
     leaves = is_sheet & ((low == 0) | (high == inside.shape[2] - 1))
     if np.mean(leaves[is_sheet]) > _LEAVES:
         raise VolumeError(
-            f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x) reaches an end of the "
-            f"axis through the sheet in {100 * np.mean(leaves[is_sheet]):.0f} % of its columns. Check --through and "
-            "--seed-um."
+            f"{place} reaches an end of the axis through the sheet in {100 * np.mean(leaves[is_sheet]):.0f} % of its "
+            "columns. Check --through and --seed-um."
         )
     first, last = _extent(blocks, low, high, threshold)
     return CoarseSheet(low=first, high=last, block=choice.block, leaves=leaves, threshold=threshold, touching=merged)
@@ -175,25 +184,16 @@ def _inner_point(mask: Bools) -> tuple[int, int, int]:
     return int(rows[k]), int(cols[k]), int(depth[depth.size // 2])
 
 
-def _cover(labels: NDArray[np.integer], count: int) -> NDArray[np.int64]:
-    """Count the columns in which each object appears."""
-    cover = np.zeros(count + 1, dtype=np.int64)
-    for row in labels:
-        ordered = np.sort(row, axis=-1)
-        fresh = np.ones(ordered.shape, dtype=bool)
-        fresh[..., 1:] = ordered[..., 1:] != ordered[..., :-1]
-        cover += np.bincount(ordered[fresh], minlength=count + 1)
-    return cover[1:]
-
-
 def _extent(blocks: Blocks, low: NDArray[np.int64], high: NDArray[np.int64], threshold: float) -> tuple[Floats, Floats]:
     """Move first and last index (-1: none) outwards to where the grey crosses the threshold."""
     # A sheet that touches the end of its column is cut there: its face is not in the volume, and that end is NaN.
     ends: list[Floats] = []
     last = blocks.shape[-1] - 1
     for index, outward, end in ((low, -1, 0), (high, 1, last)):
-        places = (np.clip(index + step, 0, last)[..., None] for step in (0, outward))
-        a, b = (np.take_along_axis(blocks, at, axis=-1)[..., 0].astype(float) for at in places)
+        a, b = (
+            np.take_along_axis(blocks, np.clip(index + step, 0, last)[..., None], axis=-1)[..., 0].astype(float)
+            for step in (0, outward)
+        )
         share = np.clip((a - threshold) / np.where(np.abs(a - b) > 1e-12, a - b, 1.0), 0.0, 1.0)
         ends.append(np.where((index >= 0) & (index != end), index + outward * share, np.nan))
     return ends[0], ends[1]

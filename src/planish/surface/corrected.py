@@ -15,16 +15,10 @@ from planish.core.status import Status
 from planish.core.tiles import Engine
 from planish.core.typing import Floats
 from planish.surface.assemble import centre_surface
-from planish.surface.columns import Columns
-from planish.surface.draw import RING_UM, Drawing, draw_faces
+from planish.surface.draw import RING_UM, Drawing, columns_of
 from planish.surface.params import FACES, Corrections, Face, Stretch, SurfaceParams
 
-_REPAIRED = (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING)
-_SEEN_UM = 0.001  # the centre surface moves where a correction moves it by more
-_SUPPORT = 3.0  # cut-offs: how far the smoothing of the centre surface reaches
-_HOW = "found image interpolated"
 _UNCHANGED = 255  # of ``found_status``
-_TILES = "corrected_tiles"
 _HEIGHTS = ("top", "bottom", "interface_top", "interface_bottom")
 
 
@@ -72,13 +66,9 @@ def correct_surfaces(
             "Faces are corrected in grey values, with --surface-method profile. Correct labels in the program that "
             "made them, or leave --corrections out."
         )
-    columns = Columns(
-        volume=volume, frame=Frame.of(before), step=columns_step(before), padding=before.attrs.get("padding")
-    )
-    drawn = draw_faces(before, columns, corrections, engine)
-    return _with_drawn(before, drawn, params).assign_attrs(
-        {"corrections": corrections.to_json(), _TILES: len(drawn.tiles)}
-    )
+    drawn = Drawing(before, volume, corrections, engine)
+    corrected = _with_drawn(before, drawn, params)
+    return corrected.assign_attrs(corrections=corrections.to_json(), corrected_tiles=len(drawn.tiles))
 
 
 def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
@@ -92,7 +82,8 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
     for name in (*_HEIGHTS, "status", "centre"):
         where = moved if name == "centre" else changed
         before[name] = before[name].copy(data=np.where(where, surfaces[f"found_{name}"].values, before[name].values))
-    before.attrs = {name: value for name, value in surfaces.attrs.items() if name not in ("corrections", _TILES)}
+    for name in ("corrections", "corrected_tiles"):
+        before.attrs.pop(name)
     return before
 
 
@@ -115,8 +106,7 @@ def preview_faces(
     (rows, columns) and heights by face, or None
         Window of the columns that was drawn, which holds all that changes in ``part``; None where nothing does.
     """
-    frame, steps = Frame.of(surfaces), pitch(surfaces)
-    boxes = [(stretch, _box(stretch, surfaces, frame, steps)) for stretch in corrections.stretches]
+    boxes = [(stretch, _box(stretch, surfaces)) for stretch in corrections.stretches]
     near_part = [
         (stretch, box) for stretch, box in boxes
         if all(side.start < asked.stop and side.stop > asked.start for side, asked in zip(box, part, strict=True))
@@ -126,91 +116,84 @@ def preview_faces(
     rows, cols = (
         slice(min(box[k].start for _, box in near_part), max(box[k].stop for _, box in near_part)) for k in (0, 1)
     )
-    step = columns_step(surfaces)
+    frame, step = Frame.of(surfaces), columns_of(surfaces, volume).step
     near = uncorrected(surfaces.isel(y=rows, x=cols).load())
-    sides = (frame.rows, rows), (frame.cols, cols)
-    voxels = {axis: slice(side.start * step, side.stop * step) for axis, side in sides}
-    columns = Columns(volume=volume.isel(voxels), frame=frame, step=step, padding=near.attrs.get("padding"))
+    voxels = {axis: slice(k.start * step, k.stop * step) for axis, k in ((frame.rows, rows), (frame.cols, cols))}
     chosen = corrections.model_copy(update={"stretches": tuple(stretch for stretch, _ in near_part)})
-    drawn = draw_faces(near, columns, chosen, Engine(threads=1))
-    faces: dict[Face, Floats] = {face: drawn.heights[face] for face in FACES}
-    crossed = frame.sign * (faces["top"] - faces["bottom"]) <= 0
-    return (rows, cols), {face: np.where(crossed, near[face].values, faces[face]) for face in FACES}
+    heights = Drawing(near, volume.isel(voxels), chosen, Engine(threads=1)).heights
+    crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
+    return (rows, cols), {face: np.where(crossed, near[face].values, heights[face]) for face in FACES}
 
 
-def _box(stretch: Stretch, surfaces: xr.Dataset, frame: Frame, steps: tuple[float, float]) -> tuple[slice, slice]:
+def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
     """Columns that the drawing of a stretch may look at."""
-    margin = 1.5 * stretch.reach_um + 2 * RING_UM
+    frame, margin = Frame.of(surfaces), 1.5 * stretch.reach_um + 2 * RING_UM
     sides: list[slice] = []
-    for dim, axis, step in (("y", frame.rows, steps[0]), ("x", frame.cols, steps[1])):
+    for dim, axis, step in zip("yx", (frame.rows, frame.cols), pitch(surfaces), strict=True):
         points_um = [float(getattr(point, axis)) for point in stretch.points]
         places = surfaces[dim].values
-        first = int((min(points_um) - margin - float(places[0])) // step)
+        first = max(int((min(points_um) - margin - float(places[0])) // step), 0)
         last = int((max(points_um) + margin - float(places[0])) // step) + 2
-        sides.append(slice(max(first, 0), max(min(last, places.size), max(first, 0) + 1)))
-    return sides[0], sides[1]
-
-
-def columns_step(surfaces: xr.Dataset) -> int:
-    """Voxels along the edge of a column."""
-    frame, steps = Frame.of(surfaces), pitch(surfaces)
-    voxel = dict(zip("zyx", map(float, surfaces.attrs["voxel_um"]), strict=True))
-    return max(1, round(float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))))
+        sides.append(slice(first, max(min(last, places.size), first + 1)))
+    return sides
 
 
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
-    before = {name: surfaces[name].values for name in (*_HEIGHTS, "status")}
-    changed = np.any([drawn.how[face] > 0 for face in FACES], axis=0)
-    up = Frame.of(surfaces).sign
     top, bottom = (drawn.heights[face] for face in FACES)
+    changed = np.any([drawn.how[face] > 0 for face in FACES], axis=0)
     # Where the two faces would change places nothing is drawn.
-    changed &= ~(up * (top - bottom) <= 0)
-    heights = {name: np.where(changed, drawn.heights[name], before[name]) for name in _HEIGHTS}
-    is_complete = changed & np.isfinite(heights["top"]) & np.isfinite(heights["bottom"])
-    repaired = is_complete & np.isin(before["status"], _REPAIRED)
-    status = np.where(repaired, np.uint8(Status.MEASURED), before["status"])
-    centre = _moved_centre(surfaces, heights, status, params)
+    changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
+    new: dict[str, NDArray[Any]] = {
+        name: np.where(changed, drawn.heights[name], surfaces[name].values) for name in _HEIGHTS
+    }
+    status = surfaces["status"].values
+    repaired = np.isin(status, (Status.FACE_NOT_FOUND, Status.PARTICLE, Status.TOUCHING))
+    repaired &= changed & np.isfinite(new["top"]) & np.isfinite(new["bottom"])
+    new["status"] = np.where(repaired, np.uint8(Status.MEASURED), status)
+    new["centre"] = _moved_centre(surfaces, new, params)
     variables: dict[str, Any] = {}
-    for name, values in (heights | {"status": status, "centre": centre}).items():
-        variables[name] = surfaces[name].copy(data=values)
+    for name, field in new.items():
+        variables[name] = surfaces[name].copy(data=field)
         old = surfaces[name].values
-        about = {"long_name": f"{surfaces[name].attrs['long_name']}, before corrections"}
+        attrs = {"long_name": f"{surfaces[name].attrs['long_name']}, before corrections"}
         if name == "status":
-            variables[f"found_{name}"] = (("y", "x"), np.where(changed, old, _UNCHANGED).astype(np.uint8), about)
+            before = np.where(changed, old, _UNCHANGED).astype(np.uint8)
         else:
-            where = changed if name != "centre" else centre != old
-            variables[f"found_{name}"] = (("y", "x"), np.where(where, old, np.nan), about | {"units": "um"})
+            attrs["units"] = "um"
+            before = np.where(field != old if name == "centre" else changed, old, np.nan)
+        variables[f"found_{name}"] = (("y", "x"), before, attrs)
     for face in FACES:
-        how = {"long_name": f"How the {face} face was corrected", "flag_values": [0, 1, 2], "flag_meanings": _HOW}
-        variables[f"correction_{face}"] = (("y", "x"), np.where(changed, drawn.how[face], 0).astype(np.uint8), how)
-        error = np.where(changed & (drawn.how[face] > 0), drawn.error_um[face], np.nan).astype(np.float32)
-        about = {"units": "um", "long_name": f"Standard error that the correction adds to the {face} face"}
-        variables[f"correction_{face}_error"] = (("y", "x"), error, about)
+        how = np.where(changed, drawn.how[face], 0).astype(np.uint8)
+        flags = {"flag_values": [0, 1, 2], "flag_meanings": "found image interpolated"}
+        attrs = {"long_name": f"How the {face} face was corrected", **flags}
+        variables[f"correction_{face}"] = (("y", "x"), how, attrs)
+        error = np.where(how > 0, drawn.error_um[face], np.nan).astype(np.float32)
+        attrs = {"units": "um", "long_name": f"Standard error that the correction adds to the {face} face"}
+        variables[f"correction_{face}_error"] = (("y", "x"), error, attrs)
     return surfaces.assign(variables)
 
 
-def _moved_centre(
-    surfaces: xr.Dataset, heights: dict[str, Floats], status: NDArray[Any], params: SurfaceParams
-) -> Floats:
+def _moved_centre(surfaces: xr.Dataset, new: dict[str, NDArray[Any]], params: SurfaceParams) -> Floats:
     """The centre surface, moved by what the smoothing of the new faces differs from that of the old ones."""
+    old = {name: surfaces[name].values for name in (*FACES, "status")}
     middles = [
-        np.where(of == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
-        for of, faces in ((surfaces["status"].values, {k: surfaces[k].values for k in FACES}), (status, heights))
+        np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
+        for faces in (old, new)
     ]
-    centre = surfaces["centre"].values
+    centre, steps = surfaces["centre"].values, pitch(surfaces)
     differs = ~((middles[0] == middles[1]) | (np.isnan(middles[0]) & np.isnan(middles[1])))
     if not differs.any():
         return centre
-    steps = pitch(surfaces)
     window: list[slice] = []
     for axis, step in enumerate(steps):
-        lines, reach = np.flatnonzero(differs.any(axis=1 - axis)), int(np.ceil(_SUPPORT * params.cutoff_um / step))
+        # The smoothing reaches three cut-offs.
+        lines, reach = np.flatnonzero(differs.any(axis=1 - axis)), int(np.ceil(3.0 * params.cutoff_um / step))
         window.append(slice(max(int(lines[0]) - reach, 0), int(lines[-1]) + reach + 1))
     part = window[0], window[1]
     outline = np.isfinite(centre[part])
-    old, new = (centre_surface(middle[part], outline, steps, params)[0] for middle in middles)
-    move = np.where(np.abs(new - old) >= _SEEN_UM, new - old, 0.0)
+    before, after = (centre_surface(middle[part], outline, steps, params)[0] for middle in middles)
     moved = centre.copy()
-    moved[part] += np.where(np.isfinite(move), move, 0.0)
+    # Where a correction moves it by less than a nanometre it stays.
+    moved[part] += np.where(np.abs(after - before) >= 0.001, after - before, 0.0)
     return moved

@@ -199,7 +199,7 @@ class _Learner(Sampler):
         return bool(dark.any())
 
     def _undershoot_depth(self, sample: Sample, side: Side, edge: Edge) -> Floats:
-        """Mean grey of the air near the faces above that farther away, as a share of the contrast, (distances, rows)."""
+        """Grey of the air near the faces above that farther away, as a share of the contrast; (distances, rows)."""
         face = self.fit(sample, side, edge)[0, 0]
         unit, tilt = max(edge.width, 1.0), sample.tilt[0]
         first = np.where(np.isfinite(face), face - unit * _FAR[1] / tilt, 0.0).astype(int)

@@ -16,14 +16,11 @@ from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface._kernels import block_sums
 from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
-from planish.surface.coarse import CoarseSheet, search_sheet
+from planish.surface.coarse import CoarseSheet, first_and_last, search_sheet
 from planish.surface.columns import Columns
 from planish.surface.params import SurfaceParams
 
 _SAMPLE = 40_000  # columns of the sample, and blocks wanted
-_SAMPLE_ROWS = 24
-_ABOVE_AIR = 6.0  # standard deviations of block means in air: what is nowhere above that is air from end to end
-_MOST = 2**25  # block means that are kept; above it the blocks get wider
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -69,7 +66,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     air = mode(ends)
     noise = voxel_noise(voxels, air)
     coarse, surroundings, polarity = choose_sheet(blocks, sharp, air, params, choice, scatter)
-    limit = _ABOVE_AIR * mad_sd(ends)
+    limit = 6.0 * mad_sd(ends)  # what is nowhere above that is air from end to end
     empty = np.array([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
     return Survey(
         coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding,
@@ -102,13 +99,13 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
         )
     wanted = np.sqrt(rows * cols / _SAMPLE)
     block = int(np.clip(round(wanted), 1, 4))  # columns along the edge of a block
-    while (rows // block) * (cols // block) * depth > _MOST:
+    while (rows // block) * (cols // block) * depth > 2**25:  # block means that are kept at most
         block += 1
     stride = max(1, int(wanted))
     if rows * cols < 1_500_000:  # columns from which on fewer rows are sampled
         return block, (stride, stride)
     # Each row costs as much as the chunks that it runs through: few rows, and more columns of each.
-    return block, (max(rows // _SAMPLE_ROWS, 1), max(cols * _SAMPLE_ROWS // _SAMPLE, 1))
+    return block, (max(rows // 24, 1), max(cols * 24 // _SAMPLE, 1))
 
 
 def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArray[Any]:
@@ -179,8 +176,7 @@ def _ends(columns: NDArray[Any], inside: Bools) -> Floats:
         return np.full((1, 3), np.nan)
     rows, inside = np.flatnonzero(is_long)[:, None], inside[is_long]
     # One voxel is skipped where the field of view begins within the column: it may be cut.
-    first = np.argmax(inside, axis=1)
-    last = columns.shape[1] - 1 - np.argmax(inside[:, ::-1], axis=1)
+    first, last = first_and_last(inside)
     first, last = first + (first > 0), last - (last < columns.shape[1] - 1)
     starts, stops = first[:, None] + np.arange(3), last[:, None] - np.arange(3)
     return np.concatenate([columns[rows, k].astype(np.float64) for k in (starts, stops)])
@@ -231,8 +227,7 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     if np.count_nonzero(has_inside) < 10:
         return None
     profiles = columns[has_inside].astype(np.float64)
-    first = np.argmax(inside[has_inside], axis=1)
-    last = columns.shape[1] - 1 - np.argmax(inside[has_inside][:, ::-1], axis=1)
+    first, last = first_and_last(inside[has_inside])
     cut = (first > 0) | (last < columns.shape[1] - 1)
     whole = ~same.all(axis=1)
     if np.count_nonzero(cut) < 0.05 * cut.size:
