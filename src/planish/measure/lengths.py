@@ -116,15 +116,16 @@ class ThicknessOptions(Params):
 
 def errors(sheet: Sheet, name: str) -> Floats:
     """Standard errors of a thickness along the sheet's rays."""
-    from planish.measure.uncertainty import thickness_errors
+    from planish.measure.uncertainty import Shared, thickness_errors
 
     f = sheet.frame
+    shared = Shared.of(f.greys, voxel_um=f.voxel_um, pitch_um=f.pitch_um, wide=f.wide, noise_um=f.noise_um)
     slope = f.slopes()
     # A vertical distance is longer than a normal one, and so is its error.
     oblique = f.oblique(slope)
     layers: dict[Side, Floats] = {k: np.abs(f.faces[k] - f.faces[f"interface_{k}"]) / oblique for k in SIDES}
     cosine = 1 / np.sqrt(1 + np.sum(slope**2, axis=-1))
-    return thickness_errors(layers, f.greys, f.shared, cosine=cosine)[name] * oblique
+    return thickness_errors(layers, f.greys, shared, cosine=cosine)[name] * oblique
 
 
 def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:

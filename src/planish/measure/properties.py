@@ -40,9 +40,6 @@ from planish.measure.registry import (
 )
 from planish.measure.uncertainty import Shared, common_errors, ray_noise, thickness_errors
 
-THICKNESSES = ("coating_top", "coating_bottom", "base_thickness", "thickness")
-_OF_BOTH = ("base_thickness", "thickness")
-
 
 def measure_properties(
     surfaces: xr.Dataset, *, volume: xr.DataArray | None = None, params: MeasureParams | None = None,
@@ -95,22 +92,19 @@ def measure_properties(
             f"--property {', '.join(params.maps)}: measured in the volume, which is not given. Give it with --volume, "
             "or leave them out."
         )
+    is_labels = "from_labels" in surfaces.attrs
+    if is_labels and params.maps:
+        raise InputError("Further maps are measured in grey values; a volume of labels has none. Leave --property out.")
     faces = _measure_faces(surfaces)
     measured = surfaces.drop_vars("status", errors="ignore").merge(faces, combine_attrs="override")
-    if "from_labels" in surfaces.attrs:
-        if params.maps:
-            raise InputError(
-                "Further maps are measured in grey values; a volume of labels has none. Leave --property out."
-            )
-        return _with_errors(measured)
-    if volume is None:
-        return _with_errors(measured)
-    names = [name for name in chosen(params, Greys.of(surfaces)) if name not in PROPERTIES]
-    if not names:
-        return _with_errors(measured)
-    further = measure_along_rays(volume, measured, names=names, params=params, engine=engine)
-    measured = measured.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
-    return _with_errors(measured, float(further.attrs["ray_noise_um"]))
+    noise_um = float("nan")
+    if volume is not None and not is_labels:
+        names = [name for name in chosen(params, Greys.of(surfaces)) if name not in PROPERTIES]
+        if names:
+            further = measure_along_rays(volume, measured, names=names, params=params, engine=engine)
+            measured = measured.merge(further.drop_vars("status"), compat="override", combine_attrs="override")
+            noise_um = float(further.attrs["ray_noise_um"])
+    return _with_errors(measured, noise_um)
 
 
 def surfaces_of(measured: xr.Dataset) -> xr.Dataset:
@@ -130,23 +124,22 @@ def further_maps(measured: xr.Dataset) -> list[str]:
     return maps + [name for name in errors if np.isfinite(measured[name].values).any()]
 
 
-def _with_errors(measured: xr.Dataset, noise_um: float = float("nan")) -> xr.Dataset:
+def _with_errors(measured: xr.Dataset, noise_um: float) -> xr.Dataset:
     """Add the standard error of each thickness where it is known how the faces were found; NaN for white noise."""
     attrs, frame, steps = measured.attrs, Frame.of(measured), pitch(measured)
-    if "voxel_um" not in attrs:
+    if "voxel_um" not in attrs or not ("from_labels" in attrs or "grey_noise" in attrs):
         return measured
     voxel = dict(zip("zyx", map(float, attrs["voxel_um"]), strict=True))
-    through = voxel[frame.through]
+    through, column_um2 = voxel[frame.through], steps[0] * steps[1]
     if "from_labels" in attrs:
         # A face lies anywhere within a voxel: the difference of two has the variance of two uniform distributions.
-        common, patch = common_errors(through), steps[0] * steps[1]
-        errors: dict[str, Floats] = {
-            name: np.full(measured[name].shape, np.hypot(through / np.sqrt(6), common[name])) for name in THICKNESSES
-        }
-    elif "grey_noise" in attrs:
+        common, patch = common_errors(through), column_um2
+        errors = {name: np.hypot(through / np.sqrt(6), um) for name, um in common.items()}
+    else:
         greys = Greys.of(measured)
-        wide = float(np.sqrt(steps[0] * steps[1] / (voxel[frame.rows] * voxel[frame.cols])))
+        wide = float(np.sqrt(column_um2 / (voxel[frame.rows] * voxel[frame.cols])))
         shared = Shared.of(greys, voxel_um=through, pitch_um=steps, wide=wide, noise_um=noise_um)
+        common, patch = shared.common_um, shared.patch_um2
         slopes = np.gradient(measured["centre"].values, *steps)
         layers: dict[Side, Floats] = {side: measured[f"coating_{side}"].values for side in SIDES}
         errors = thickness_errors(layers, greys, shared, cosine=1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2))
@@ -154,21 +147,21 @@ def _with_errors(measured: xr.Dataset, noise_um: float = float("nan")) -> xr.Dat
             # A crossing of half the step uses one place of the edge, a fit all of it.
             crossing = np.sqrt(max(1.0, np.sqrt(np.pi) * greys.blur_um / through))
             errors = {name: se * crossing for name, se in errors.items()}
-        common, patch = dict(shared.common_um), shared.patch_um2
-    else:
-        return measured
     for side in SIDES:
         if (drawn := measured.get(f"correction_{side}_error")) is not None:
-            more_um = np.nan_to_num(drawn.values.astype(np.float64))
-            errors |= {name: np.hypot(errors[name], more_um) for name in (f"coating_{side}", *_OF_BOTH)}
-    more: dict[str, tuple[tuple[str, str], NDArray[np.float32], dict[str, object]]] = {}
-    for name in THICKNESSES:
-        title = f"Standard error of {PROPERTIES[name][0].lower()}{PROPERTIES[name][1:]}"
-        about: dict[str, object] = {"units": "um", "long_name": title, "common_um": common[name], "patch_um2": patch}
+            drawn_um = np.nan_to_num(drawn.values.astype(np.float64))
+            errors |= {k: np.hypot(errors[k], drawn_um) for k in (f"coating_{side}", "base_thickness", "thickness")}
+    variables: dict[str, xr.Variable] = {}
+    for name in ("coating_top", "coating_bottom", "base_thickness", "thickness"):
         se = np.where(np.isfinite(measured[name].values), errors[name], np.nan).astype(np.float32)
         if np.isfinite(se).any():
-            more[f"{name}_se"] = (("y", "x"), se, about)
-    return measured.assign(more)
+            about = {"units": "um", "long_name": _of_error(PROPERTIES[name]), "common_um": common[name]}
+            variables[f"{name}_se"] = xr.Variable(("y", "x"), se, about | {"patch_um2": patch})
+    return measured.assign(variables)
+
+
+def _of_error(long_name: str) -> str:
+    return f"Standard error of {long_name[0].lower()}{long_name[1:]}"
 
 
 def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
@@ -189,13 +182,12 @@ def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
         raise CannotMeasure(
             "No normal of the centre surface meets both faces. Look at the surfaces with 'planish surface'."
         )
-    dims = ("y", "x")
-    variables: dict[str, tuple[tuple[str, str], Floats, dict[str, object]]] = {
-        name: (dims, np.where(valid, um, np.nan), {"units": "um", "long_name": PROPERTIES[name], "role": "property"})
-        for name, um in lengths.items()
-    }
-    measured = xr.Dataset(variables, coords=surfaces.coords, attrs=dict(surfaces.attrs))
-    return measured.assign(status=(dims, status, status_flags()))
+    variables: dict[str, xr.Variable] = {}
+    for name, um in lengths.items():
+        attrs = {"units": "um", "long_name": PROPERTIES[name], "role": "property"}
+        variables[name] = xr.Variable(("y", "x"), np.where(valid, um, np.nan), attrs)
+    variables["status"] = xr.Variable(("y", "x"), status, status_flags())
+    return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs)
 
 
 T = TypeVar("T")
@@ -236,46 +228,51 @@ def measure_along_rays(
     SurfaceError, SizeError, ResourceError
     """
     params = params or MeasureParams()
-    greys = Greys.of(surfaces)
-    wanted = in_order(names, params, greys)
+    wanted = in_order(names, params, Greys.of(surfaces))
     if not wanted:
         raise CannotMeasure("No property was named. Name one or more.")
-    asked = {name if isinstance(name, str) else name.name for name in names}
     frame = ray_frame(volume, surfaces, params)
-    of_rays = [prop for prop in wanted if prop.kind == "rays"]
+    halos = {prop.name: _halo(prop, frame) for prop in wanted if prop.kind == "rays"}
     status = frame.status.copy()
     maps = {
-        prop.name: Measured(
+        name: Measured(
             values=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
             se=np.full(status.shape, np.nan, np.float32),  # type: ignore[arg-type]
             reason=np.zeros(status.shape, np.uint8),
         )
-        for prop in of_rays
+        for name in halos
     }
 
     def work(tile: Rays, inner: slice, rows: slice) -> None:
         status[rows] = tile.status[inner]
-        grouped: dict[int, tuple[Rays, slice]] = {}
-        for prop in of_rays:
-            halo = _halo(prop, frame)
-            if halo not in grouped:
+        parts: dict[int, tuple[Rays, slice]] = {}
+        for prop in wanted:
+            if prop.kind != "rays":
+                continue
+            halo = halos[prop.name]
+            if halo not in parts:
                 lo, hi = max(inner.start - halo, 0), min(inner.stop + halo, tile.status.shape[0])
-                whole = (lo, hi) == (0, tile.status.shape[0])
-                part = tile if whole else tile.rows(slice(lo, hi))
-                grouped[halo] = part, slice(inner.start - lo, inner.stop - lo)
-            part, tile_rows = grouped[halo]
+                part = tile if (lo, hi) == (0, tile.status.shape[0]) else tile.rows(slice(lo, hi))
+                parts[halo] = part, slice(inner.start - lo, inner.stop - lo)
+            part, tile_rows = parts[halo]
             answer = _measured(prop, part)
             for name in ("values", "se", "reason"):
                 getattr(maps[prop.name], name)[rows] = getattr(answer, name)[tile_rows]
 
-    if of_rays:
-        most = max(_halo(prop, frame) for prop in of_rays)
-        each_tile(volume, frame, work, halo=most, rows=rows_per_tile, engine=engine)
+    if halos:
+        each_tile(volume, frame, work, halo=max(halos.values()), rows=rows_per_tile, engine=engine)
     sheet = Sheet(frame=replace(frame, status=status), maps=maps)
     for prop in wanted:
         if prop.kind == "sheet":
             maps[prop.name] = _measured(prop, sheet)
-    return _dataset([prop for prop in wanted if prop.name in asked], maps, status, surfaces, frame)
+    asked = {name if isinstance(name, str) else name.name for name in names}
+    variables: dict[str, xr.Variable] = {}
+    for prop in wanted:
+        if prop.name in asked:
+            variables |= _variables(prop, maps[prop.name], status, frame)
+    variables["status"] = xr.Variable(("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
+    used = {"rays": params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
+    return xr.Dataset(variables, coords=surfaces.coords, attrs=surfaces.attrs | used | params.known())
 
 
 def ray_frame(volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams | None) -> RayFrame:
@@ -309,10 +306,9 @@ def each_tile(
         rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)
     tiles = [slice(start, min(start + rows, count)) for start in range(0, count, rows)]
 
-    def run_tile(rows_of_tile: slice) -> T:
-        lo, hi = max(rows_of_tile.start - halo, 0), min(rows_of_tile.stop + halo, count)
-        tile = frame.tile(volume, slice(lo, hi))
-        return work(tile, slice(rows_of_tile.start - lo, rows_of_tile.stop - lo), rows_of_tile)
+    def run_tile(part: slice) -> T:
+        lo, hi = max(part.start - halo, 0), min(part.stop + halo, count)
+        return work(frame.tile(volume, slice(lo, hi)), slice(part.start - lo, part.stop - lo), part)
 
     return map_threads(run_tile, tiles, number=threads)
 
@@ -337,26 +333,20 @@ def _measured(prop: Property, subject: Rays | Sheet) -> Measured:
     return Measured(values=answer.values, se=se, reason=reason)
 
 
-def _dataset(
-    properties: list[Property], maps: dict[str, Measured], status: NDArray[np.uint8], surfaces: xr.Dataset,
-    frame: RayFrame,
-) -> xr.Dataset:  # fmt: skip
-    valid = status == 0
-    variables: dict[str, tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]] = {}
+def _variables(prop: Property, answer: Measured, status: NDArray[np.uint8], frame: RayFrame) -> dict[str, xr.Variable]:
+    """Give a property, its standard error, and its status where it has reasons of its own, as they are stored."""
+    valid, dims, title = status == 0, ("y", "x"), prop.long_name
     ray = max(*frame.pitch_um, FWHM * frame.greys.blur_um)
-    for prop in properties:
-        answer = maps[prop.name]
-        support = ray if prop.support_um is None else max(length_of(prop.support_um, frame.params), ray)
-        masked = np.where(valid, answer.values, np.nan).astype(np.float32)
-        se = np.where(np.isfinite(masked), answer.se, np.nan).astype(np.float32)
-        title = f"Standard error of {prop.long_name[0].lower()}{prop.long_name[1:]}"
-        attrs: dict[str, object] = {"units": prop.units, "long_name": prop.long_name, "support_um": round(support, 3)}
-        variables[prop.name] = (("y", "x"), masked, attrs)
-        variables[f"{prop.name}_se"] = (("y", "x"), se, {"units": prop.units, "long_name": title})
-        if prop.reasons:
-            own_status = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
-            flags = status_flags(f"Status of {prop.long_name}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons)
-            variables[f"{prop.name}_status"] = (("y", "x"), own_status, flags)
-    variables["status"] = (("y", "x"), status, status_flags(last=Status.RAY_LEAVES_VOLUME))
-    used = {"rays": frame.params.rays, "ray_step_um": frame.step_um, "ray_noise_um": frame.noise_um}
-    return xr.Dataset(variables, coords=surfaces.coords, attrs=dict(surfaces.attrs) | used | frame.params.known())
+    support = ray if prop.support_um is None else max(length_of(prop.support_um, frame.params), ray)
+    values = np.where(valid, answer.values, np.nan).astype(np.float32)
+    se = np.where(np.isfinite(values), answer.se, np.nan).astype(np.float32)
+    attrs = {"units": prop.units, "long_name": title, "support_um": round(support, 3)}
+    variables = {
+        prop.name: xr.Variable(dims, values, attrs),
+        f"{prop.name}_se": xr.Variable(dims, se, {"units": prop.units, "long_name": _of_error(title)}),
+    }
+    if prop.reasons:
+        reasons = np.where(valid & (answer.reason > 0), answer.reason + np.uint8(FIRST_OWN - 1), status)
+        flags = status_flags(f"Status of {title}", last=Status.RAY_LEAVES_VOLUME, reasons=prop.reasons)
+        variables[f"{prop.name}_status"] = xr.Variable(dims, reasons, flags)
+    return variables

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, NamedTuple, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -18,10 +18,6 @@ from planish.core.typing import Bools, Floats
 from planish.measure import _ray_kernels
 from planish.measure.params import MeasureParams
 from planish.measure.registry import SIDES, Greys, Side
-
-if TYPE_CHECKING:
-    from planish.measure.uncertainty import Shared
-
 
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
@@ -115,7 +111,8 @@ class Rays:
 
     def integral(self, lower: Floats, upper: Floats) -> Floats:
         """Integral of the grey above the air from ``lower`` to ``upper`` (rows, cols); grey times um."""
-        return self._pieces(lower, upper, 0.0, 0.0)[0] - self.greys.air * np.maximum(upper - lower, 0.0)
+        total = _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, 0.0, 0.0)[0]
+        return total - self.greys.air * np.maximum(upper - lower, 0.0)
 
     def mean(self, lower: Floats, upper: Floats) -> Floats:
         """Mean grey above the air between two places; NaN where they are not a step apart."""
@@ -125,14 +122,8 @@ class Rays:
 
     def length(self, lower: Floats, upper: Floats, *, least: float, most: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um with ``least <= grey <= most`` between two places, and how many ends it has there."""
-        _, length, ends = self._pieces(lower, upper, least, most)
-        return length, ends
-
-    def _pieces(
-        self, lower: Floats, upper: Floats, least: float, most: float
-    ) -> tuple[Floats, Floats, NDArray[np.int32]]:
-        first = float(self.s_um[0])
-        return _ray_kernels.pieces(self.grey, first, self.step_um, lower, upper, float(least), float(most))
+        levels = float(least), float(most)
+        return _ray_kernels.pieces(self.grey, float(self.s_um[0]), self.step_um, lower, upper, *levels)[1:]
 
     def beyond(self, lower: Floats, upper: Floats, level: float) -> tuple[Floats, NDArray[np.int32]]:
         """Length in um on which the grey is farther from the air than ``level``, and how many ends it has."""
@@ -163,9 +154,6 @@ class Rays:
         arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
         cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
         return replace(self, **cut, _cache={})
-
-
-_FARTHEST = 1.5  # sheet thicknesses from the centre surface: a face beyond is not this ray's
 
 
 class Met(NamedTuple):
@@ -242,8 +230,19 @@ class RayFrame:
     @classmethod
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
         """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
-        met = meet(surfaces, params.rays)
-        voxel_um, wide = _column(volume, surfaces)
+        met, frame = meet(surfaces, params.rays), Frame.of(surfaces)
+        columns, shape = (
+            (volume.sizes[frame.rows], volume.sizes[frame.cols]),
+            (surfaces.sizes["y"], surfaces.sizes["x"]),
+        )
+        wide = max(columns[0] // max(shape[0], 1), 1)  # voxels along the edge of a column of the surfaces
+        if (columns[0] // wide, columns[1] // wide) != shape:
+            raise SurfaceError(
+                f"The volume has {columns[0]} x {columns[1]} columns and the surfaces have {shape[0]} x {shape[1]}: "
+                "they do not belong together. Find the surfaces in this volume."
+            )
+        through = volume.coords[frame.through].values
+        voxel_um = abs(float(through[1] - through[0]))
         step = 0.5 * voxel_um  # a longer step loses what the voxels show
         greys = Greys.of(surfaces)
         margin = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
@@ -251,7 +250,8 @@ class RayFrame:
         top, bottom = met.faces["top"], met.faces["bottom"]
         whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
         thick = float(np.median((top - bottom)[whole])) if whole.any() else float("nan")
-        whole &= (np.abs(top) < _FARTHEST * thick) & (np.abs(bottom) < _FARTHEST * thick)
+        # A face so many thicknesses from the centre surface is not this ray's.
+        whole &= (np.abs(top) < 1.5 * thick) & (np.abs(bottom) < 1.5 * thick)
         whole &= np.isfinite(met.faces["interface_top"]) & np.isfinite(met.faces["interface_bottom"])
         if not whole.any():
             raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
@@ -259,19 +259,10 @@ class RayFrame:
         low = int(np.floor((float(bottom[whole].min()) - margin) / step))
         high = int(np.ceil((float(top[whole].max()) + margin) / step))
         return cls(
-            frame=Frame.of(surfaces), heights=met.heights, faces=met.faces, status=status, pitch_um=pitch(surfaces),
+            frame=frame, heights=met.heights, faces=met.faces, status=status, pitch_um=pitch(surfaces),
             voxel_um=voxel_um, step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=met.stretch,
             wide=wide,
         )  # fmt: skip
-
-    @property
-    def shared(self) -> Shared:
-        """Give what the errors of the columns have in common."""
-        from planish.measure.uncertainty import Shared
-
-        return Shared.of(
-            self.greys, voxel_um=self.voxel_um, pitch_um=self.pitch_um, wide=self.wide, noise_um=self.noise_um
-        )
 
     @property
     def samples(self) -> int:
@@ -299,9 +290,7 @@ class RayFrame:
         faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
         samples: Floats = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
         tile = Rays(
-            grey=grey, s_um=samples, top=faces["top"], bottom=faces["bottom"],
-            interface_top=faces["interface_top"], interface_bottom=faces["interface_bottom"], normals=normals,
-            stretch=np.sqrt(1 + slope**2), slope=slope, oblique=self.oblique(slope), status=status,
+            grey=grey, s_um=samples, **faces, normals=normals, stretch=np.sqrt(1 + slope**2), slope=slope, oblique=self.oblique(slope), status=status,
             pitch_um=self.pitch_um, voxel_um=self.voxel_um, greys=self.greys, params=self.params,
             noise_um=self.noise_um, mirrored=self.frame.mirrored, mean_stretch=self.mean_stretch,
         )  # fmt: skip
@@ -347,21 +336,6 @@ class RayFrame:
             block, corner, rows.start, k, depth, *steps, wanted, self.low, self.step_um, self.greys.padding, padded, out
         )
         return out
-
-
-def _column(volume: xr.DataArray, surfaces: xr.Dataset) -> tuple[float, int]:
-    """Voxel size along the axis through the sheet, and voxels along the edge of a column of the surfaces."""
-    frame = Frame.of(surfaces)
-    have = volume.sizes[frame.rows], volume.sizes[frame.cols]
-    want = surfaces.sizes["y"], surfaces.sizes["x"]
-    wide = max(have[0] // max(want[0], 1), 1)
-    if (have[0] // wide, have[1] // wide) != want:
-        raise SurfaceError(
-            f"The volume has {have[0]} x {have[1]} columns and the surfaces have {want[0]} x {want[1]}: they do not "
-            "belong together. Find the surfaces in this volume."
-        )
-    heights = volume.coords[frame.through].values
-    return abs(float(heights[1] - heights[0])), wide
 
 
 def slopes_of(heights: Floats, pitch: tuple[float, float], rows: slice = slice(None)) -> Floats:
