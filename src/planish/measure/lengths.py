@@ -50,10 +50,8 @@ class InkOptions(Params):
         return self
 
 
-_SHARES = np.array([0.50, 0.90, 0.95])
 REASONS = ("no_ink", "ink_reaches_limit")
 NO_INK, AT_LIMIT = 1, 2
-_LEAST_VOXELS = 1.0
 
 
 def _check_ink(params: MeasureParams, _greys: Greys) -> None:
@@ -72,13 +70,15 @@ def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
         reach = rays.params.ink_reach_um
         limit = 0.5 * (rays.top + rays.bottom) if reach is None else np.maximum(rays.top - reach, rays.bottom)
         low, high = rays.params.ink_grey
-        grey, first, step = rays.grey, float(rays.s_um[0]), rays.step_um
-        depth, total = _ray_kernels.depths_of_shares(grey, first, step, rays.top, limit, low, high, _SHARES)
+        step, shares = rays.step_um, np.array([0.50, 0.90, 0.95])
+        depth, total = _ray_kernels.depths_of_shares(
+            rays.grey, float(rays.s_um[0]), step, rays.top, limit, low, high, shares
+        )
         # Ink that is still there where the search ends may go deeper: its shares are not known.
         near, _ = rays.length(limit, limit + step, least=low, most=high)
         reason = np.zeros(total.shape, dtype=np.uint8)
         reason[near > 0.5 * step] = AT_LIMIT
-        reason[total < _LEAST_VOXELS * rays.voxel_um] = NO_INK
+        reason[total < rays.voxel_um] = NO_INK
         return np.where(reason == 0, depth, np.nan), reason
 
     return rays.cached("ink", work)
@@ -135,9 +135,9 @@ def _has_coating(_params: MeasureParams, greys: Greys, side: Side) -> None:
 @sheet_property("coating_{side}", units="um", long_name=PROPERTIES["coating_top"].replace("top", "{side}"))
 def coating(sheet: Sheet, side: Side) -> Measured:
     """P-01: face to interface; 0 is possible. SE from the Fisher matrix of the fitted staircase (thickness_errors)."""
-    if not sheet.frame.greys.coated(side):
-        return Measured(values=np.full(sheet.frame.status.shape, np.nan))
-    return _of_faces(sheet, f"coating_{side}")
+    if sheet.frame.greys.coated(side):
+        return _of_faces(sheet, f"coating_{side}")
+    return Measured(values=np.full(sheet.frame.status.shape, np.nan))
 
 
 def _of_faces(sheet: Sheet, name: str) -> Measured:
@@ -235,7 +235,6 @@ def coating_envelope(rays: Rays, side: Side) -> Measured:
 
 _ALPHA = 0.4697  # sqrt(ln 2 / pi): the Gaussian exp(-pi (x / (alpha cutoff))^2) passes its cut-off by half
 _PER_MM = 1000.0
-_LEAST_WEIGHT = 0.3  # of the filter's weight that must lie on known values
 
 
 class RoughnessOptions(Params):
@@ -262,8 +261,8 @@ def roughness(sheet: Sheet, side: Side) -> Measured:
     sign = 1.0 if side == "top" else -1.0
     height = np.where(sheet.valid, sign * f.faces[side], np.nan)
     limited = scale_limited(height, f.pitch_um, s_filter_um=p.s_filter_um, l_filter_um=p.l_filter_um)
-    sigma = _sigma(p.s_filter_um)
-    noise_share = np.prod([min(1.0, np.sqrt(q / (2 * np.sqrt(np.pi) * sigma))) for q in f.pitch_um])
+    wide = 2 * np.sqrt(np.pi) * _sigma(p.s_filter_um)
+    noise_share = np.prod([min(1.0, np.sqrt(q / wide)) for q in f.pitch_um])
     return Measured(values=limited, se=errors(sheet, f"topography_{side}") * float(noise_share))
 
 
@@ -283,7 +282,8 @@ def smoothed(values: Floats, pitch_um: Pair, sigma_um: float) -> Floats:
     total, weight = masked_gaussian(values, is_finite, sigma, truncate=3.5)
     full = ndimage.gaussian_filter(np.ones(values.shape), sigma, mode="constant", truncate=3.5)
     with np.errstate(divide="ignore", invalid="ignore"):
-        return np.where(weight > _LEAST_WEIGHT * full, total / weight, np.nan)
+        # So much of the filter's weight must lie on known values.
+        return np.where(weight > 0.3 * full, total / weight, np.nan)
 
 
 def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filter_um: float) -> Floats:
@@ -317,9 +317,8 @@ def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filte
         )
     is_finite = np.isfinite(height)
     # Holes are no edge: the masked filter bridges them.
-    outside = np.pad(~ndimage.binary_fill_holes(is_finite), 1, constant_values=True)
-    away = ndimage.distance_transform_edt(~outside, sampling=pitch_um)
-    inside = np.asarray(away)[1:-1, 1:-1] >= 0.5 * l_filter_um
+    inside = np.pad(ndimage.binary_fill_holes(is_finite), 1)
+    inside = np.asarray(ndimage.distance_transform_edt(inside, sampling=pitch_um))[1:-1, 1:-1] >= 0.5 * l_filter_um
     if not (inside & is_finite).any():
         size = " x ".join(f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True))
         raise CannotMeasure(
@@ -383,15 +382,13 @@ def gaussian_curvature(sheet: Sheet) -> Floats:
     return _PER_MM**2 * (r * t - s * s) / (1 + p * p + q * q) ** 2
 
 
-def _derivatives(sheet: Sheet) -> tuple[Floats, Floats, Floats, Floats, Floats]:
+def _derivatives(sheet: Sheet) -> list[Floats]:
     """Slopes p, q and second derivatives r, s, t along columns, mixed and along rows; NaN on the border."""
-    centre = sheet.frame.heights["centre"]
+    c = sheet.frame.heights["centre"]
     dy, dx = sheet.frame.pitch_um
-    p, q, r, s, t = (np.full(centre.shape, np.nan) for _ in range(5))
-    inner = (slice(1, -1), slice(1, -1))
-    up, down, left, right = centre[:-2, 1:-1], centre[2:, 1:-1], centre[1:-1, :-2], centre[1:-1, 2:]
-    here = centre[inner]
-    p[inner], q[inner] = (right - left) / (2 * dx), (down - up) / (2 * dy)
-    r[inner], t[inner] = (right - 2 * here + left) / dx**2, (down - 2 * here + up) / dy**2
-    s[inner] = (centre[2:, 2:] - centre[2:, :-2] - centre[:-2, 2:] + centre[:-2, :-2]) / (4 * dx * dy)
-    return p, q, r, s, t
+    up, down, left, right, here = c[:-2, 1:-1], c[2:, 1:-1], c[1:-1, :-2], c[1:-1, 2:], c[1:-1, 1:-1]
+    inner = (
+        (right - left) / (2 * dx), (down - up) / (2 * dy), (right - 2 * here + left) / dx**2,
+        (c[2:, 2:] - c[2:, :-2] - c[:-2, 2:] + c[:-2, :-2]) / (4 * dx * dy), (down - 2 * here + up) / dy**2,
+    )  # fmt: skip
+    return [np.pad(derivative, 1, constant_values=np.nan) for derivative in inner]

@@ -12,6 +12,7 @@ import numpy as np
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option, option_names
+from planish.core.typing import Floats
 from planish.measure.lengths import smoothed
 from planish.measure.registry import FWHM, SIDES, Greys, Measured, Sheet, Side, ray_property, sheet_property
 
@@ -19,7 +20,10 @@ if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
     from planish.measure.rays import Rays
 
-_BEYOND = 3.0  # blurs outside a face and inside an interface: 99.9 % of the light of a step
+
+def _beyond(rays: Rays) -> Floats:
+    """Three blurs along the rays, outside a face and inside an interface: 99.9 % of the light of a step."""
+    return 3.0 * rays.greys.blur_um * rays.oblique
 
 
 class Densities(Params):
@@ -115,7 +119,7 @@ def coating_absorption(rays: Rays, side: Side) -> Measured:
     from planish.measure.uncertainty import layer_errors
 
     greys = rays.greys
-    out = _BEYOND * greys.blur_um * rays.oblique
+    out = _beyond(rays)
     coat, base = greys.coating(side) - greys.air, greys.base - greys.air
     if side == "top":
         lower, upper = rays.interface_top - out, rays.top + out
@@ -171,8 +175,7 @@ def _absorption(rays: Rays) -> Measured:
 
     From three blurs outside the one face to three outside the other. SE: sqrt(noise L) / (base - air).
     """
-    out = _BEYOND * rays.greys.blur_um * rays.oblique
-    contrast = rays.greys.base - rays.greys.air
+    out, contrast = _beyond(rays), rays.greys.base - rays.greys.air
     lower, upper = rays.bottom - out, rays.top + out
     return Measured(values=rays.integral(lower, upper) / contrast, se=rays.integral_se(upper - lower) / abs(contrast))
 
@@ -235,12 +238,11 @@ def grammage(sheet: Sheet) -> Measured:
     base_g_m2 = d.grammage_g_m2
     if "absorption" in _sources(d, greys):
         return _in_grams(maps["absorption"], sheet, "Grammage", base_g_m2, "base_g_cm3")
-    parts: list[Measured] = []
-    for side in SIDES:
-        if greys.coated(side):
-            quantity = f"Grammage with a coating on the {side} side"
-            layer = maps[f"coating_absorption_{side}"]
-            parts.append(_in_grams(layer, sheet, quantity, d.coat_weight(side), "coating_g_cm3"))
+    parts = [
+        _in_grams(maps[f"coating_absorption_{side}"], sheet, f"Grammage with a coating on the {side} side",
+                  d.coat_weight(side), "coating_g_cm3")
+        for side in SIDES if greys.coated(side)
+    ]  # fmt: skip
     if base_g_m2 is not None:
         coats = sum(sheet.mean(p.values) for p in parts)
         if not base_g_m2 > coats:

@@ -16,12 +16,12 @@ from planish.measure.params import MeasureParams
 from planish.measure.phases import depth_profiles
 from planish.measure.registry import SIDES, Side
 
-MARKED_UM = (0.0, 2.0, 5.0)  # uncovered, all but, and the outline of Fig. 6 in Hirn et al. (2009)
-_CURVE_UM = 0.25  # step of the curve
-
 
 def thin_fraction(
-    thickness: xr.DataArray, *, se: xr.DataArray | Floats | None = None, marked_um: tuple[float, ...] = MARKED_UM
+    thickness: xr.DataArray,
+    *,
+    se: xr.DataArray | Floats | None = None,
+    marked_um: tuple[float, ...] = (0.0, 2.0, 5.0),
 ) -> xr.Dataset:
     """Share F(x) of the area whose coating is thinner than x (P-03).
 
@@ -32,7 +32,8 @@ def thin_fraction(
     se : array like it
         Standard error of each value, um.
     marked_um : tuple of float
-        Thicknesses for which the share is told apart; at 0 it is the share of no coating at all.
+        Thicknesses for which the share is told apart; at 0 it is the share of no coating at all, 5 um is the outline of
+        Fig. 6 in Hirn et al. (2009).
 
     Returns
     -------
@@ -52,20 +53,17 @@ def thin_fraction(
     ascending = np.sort(thickness.values[is_finite].astype(np.float64))
     if ascending.size == 0:
         raise CannotMeasure("There is no coating thickness to count: all values are missing. Look at 'status'.")
-    x = np.arange(0.0, float(ascending[-1]) + _CURVE_UM, _CURVE_UM)
+    x = np.arange(0.0, float(ascending[-1]) + 0.25, 0.25)
     marks = np.array(marked_um, dtype=np.float64)
     # At 0 the values that are 0 count: nothing is thinner than no coating.
-    shares = np.where(
-        marks > 0, np.searchsorted(ascending, marks, side="left"), np.searchsorted(ascending, marks, side="right")
-    ) / ascending.size  # fmt: skip
+    counts = [np.searchsorted(ascending, mark, side="left" if mark > 0 else "right") for mark in marks]
+    shares = np.array(counts) / ascending.size
     errors = np.zeros(marks.size)
     if se is not None:
-        every = np.asarray(se)[is_finite].astype(np.float64)
-        thickness_um = thickness.values[is_finite]
+        every = np.where(is_finite, se, np.nan).astype(np.float64)
         for k, mark in enumerate(marks):
-            near = every[np.abs(thickness_um - mark) <= max(2.0, 0.5 * mark)]
-            near = near[np.isfinite(near)]
-            errors[k] = float(np.median(near)) if near.size else 0.0
+            near = every[np.isfinite(every) & (np.abs(thickness.values - mark) <= max(2.0, 0.5 * mark))]
+            errors[k] = np.median(near) if near.size else 0.0
     biased = (marks < 2 * errors).astype(np.uint8)
     attrs: dict[str, object] = {"n": int(ascending.size), "mean_um": float(ascending.mean())}
     if "support_um" in thickness.attrs:
@@ -76,10 +74,10 @@ def thin_fraction(
             f"The standard error of one value is {errors[biased > 0].max():.2g} um: the shares below {listed} um are "
             "too large by what noise puts there. Average the map first, or compare larger thicknesses."
         )
-    counts = np.searchsorted(ascending, x, side="left") / ascending.size
+    thinner = {"units": "1", "long_name": "Share of the area with a thinner coating"}
     variables = {
-        "share": ("thickness", counts, {"units": "1", "long_name": "Share of the area with a thinner coating"}),
-        "marked_share": ("marked", shares, {"units": "1", "long_name": "Share of the area with a thinner coating"}),
+        "share": ("thickness", np.searchsorted(ascending, x, side="left") / ascending.size, thinner),
+        "marked_share": ("marked", shares, thinner),
         "marked_se": ("marked", np.sqrt(shares * (1 - shares) / ascending.size), {"units": "1"}),
         "value_se": ("marked", errors, {"units": "um", "long_name": "Standard error of one value"}),
         "biased": ("marked", biased, {"long_name": "Thickness below two standard errors of one value"}),

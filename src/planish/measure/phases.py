@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
-from planish.core.typing import Floats
+from planish.core.typing import Bools, Floats
 from planish.measure.registry import Greys, Measured, Sheet, ray_property, sheet_property
 
 if TYPE_CHECKING:
@@ -113,12 +115,16 @@ def filler(rays: Rays) -> Measured:
     beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
     within = rays.between(lower, upper)
     dark = within & ~beyond
+    (first, last), ends = (_first_and_last(mask) for mask in (dark, within))
+    # An end that is dark already, or a ray that is bright throughout, stays as it is, between two samples.
     has_dark = dark.any(axis=-1)
-    first, last = np.argmax(dark, axis=-1), dark.shape[-1] - 1 - np.argmax(dark[..., ::-1], axis=-1)
-    # An end that is dark already stays where it is, between two samples.
-    start = np.where(np.argmax(within, axis=-1) == first, lower, rays.s_um[first])
-    stop = np.where(dark.shape[-1] - 1 - np.argmax(within[..., ::-1], axis=-1) == last, upper, rays.s_um[last])
-    return _share_of_filler(rays, np.where(has_dark, start, lower), np.where(has_dark, stop, lower))
+    start = np.where(has_dark & (ends[0] != first), rays.s_um[first], lower)
+    stop = np.where(has_dark & (ends[1] != last), rays.s_um[last], upper)
+    return _share_of_filler(rays, start, stop)
+
+
+def _first_and_last(mask: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
 
 
 def _share_of_filler(rays: Rays, lower: Floats, upper: Floats) -> Measured:
@@ -187,7 +193,18 @@ def depth_profiles(
     edges = np.linspace(0.0, 1.0, bins + 1)
 
     def work(tile: Rays, inner: slice, _rows: slice) -> Floats:
-        return _layer_sums(tile.rows(inner), names, edges)
+        """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
+        # Rows are summed by themselves, then added in the same order however they were cut.
+        rays = tile.rows(inner)
+        bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
+        sums = np.zeros((len(names), bins, 3, len(thick)))
+        for a, name in enumerate(names):
+            for b, (lower, upper) in enumerate(pairwise(edges)):
+                share = _SHARES[name][0](rays, bottom + lower * thick, bottom + upper * thick).values
+                is_valid = np.isfinite(share) & (rays.status == 0)
+                share = np.where(is_valid, share, 0.0)
+                sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+        return sums
 
     parts = each_tile(volume, frame, work, rows=rows_per_tile, engine=engine)
     count, total, squares = np.moveaxis(np.concatenate(parts, axis=-1).sum(axis=-1), -1, 0)
@@ -199,31 +216,17 @@ def depth_profiles(
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(count > 0, total / count, np.nan)
         sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
-    variables: dict[str, tuple[str, Floats, dict[str, object]]] = {}
+    variables: dict[str, xr.Variable] = {}
     for a, name in enumerate(names):
         title = _SHARES[name][1]
-        variables[name] = ("depth", mean[a], {"units": "1", "long_name": title})
-        variables[f"{name}_sd"] = ("depth", sd[a], {"units": "1", "long_name": f"{title}, standard deviation of rays"})
-        variables[f"{name}_n"] = ("depth", count[a], {"long_name": "Rays"})
+        variables[name] = xr.Variable("depth", mean[a], {"units": "1", "long_name": title})
+        attrs = {"units": "1", "long_name": f"{title}, standard deviation of rays"}
+        variables[f"{name}_sd"] = xr.Variable("depth", sd[a], attrs)
+        variables[f"{name}_n"] = xr.Variable("depth", count[a], {"long_name": "Rays"})
     layer = frame.faces["interface_top"] - frame.faces["interface_bottom"]
     base_um = float(np.nanmedian(np.where(frame.status == 0, layer, np.nan)))
     middle = 0.5 * (edges[1:] + edges[:-1])
     blurred = (np.minimum(middle, 1 - middle) < 2 * frame.greys.blur_um / base_um).astype(np.float64)
-    variables["blurred"] = ("depth", blurred, {"long_name": "Within two blurs of an interface"})
+    variables["blurred"] = xr.Variable("depth", blurred, {"long_name": "Within two blurs of an interface"})
     depth = ("depth", middle, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
     return xr.Dataset(variables, coords={"depth": depth}, attrs={"base_um": base_um, "rays": frame.params.rays})
-
-
-def _layer_sums(rays: Rays, names: Sequence[str], edges: Floats) -> Floats:
-    """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
-    # Rows are summed by themselves, then added in the same order however they were cut.
-    thick = rays.interface_top - rays.interface_bottom
-    sums = np.zeros((len(names), edges.size - 1, 3, rays.status.shape[0]))
-    for a, name in enumerate(names):
-        for b in range(edges.size - 1):
-            lower, upper = (rays.interface_bottom + edges[k] * thick for k in (b, b + 1))
-            share = _SHARES[name][0](rays, lower, upper).values
-            is_valid = np.isfinite(share) & (rays.status == 0)
-            share = np.where(is_valid, share, 0.0)
-            sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
-    return sums

@@ -178,20 +178,17 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
     SurfaceError
         If a surface is missing or the top lies below the bottom.
     """
-    lacking = [name for name in (*FACES, "centre", "status") if name not in surfaces]
-    if lacking:
+    if lacking := [name for name in (*FACES, "centre", "status") if name not in surfaces]:
         raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
     up = Frame.of(surfaces).sign
     heights = {name: up * surfaces[name].values.astype(np.float64) for name in (*FACES, "centre")}
-    below = int(np.count_nonzero(heights["top"] < heights["bottom"]))
-    if below:
+    if below := int(np.count_nonzero(heights["top"] < heights["bottom"])):
         raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
     step = pitch(surfaces)
     slope = slopes_of(heights["centre"], step)
     is_finite = np.isfinite(slope).all(axis=-1)
     stretch = np.sqrt(1 + slope[is_finite] ** 2).mean(axis=0) if is_finite.any() else np.zeros(2)
-    unit = directions(slope, rays)
-    along_r, along_c, along_h = (np.ascontiguousarray(unit[..., k]) for k in range(3))
+    unit = [np.ascontiguousarray(part) for part in np.moveaxis(directions(slope, rays), -1, 0)]
     faces: dict[str, Floats] = {}
     for name in FACES:
         if name.startswith("interface") and not np.isfinite(heights[name]).any():
@@ -199,7 +196,7 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
         elif rays == "vertical":
             faces[name] = heights[name] - heights["centre"]
         else:
-            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], along_r, along_c, along_h, *step)
+            faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], *unit, *step)
     coated: dict[Side, bool] = {side: faces[f"interface_{side}"] is not faces[side] for side in SIDES}
     return Met(heights=heights, faces=faces, coated=coated, stretch=(float(stretch[0]), float(stretch[1])))
 
@@ -282,7 +279,7 @@ class RayFrame:
     def tile(self, volume: xr.DataArray, rows: slice) -> Rays:
         """Straighten some rows; only the voxels that they need are read."""
         start, stop, _ = rows.indices(self.status.shape[0])
-        rows = slice(start, stop)
+        rows, contrast = slice(start, stop), self.greys.base - self.greys.air
         slope = self.slopes(rows)
         normals = directions(slope, self.params.rays)
         status = self.status[rows].copy()
@@ -290,50 +287,44 @@ class RayFrame:
         faces = {name: np.where(status == 0, values[rows], np.nan) for name, values in self.faces.items()}
         samples: Floats = np.arange(self.low, self.high + 1).astype(np.float64) * self.step_um
         tile = Rays(
-            grey=grey, s_um=samples, **faces, normals=normals, stretch=np.sqrt(1 + slope**2), slope=slope, oblique=self.oblique(slope), status=status,
-            pitch_um=self.pitch_um, voxel_um=self.voxel_um, greys=self.greys, params=self.params,
-            noise_um=self.noise_um, mirrored=self.frame.mirrored, mean_stretch=self.mean_stretch,
+            grey=grey, s_um=samples, **faces, normals=normals, stretch=np.sqrt(1 + slope**2), slope=slope,
+            oblique=self.oblique(slope), status=status, pitch_um=self.pitch_um, voxel_um=self.voxel_um,
+            greys=self.greys, params=self.params, noise_um=self.noise_um, mirrored=self.frame.mirrored,
+            mean_stretch=self.mean_stretch,
         )  # fmt: skip
         whole = tile.integral(tile.bottom, tile.top)
         status[(status == 0) & ~np.isfinite(whole)] = Status.RAY_LEAVES_VOLUME
-        contrast = self.greys.base - self.greys.air
         with np.errstate(invalid="ignore"):
             faint = whole / np.maximum(tile.top - tile.bottom, 1e-9) / contrast < 0.25
         status[(status == 0) & faint] = Status.LOW_CONTRAST
         return tile
 
     def _grey(self, volume: xr.DataArray, rows: slice, normals: Floats, wanted: Bools) -> Grey:
-        f = self.frame
-        through = volume.coords[f.through].values
-        size = float(through[1] - through[0])
-        depth = (f.sign * self.heights["centre"][rows] - float(through[0])) / size
-        k = self.wide
-        along_r, along_c = (normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1))
-        steps = (along_r, along_c, f.sign * normals[..., 2] / size)
         out = np.full((*wanted.shape, self.samples), np.nan, dtype=np.float32)
         if not wanted.any():
             return out
+        f, k = self.frame, self.wide
+        axes = f.rows, f.cols, f.through
+        through = volume.coords[f.through].values
+        size = float(through[1] - through[0])
+        depth = (f.sign * self.heights["centre"][rows] - float(through[0])) / size
+        along_r, along_c = (normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1))
+        steps = (along_r, along_c, f.sign * normals[..., 2] / size)
         # The box around both ends of all rays, in voxels.
         middle = 0.5 * (k - 1)
-        down = k * np.arange(rows.start, rows.stop)[:, None] + middle
-        starts = np.broadcast_to(down, wanted.shape), k * np.arange(wanted.shape[1]) + middle
-        ends = [
-            np.stack([(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)])
-            for start, step in zip((*starts, depth), steps, strict=True)
-        ]
-        sizes = volume.sizes[f.rows], volume.sizes[f.cols], volume.sizes[f.through]
-        box = [
-            slice(min(max(int(np.floor(e.min())), 0), n - 1), max(min(int(np.ceil(e.max())) + 2, n), 1))
-            for e, n in zip(ends, sizes, strict=True)
-        ]
-        part = volume.isel(dict(zip((f.rows, f.cols, f.through), box, strict=True)))
+        down, across = np.arange(rows.start, rows.stop)[:, None], np.arange(wanted.shape[1])
+        box: dict[str, slice] = {}
+        for axis, start, step in zip(axes, (k * down + middle, k * across + middle, depth), steps, strict=True):
+            ends, n = [(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)], volume.sizes[axis]
+            first, last = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
+            box[axis] = slice(min(max(first, 0), n - 1), max(min(last, n), 1))
+        part = volume.isel(box)
         # Turned only after it was read: what is read lazily may not know how to turn.
-        turned = part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
-        block = np.ascontiguousarray(turned)
-        corner = np.array([b.start for b in box])
-        padded = bool(np.isfinite(self.greys.padding))
+        block = np.ascontiguousarray(part.values.transpose([part.get_axis_num(axis) for axis in axes]))
+        corner, padding = np.array([box[axis].start for axis in axes]), self.greys.padding
+        is_padded = bool(np.isfinite(padding))
         _ray_kernels.resample_rays(
-            block, corner, rows.start, k, depth, *steps, wanted, self.low, self.step_um, self.greys.padding, padded, out
+            block, corner, rows.start, k, depth, *steps, wanted, self.low, self.step_um, padding, is_padded, out
         )
         return out
 

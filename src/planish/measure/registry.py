@@ -53,15 +53,15 @@ class Greys:
     def of(cls, surfaces: xr.Dataset) -> Greys:
         """Read the levels from the surfaces' attributes; SurfaceError if they are not there."""
         attrs = surfaces.attrs
-        named = {name: f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")}
-        named |= {"polarity": "polarity", "blur_um": "blur_um"}
-        lacking = [key for key in named.values() if key not in attrs]
-        if lacking:
+        keys = [f"grey_{name}" for name in ("air", "base", "coating_top", "coating_bottom", "noise")]
+        keys += ["polarity", "blur_um"]
+        if lacking := [key for key in keys if key not in attrs]:
             raise SurfaceError(f"The surfaces lack {', '.join(lacking)}. Make them with 'planish surface'.")
-        levels = {name: float(attrs[key]) for name, key in named.items()}
-        more = {"padding": np.nan, "grey_noise_single": levels["noise"], "averaged_columns": 0.0}
-        padding, single, averaged = (float(attrs.get(key, default)) for key, default in more.items())
-        return cls(**levels, padding=padding, single_noise=single, averaged=averaged)
+        return cls(
+            **{key.removeprefix("grey_"): float(attrs[key]) for key in keys},
+            padding=float(attrs.get("padding", np.nan)), averaged=float(attrs.get("averaged_columns", 0.0)),
+            single_noise=float(attrs.get("grey_noise_single", attrs["grey_noise"])),
+        )  # fmt: skip
 
     def coating(self, side: str) -> float:
         """Level of the coating of ``top`` or ``bottom``."""
@@ -295,15 +295,15 @@ def check_maps(params: MeasureParams) -> None:
     CannotMeasure
         If a map is unknown, or needs a number that is not given whether the sheet is coated or not.
     """
-    for name in map(find_property, params.maps):
-        faults: list[CannotMeasure] = []
-        for greys in _coated_and_bare():
+    coated, bare = _coated_and_bare()
+    for name in params.maps:
+        try:
+            in_order([name], params, coated)
+        except CannotMeasure as fault:
             try:
-                in_order([name], params, greys)
-            except CannotMeasure as fault:
-                faults.append(fault)
-        if len(faults) == 2:
-            raise faults[0]
+                in_order([name], params, bare)
+            except CannotMeasure:
+                raise fault from None
 
 
 def possible_maps(params: MeasureParams) -> list[str]:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -19,10 +18,8 @@ from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats
 from planish.measure.params import MeasureParams
 from planish.measure.rays import RayFrame, directions, slopes_of
-from planish.measure.registry import Greys
 
 _WIDE = 256  # pixels along the width of a part: its box of voxels has to be small where the sheet is steep
-_MOST_DEPTH = 20.0  # sheet thicknesses: beyond that the normals have long left the sheet, and cross each other
 
 
 def straightened(
@@ -61,20 +58,20 @@ def straightened(
         raise SurfaceError(f"The maps lack {', '.join(lacking)}. Give the maps of the sheet, not those of an image.")
     frame = RayFrame.of(volume, surfaces, params or MeasureParams())
     low, high = depth_um or (frame.low * frame.step_um, frame.high * frame.step_um)
-    most = _MOST_DEPTH * float(surfaces.attrs["thickness_um"])
+    # Beyond that the normals have long left the sheet, and cross each other.
+    most = 20.0 * float(surfaces.attrs["thickness_um"])
     if not low < high or max(abs(low), abs(high)) > most:
         raise StudyError(
             f"--depth-um {low:g},{high:g}: give two heights in um from the centre surface, the lower one first, within "
             f"{most:.0f} um."
         )
-    first, last = int(np.floor(low / frame.voxel_um)), int(np.ceil(high / frame.voxel_um))
-    depths: Floats = np.arange(first, last + 1).astype(np.float64) * frame.voxel_um
+    voxel = frame.voxel_um
+    depths: Floats = np.arange(int(np.floor(low / voxel)), int(np.ceil(high / voxel)) + 1).astype(np.float64) * voxel
     grid = Grid.of(maps)
     straight = _Straightened(volume, surfaces, maps, depths, frame)
-    places = {"z": depths, "y": grid.y_um, "x": grid.x_um}
-    coords = {axis: (axis, at, {"units": "um"}) for axis, at in places.items()}
+    coords = {k: (k, um, {"units": "um"}) for k, um in (("z", depths), ("y", grid.y_um), ("x", grid.x_um))}
     volume_along = xr.DataArray(xr.Variable(("z", "y", "x"), held(straight)), coords=coords, name="grey")
-    return volume_along.assign_attrs(voxel_um=(frame.voxel_um, *(round(float(p), 9) for p in grid.pixel_um)))
+    return volume_along.assign_attrs(voxel_um=(voxel, *(round(float(p), 9) for p in grid.pixel_um)))
 
 
 class _Straightened(LazyArray):
@@ -88,8 +85,8 @@ class _Straightened(LazyArray):
         self._frame, self._pitch = Frame.of(surfaces), pitch(surfaces)
         self._first = float(surfaces["y"].values[0]), float(surfaces["x"].values[0])
         slope = slopes_of(frame.heights["centre"], self._pitch)
-        self._slopes: Sequence[Floats] = (np.ascontiguousarray(slope[..., 0]), np.ascontiguousarray(slope[..., 1]))
-        self._padding = Greys.of(surfaces).padding
+        self._slopes = [np.ascontiguousarray(part) for part in np.moveaxis(slope, -1, 0)]
+        self._padding = frame.greys.padding
         self.shape = (depths.size, *Grid.of(maps).shape)
         self.dtype = np.dtype(np.float32)
 
@@ -119,24 +116,21 @@ class _Straightened(LazyArray):
             (place[axis] - first) / p for axis, first, p in zip((f.rows, f.cols), self._first, self._pitch, strict=True)
         )
         slope = np.stack([bilinear(field, row, col) for field in self._slopes], axis=-1)
-        normal: dict[str, Floats] = dict(
-            zip((f.rows, f.cols, f.through), np.moveaxis(directions(slope, "normal"), -1, 0), strict=True)
-        )
-        normal[f.through] = f.sign * normal[f.through]
+        along_r, along_c, up = np.moveaxis(directions(slope, "normal"), -1, 0)
+        normal = {f.rows: along_r, f.cols: along_c, f.through: f.sign * up}
         is_inside = np.all([np.isfinite(place[axis]) & np.isfinite(normal[axis]) for axis in place], axis=0)
         if not is_inside.any():
             return
         places: list[Floats] = []
-        box: list[slice] = []
+        box: dict[str, slice] = {}
         for axis in map(str, self._volume.dims):
             coords = self._volume[axis].values
             size = float(coords[1] - coords[0])
             index = (place[axis][is_inside] + depths[:, None] * normal[axis][is_inside] - float(coords[0])) / size
             start = int(np.clip(np.floor(index.min()), 0, coords.size - 1))
-            stop = int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size))
+            box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size)))
             places.append(index - start)
-            box.append(slice(start, stop))
-        block = self._volume.isel(dict(zip(map(str, self._volume.dims), box, strict=True))).values
+        block = self._volume.isel(box).values
         if block.dtype.kind != "f" or np.isfinite(self._padding):
             block = block.astype(np.float32)
         if np.isfinite(self._padding):

@@ -12,6 +12,7 @@ standard error: it depends on which voids were resolved, and a distribution of p
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -66,25 +67,22 @@ def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
         samples = rays.samples_within(*rays.core)
         grey = rays.grey[..., samples]
         grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
-        taps = [_taps(rays.params.orientation_sigma_um or p, p) for p in rays.pitch_um]
+        bells: list[Floats] = []
+        slopes: list[Floats] = []
+        for pitch in rays.pitch_um:
+            sigma = max((rays.params.orientation_sigma_um or pitch) / pitch, 0.5)
+            x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
+            bell = np.exp(-0.5 * (x / sigma) ** 2)
+            bells.append(bell / bell.sum())
+            slopes.append(x * bell / np.sum(x * x * bell) / pitch)  # 1 on a ramp
 
         def along(axis: int) -> Grey3:
-            calm = ndimage.correlate1d(grey, taps[1 - axis][0], 1 - axis, mode="nearest")
-            return ndimage.correlate1d(calm, taps[axis][1], axis, mode="nearest")
+            calm = ndimage.correlate1d(grey, bells[1 - axis], 1 - axis, mode="nearest")
+            return ndimage.correlate1d(calm, slopes[axis], axis, mode="nearest")
 
         return along(0), along(1), samples
 
     return rays.cached("gradients", work)
-
-
-def _taps(sigma_um: float, pitch_um: float) -> tuple[Floats, Floats]:
-    """Gaussian of ``sigma_um``, at least half a pitch, and its derivative per um."""
-    sigma = max(sigma_um / pitch_um, 0.5)
-    x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
-    bell = np.exp(-0.5 * (x / sigma) ** 2)
-    # The derivative's taps have the slope 1 on a ramp.
-    slope = x * bell / np.sum(x * x * bell) / pitch_um
-    return bell / bell.sum(), slope
 
 
 def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
@@ -141,14 +139,6 @@ def _components(rays: Rays, lowest: float = 0.0, highest: float = 1.0) -> tuple[
         return np.where(trace > 0, -cosine / trace, np.nan), np.where(trace > 0, -turn * sine / trace, np.nan)
 
 
-def _angle(rays: Rays, **depth: float) -> Floats:
-    return axial_angle(*_components(rays, **depth))
-
-
-def _anisotropy(rays: Rays, **depth: float) -> Floats:
-    return np.hypot(*_components(rays, **depth))
-
-
 @ray_property("fibre_cos2", units="1", long_name="Fibre direction, cosine part", halo_um=_halo, support_um=_width)
 def fibre_cos2(rays: Rays) -> Floats:
     """Anisotropy times cos(2 angle): may be averaged and interpolated, which an angle may not."""
@@ -162,22 +152,22 @@ def fibre_sin2(rays: Rays) -> Floats:
 
 
 @ray_property("fibre_angle", units="deg", long_name="Fibre angle", halo_um=_halo, support_um=_width, together=_PARTS)
-def fibre_angle(rays: Rays) -> Floats:
+def fibre_angle(rays: Rays, **depth: float) -> Floats:
     """P-13: mean axis of the fibres, -90 to 90 degrees from the map's u axis towards its v axis.
 
     Axial statistics: of doubled angles, each gradient with its square. No standard error: the directions of one
     neighbourhood are those of few fibres. Do not interpolate it; use ``fibre_cos2`` and ``fibre_sin2``.
     """
-    return _angle(rays)
+    return axial_angle(*_components(rays, **depth))
 
 
 @ray_property("fibre_anisotropy", units="1", long_name="Fibre anisotropy", halo_um=_halo, support_um=_width)
-def fibre_anisotropy(rays: Rays) -> Floats:
+def fibre_anisotropy(rays: Rays, **depth: float) -> Floats:
     """P-13: (l1 - l2) / (l1 + l2) of the tensor's eigenvalues: 0 where no direction prevails, 1 where all are one.
 
     Noise adds to both eigenvalues and makes it smaller.
     """
-    return _anisotropy(rays)
+    return np.hypot(*_components(rays, **depth))
 
 
 def orientation_layers(count: int) -> tuple[Property, ...]:
@@ -191,14 +181,11 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
     """
     layers: list[Property] = []
     for k in range(count):
-        depth = {"lowest": k / count, "highest": (k + 1) / count}
-        for name, units, title, function in (
-            ("angle", "deg", "Fibre angle", _angle), ("anisotropy", "1", "Fibre anisotropy", _anisotropy),
-        ):  # fmt: skip
-            layers.append(
-                Property(name=f"fibre_{name}_layer_{k + 1}", units=units, kind="rays", halo_um=_halo, support_um=_width,
-                         long_name=f"{title}, layer {k + 1} of {count}", function=partial(function, **depth))
-            )  # fmt: skip
+        depth, place = {"lowest": k / count, "highest": (k + 1) / count}, f"layer {k + 1} of {count}"
+        for prop in (fibre_angle, fibre_anisotropy):
+            name, function = f"{prop.name}_layer_{k + 1}", partial(prop.function, **depth)
+            layer = replace(prop, name=name, long_name=f"{prop.long_name}, {place}", function=function, together=())
+            layers.append(layer)
     return tuple(layers)
 
 

@@ -20,14 +20,9 @@ from planish.core.typing import Floats
 from planish.measure.rays import RayFrame
 from planish.measure.registry import Greys, Side
 
-_ROWS = 6  # of the sheet, from which the noise is read
 _LEVELS = (0.05, 0.10)  # spread of the coating's and the base's level from place to place, as a share of their contrast
 _NODES = 61
-COMMON = {"face": 0.025, "interface": 0.07}  # voxels: what pores at a boundary and the levels leave, besides noise
 _SHARED = 14.0  # columns of one voxel that an independent value stands for: the sum of the errors' autocorrelation
-_NO_NOISE = 0.003  # of the contrast of air and base, in a single voxel
-_WHITE = 1.2  # voxels: noise with a longer autocorrelation is shared by neighbours
-_LARGEST = 12.0  # layers thicker than so many blurs have two edges that know nothing of each other
 
 
 def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
@@ -39,17 +34,16 @@ def ray_noise(volume: xr.DataArray, frame: RayFrame) -> float:
     """
     white = frame.greys.noise**2 * frame.voxel_um
     rows = np.flatnonzero((frame.status == 0).any(axis=1))
-    picked = rows[np.unique(np.linspace(0, rows.size - 1, min(_ROWS, rows.size)).astype(int))]
-    margin = 3 * frame.greys.blur_um + frame.voxel_um
+    picked = rows[np.unique(np.linspace(0, rows.size - 1, min(6, rows.size)).astype(int))]
+    margin, length = 3 * frame.greys.blur_um + frame.voxel_um, 3.0 * frame.voxel_um
     samples: list[Floats] = []
-    length = 0.0
     for row in picked:
         rays = frame.tile(volume, slice(int(row), int(row) + 1))
-        room = min(float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0])) \
-            if (rays.status == 0).any() else 0.0  # fmt: skip
-        if room - margin < 3 * frame.voxel_um:
+        if not (rays.status == 0).any():
             continue
-        length = 3.0 * frame.voxel_um
+        room = min(float(rays.s_um[-1] - np.nanmax(rays.top)), float(np.nanmin(rays.bottom) - rays.s_um[0]))
+        if room - margin < length:
+            continue
         for lower in (rays.top + margin, rays.bottom - margin - length):
             means = rays.mean(lower, lower + length)
             samples.append(means[np.isfinite(means)])
@@ -84,7 +78,7 @@ class Shared:
         white = (greys.single_noise * wide) ** 2 * voxel_um
         # The integral of the noise's autocorrelation along one axis, in voxels; the same is taken for all axes. Beside
         # noise that moves no face, what scatters in the air says nothing of it.
-        least = (_NO_NOISE * (greys.base - greys.air)) ** 2 * voxel_um
+        least = (0.003 * (greys.base - greys.air)) ** 2 * voxel_um
         length = max(1.0, noise_um / max(white, least)) if np.isfinite(noise_um) else 1.0
         averaged = 4 * np.pi * (greys.averaged * wide) ** 2  # voxels under the Gaussian of the averaging
         patch = _SHARED + length**2 - 1 + averaged
@@ -92,7 +86,7 @@ class Shared:
         # Averaging divides the variance of white noise by 1 + averaged, but mixes the sheet's own detail in: some two
         # thirds of the gain, as a power, are left. Noise that neighbours share is averaged farther, and the detail lost
         # costs as much as is gained.
-        gain = (1 + averaged) ** 0.7 if length < _WHITE else 1.0
+        gain = (1 + averaged) ** 0.7 if length < 1.2 else 1.0
         noise = greys.single_noise**2 * voxel_um * length / gain
         longest, shared = max(voxel_um, max(pitch_um) / wide), float(np.sqrt(length))
         return cls(
@@ -122,7 +116,8 @@ def thickness_errors(
 
 def common_errors(unit_um: float) -> dict[str, float]:
     """Give the error of each thickness and topography that averaging does not lessen, um; ``unit_um``: of a voxel."""
-    face, inner = (unit_um * COMMON[k] for k in ("face", "interface"))
+    # What pores at a boundary and the levels leave, besides noise, in voxels.
+    face, inner = unit_um * 0.025, unit_um * 0.07
     coating, base, sheet = float(np.hypot(face, inner)), float(np.sqrt(2)) * inner, float(np.sqrt(2)) * face
     return {
         "coating_top": coating, "coating_bottom": coating, "base_thickness": base, "thickness": sheet,
@@ -159,7 +154,8 @@ def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: str) ->
         face = float(np.sqrt(noise_um * 2 * np.sqrt(np.pi) * blur)) / abs(base - greys.air)
         flat = np.full(thickness.shape, face)
         return flat, np.full(thickness.shape, np.nan), flat
-    nodes = np.linspace(0.02, _LARGEST, _NODES) * blur
+    # Layers thicker than 12 blurs have two edges that know nothing of each other.
+    nodes = np.linspace(0.02, 12.0, _NODES) * blur
     table = np.array([_one_layer(t, blur, coat - greys.air, base - greys.air, noise_um) for t in nodes])
     table[:] = table[np.maximum(np.arange(_NODES), int(np.argmax(table[:, 1] <= nodes)))]
     layer = np.clip(thickness, 0.0, nodes[-1])
