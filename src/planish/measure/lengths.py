@@ -11,8 +11,7 @@ from pydantic import model_validator
 from planish.core.errors import CannotMeasure
 from planish.core.options import Params, option
 from planish.core.robust import masked_gaussian
-from planish.core.transform import Pair
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.measure.registry import (
     PROPERTIES,
     SIDES,
@@ -33,7 +32,7 @@ if TYPE_CHECKING:
 class InkOptions(Params):
     """Options of the penetration of ink."""
 
-    ink_grey: tuple[float, float] | None = option(
+    ink_grey: Pair | None = option(
         None, metavar="LOW,HIGH", help="Grey range of ink, for the depth to which it penetrates."
     )
     ink_reach_um: float | None = option(

@@ -9,8 +9,7 @@ from planish.core.errors import CannotMeasure
 from planish.core.facts import ProfileFacts, RoughnessFacts, SheetNumbers, ThinFacts, TwoSidesFacts
 from planish.core.grid import pitch
 from planish.core.tiles import Engine
-from planish.core.transform import Pair
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.measure.lengths import scale_limited
 from planish.measure.params import MeasureParams
 from planish.measure.phases import depth_profiles

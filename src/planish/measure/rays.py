@@ -14,7 +14,7 @@ from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.measure import _ray_kernels
 from planish.measure.params import MeasureParams
 from planish.measure.registry import SIDES, Greys, Side
@@ -72,13 +72,13 @@ class Rays:
     slope: Floats
     oblique: Floats
     status: NDArray[np.uint8]
-    pitch_um: tuple[float, float]
+    pitch_um: Pair
     voxel_um: float
     greys: Greys
     params: MeasureParams
     noise_um: float
     mirrored: bool
-    mean_stretch: tuple[float, float]
+    mean_stretch: Pair
     _cache: dict[str, object] = field(default_factory=lambda: {})
 
     @property
@@ -167,7 +167,7 @@ class Met(NamedTuple):
     heights: dict[str, Floats]
     faces: dict[str, Floats]
     coated: dict[Side, bool]
-    stretch: tuple[float, float]
+    stretch: Pair
 
 
 def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
@@ -213,14 +213,14 @@ class RayFrame:
     heights: dict[str, Floats]
     faces: dict[str, Floats]
     status: NDArray[np.uint8]
-    pitch_um: tuple[float, float]
+    pitch_um: Pair
     voxel_um: float
     step_um: float
     low: int
     high: int
     greys: Greys
     params: MeasureParams
-    mean_stretch: tuple[float, float]
+    mean_stretch: Pair
     wide: int
     noise_um: float = float("nan")
 
@@ -329,7 +329,7 @@ class RayFrame:
         return out
 
 
-def slopes_of(heights: Floats, pitch: tuple[float, float], rows: slice = slice(None)) -> Floats:
+def slopes_of(heights: Floats, pitch: Pair, rows: slice = slice(None)) -> Floats:
     """Slope of a surface along rows and columns (rows, cols, 2); of some rows the same as of the whole surface."""
     start, stop, _ = rows.indices(heights.shape[0])
     lo, hi = max(start - 1, 0), min(stop + 1, heights.shape[0])

@@ -15,7 +15,7 @@ from planish.core.grid import Grid, bilinear, pitch
 from planish.core.lazy import LazyArray, Where, held
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.measure.params import MeasureParams
 from planish.measure.rays import RayFrame, directions, slopes_of
 
@@ -24,7 +24,7 @@ _WIDE = 256  # pixels along the width of a part: its box of voxels has to be sma
 
 def straightened(
     volume: xr.DataArray, surfaces: xr.Dataset, maps: xr.Dataset, *, params: MeasureParams | None = None,
-    depth_um: tuple[float, float] | None = None,
+    depth_um: Pair | None = None,
 ) -> xr.DataArray:  # fmt: skip
     """Straighten a volume along the normals of the centre surface.
 

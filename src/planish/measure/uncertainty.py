@@ -16,7 +16,7 @@ import xarray as xr
 from scipy import special
 
 from planish.core.robust import mad_sd
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 from planish.measure.rays import RayFrame
 from planish.measure.registry import Greys, Side
 
@@ -67,7 +67,7 @@ class Shared:
 
     @classmethod
     def of(
-        cls, greys: Greys, *, voxel_um: float, pitch_um: tuple[float, float], wide: float,
+        cls, greys: Greys, *, voxel_um: float, pitch_um: Pair, wide: float,
         noise_um: float = float("nan"),
     ) -> Shared:  # fmt: skip
         """Work it out.

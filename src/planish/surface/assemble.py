@@ -11,8 +11,7 @@ from planish.core.errors import VolumeError
 from planish.core.grid import filled
 from planish.core.status import Status, status_flags
 from planish.core.tiles import Engine, Tile
-from planish.core.transform import Pair
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression, slice_smoothed
 from planish.surface.columns import Columns, join_tiles, voxel_pitch
@@ -26,7 +25,7 @@ _SHORTER = 0.625  # of the cut-off: 250 for 400 um
 
 
 def assemble(
-    columns: Columns, params: SurfaceParams, faces: Faces, doubt: tuple[Bools, Bools], levels: tuple[float, float],
+    columns: Columns, params: SurfaceParams, faces: Faces, doubt: tuple[Bools, Bools], levels: Pair,
     engine: Engine,
 ) -> xr.Dataset:  # fmt: skip
     """Build the result of :func:`planish.surface.find_surfaces` but for the grey levels in its attributes.
@@ -114,7 +113,7 @@ def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs
 
 
 def alternative_surfaces(
-    between: Floats, middle: Floats, centre: Floats, outline: Bools, pitch: tuple[float, float], params: SurfaceParams
+    between: Floats, middle: Floats, centre: Floats, outline: Bools, pitch: Pair, params: SurfaceParams
 ) -> dict[str, tuple[Floats, str]]:
     """Give the heights over the centre surface of alternatives that could stand for it, smoothed alike and carried on.
 
@@ -159,7 +158,7 @@ LAYERS = {"presence": (_FROM, _TO), "presence_centre": (-_INNER, _INNER), "prese
 
 
 def find_presence(
-    columns: Columns, centre: Floats, thickness: float, up: float, levels: tuple[float, float], engine: Engine
+    columns: Columns, centre: Floats, thickness: float, up: float, levels: Pair, engine: Engine
 ) -> dict[str, Floats]:
     """Share of material in three layers of the sheet, along the true normals, of every column; 0 to 1.
 
@@ -174,14 +173,14 @@ def find_presence(
     normals = (-up * slope[0] / length / pitch[0], -up * slope[1] / length / pitch[1], up / length / pitch[2])
     depth = (centre - float(columns.depth_um[0])) / pitch[2]
 
-    def job(tile: Tile) -> tuple[Columns, list[Floats], float, tuple[float, float]]:
+    def job(tile: Tile) -> tuple[Columns, list[Floats], float, Pair]:
         return columns, [field[tile.rows, tile.cols] for field in (depth, *normals)], thickness, levels
 
     parts = engine.map("layers", _tile_presence, job, columns.tiles(engine))
     return dict(zip(LAYERS, join_tiles(parts, np.full((len(LAYERS), *columns.shape[:2]), np.nan)), strict=True))
 
 
-def _tile_presence(job: tuple[Columns, list[Floats], float, tuple[float, float]], tile: Tile) -> Floats:
+def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
     """Give the presence in a tile, (layers, rows, cols)."""
     columns, fields, thickness, levels = job
     whole = columns.shape

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
 from planish.core.tiles import Engine, Tile, tiles_of
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.surface.assemble import assemble
 from planish.surface.columns import Columns, Guide, Priors, join_tiles, make_guide, oriented
 from planish.surface.faces import Faces, FitJob, faces_from_depths
@@ -44,8 +44,7 @@ def find_faces_by_slice(columns: Columns, guide: Guide, priors: Priors, engine: 
 def _fit_slices(job: FitJob, tile: Tile) -> Floats:
     """Depth of the face and thickness of the coating from the high end, then from the low end, (4, rows, cols)."""
     columns, guide, priors, _ = job
-    grey = oriented(columns, tile, guide, priors.scale)
-    guide = guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
+    grey, guide = oriented(columns, tile, guide, priors.scale)
     margin = 20.0 / columns.pitch[2]  # of air beside the sheet that counts in the histogram
     out = np.full((4, *tile.shape), np.nan)
     reach = priors.reach / guide.tilt
@@ -107,7 +106,7 @@ def _crossing(grey: Floats, start: NDArray[np.intp], level: float) -> Floats:
         return np.where(b != a, np.clip((level - a) / (b - a), 0.0, 1.0), 0.5)
 
 
-def otsu(grey: Floats, classes: int) -> tuple[float, float]:
+def otsu(grey: Floats, classes: int) -> Pair:
     """Thresholds that separate two or three classes of grey best; the second is infinite for two.
 
     The variance between the classes is largest there.

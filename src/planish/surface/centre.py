@@ -16,17 +16,12 @@ import numpy as np
 from scipy import ndimage
 
 from planish.core.grid import filled
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 
-# Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half (ISO
-# 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
-_GAMMA = 0.887
-_POWERS = [(i, j) for i in range(5) for j in range(5 - i)]
 _TERMS = [(0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2)]
-_LEAST_WEIGHT = 0.04  # of a full neighbourhood: below it the surface would be extrapolated
 
 
-def gaussian_regression(height: Floats, pitch_um: tuple[float, float], *, cutoff_um: float) -> Floats:
+def gaussian_regression(height: Floats, pitch_um: Pair, *, cutoff_um: float) -> Floats:
     """Smooth ``height`` (rows, cols) in um and carry it across missing values where the neighbourhood holds enough.
 
     ``cutoff_um``: wavelength that passes by half; ``pitch_um``: distance of rows and of columns.
@@ -89,25 +84,24 @@ def slice_smoothed(height: Floats, pitch_um: float, *, cutoff_um: float) -> Floa
 class _Regression:
     """Local paraboloids with Gaussian weights, at all nodes of one grid of weights."""
 
-    def __init__(self, weight: Floats, pitch: tuple[float, float], cutoff: float) -> None:
-        scale = _GAMMA * cutoff
+    def __init__(self, weight: Floats, pitch: Pair, cutoff: float) -> None:
+        # Gaussian weight exp(-pi (x / (GAMMA lambda))^2). With 0.7309 the second-order filter H passes lambda by half
+        # (ISO 16610-31); applied twice, 1 - (1 - H)^2, it does so with a wider weight.
+        scale = 0.887 * cutoff
         self.weight = weight
         self.axes: list[tuple[Floats, Floats]] = []
         for p in pitch:
             half = max(2, int(np.ceil(1.5 * scale / p)))  # in units of GAMMA lambda; the weight there is 0.0009
             x: Floats = np.asarray(np.arange(-half, half + 1) * p / scale, dtype=np.float64)
             self.axes.append((x, np.exp(-np.pi * x * x)))
-        moments = self._moments(weight, _POWERS)
+        moments = self._moments(weight, [(i, j) for i in range(5) for j in range(5 - i)])
         full = float(self.axes[0][1].sum() * self.axes[1][1].sum())
         # A field of view much smaller than the cut-off has no full neighbourhood anywhere; its own fullest counts then.
-        # Where there is data nothing is extrapolated, however few the neighbours are.
-        enough = moments[0, 0] > _LEAST_WEIGHT * min(full, 4.0 * float(moments[0, 0].max()))
-        self.good = (weight > 0) | enough
-        self.system = np.empty((int(np.count_nonzero(self.good)), 6, 6))
-        for a, (i, j) in enumerate(_TERMS):
-            for b, (k, m) in enumerate(_TERMS):
-                self.system[:, a, b] = moments[i + k, j + m][self.good]
-        self.system += 1e-9 * full * np.eye(6)
+        # Below so much of it the surface would be extrapolated. Where there is data nothing is, however few the
+        # neighbours are.
+        self.good = (weight > 0) | (moments[0, 0] > 0.04 * min(full, 4.0 * float(moments[0, 0].max())))
+        rows = [np.stack([moments[i + k, j + m][self.good] for k, m in _TERMS], axis=-1) for i, j in _TERMS]
+        self.system = np.stack(rows, axis=1) + 1e-9 * full * np.eye(6)
 
     def _moments(self, field: Floats, powers: list[tuple[int, int]]) -> dict[tuple[int, int], Floats]:
         (y, wy), (x, wx) = self.axes

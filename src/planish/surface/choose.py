@@ -9,7 +9,6 @@ from typing import Literal
 import numpy as np
 
 from planish.core.errors import VolumeError
-from planish.core.frame import Axis
 from planish.core.robust import mad_sd
 from planish.core.typing import Floats
 from planish.surface.coarse import CORE, Blocks, Choice, CoarseSheet, followed_sheet, search_sheet
@@ -24,8 +23,8 @@ _SIGMAS = 6.0  # a block is material when it differs from the air by so many sta
 
 def make_choice(columns: Columns, block: int, shape: tuple[int, ...], params: SurfaceParams) -> Choice:
     """Give the width of a block, the seed point in block indices, and the words for a place in block indices."""
-    volume, frame, wide = columns.volume, columns.frame, block * columns.step
-    scale: dict[Axis, int] = {frame.rows: wide, frame.cols: wide, frame.through: 1}
+    volume, wide = columns.volume, block * columns.step
+    scale = dict(zip(columns.axes, (wide, wide, 1), strict=True))
 
     def describe(block_index: tuple[int, int, int]) -> str:
         place: dict[str, float] = {}
@@ -94,7 +93,7 @@ def choose_sheet(
             return alone, "air", polarity
     if is_embedded:
         return sheet, "material", polarity
-    # Is there so much air beside it that no search for its faces meets another object?
+    # With so much air beside it no search for its faces meets another object.
     least_gap = max(12, 4 + 3 * sheet.block)
     index, near = np.arange(oriented.shape[2]), 0
     for row, low, high in zip(oriented, sheet.low, sheet.high, strict=True):  # one by one: it takes less memory

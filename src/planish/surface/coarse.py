@@ -146,17 +146,17 @@ def followed_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choi
         _kernels.follow(inside, row, col, start, stop, most, low, high, merged)
         most = MERGED * float(np.median((high - low + 1)[low >= 0])) + 1.0
     is_sheet = low >= 0
-    place = f"The object at the seed point {choice.describe((row, col, depth))} um (z, y, x)"
+    place = choice.describe((row, col, depth))
     if is_sheet.mean() < _LEAST_COVER:
         raise VolumeError(
-            f"{place} covers {100 * is_sheet.mean():.2g} % of the columns only. Check --through (the axis that runs "
-            "through the sheet) and --seed-um."
+            f"The object at the seed point {place} um (z, y, x) covers {100 * is_sheet.mean():.2g} % of the columns "
+            "only. Check --through (the axis that runs through the sheet) and --seed-um."
         )
     leaves = is_sheet & ((low == 0) | (high == inside.shape[2] - 1))
     if np.mean(leaves[is_sheet]) > _LEAVES:
         raise VolumeError(
-            f"{place} reaches an end of the axis through the sheet in {100 * np.mean(leaves[is_sheet]):.0f} % of its "
-            "columns. Check --through and --seed-um."
+            f"The object at the seed point {place} um (z, y, x) reaches an end of the axis through the sheet in "
+            f"{100 * np.mean(leaves[is_sheet]):.0f} % of its columns. Check --through and --seed-um."
         )
     first, last = _extent(blocks, low, high, threshold)
     return CoarseSheet(low=first, high=last, block=choice.block, leaves=leaves, threshold=threshold, touching=merged)

@@ -13,14 +13,13 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.frame import Frame
+from planish.core.frame import Axis, Frame
 from planish.core.tiles import Engine, Tile, tiles_of
 from planish.core.typing import Floats
 from planish.surface import _kernels
 from planish.surface.centre import gaussian_regression
 from planish.surface.coarse import CoarseSheet, to_columns
 
-_WORKING = 12  # bytes that a voxel of a tile takes while it is worked on, beside its own
 _TILE = 192  # columns along an edge of a tile at most; the memory decides below that
 
 
@@ -34,17 +33,20 @@ class Columns:
     padding: float | None = None  # value of the voxels outside the field of view
 
     @property
+    def axes(self) -> tuple[Axis, Axis, Axis]:
+        """Axes of the volume along rows, columns and depth."""
+        return self.frame.rows, self.frame.cols, self.frame.through
+
+    @property
     def shape(self) -> tuple[int, int, int]:
         """Rows, columns, depth."""
-        size = self.volume.sizes
-        f = self.frame
-        return size[f.rows] // self.step, size[f.cols] // self.step, size[f.through]
+        rows, cols, depth = (self.volume.sizes[axis] for axis in self.axes)
+        return rows // self.step, cols // self.step, depth
 
     @property
     def pitch(self) -> tuple[float, float, float]:
         """Distance of rows, of columns, and of voxels along a column, in um."""
-        f = self.frame
-        rows, cols, depth = (voxel_pitch(self.volume, axis) for axis in (f.rows, f.cols, f.through))
+        rows, cols, depth = (voxel_pitch(self.volume, axis) for axis in self.axes)
         return rows * self.step, cols * self.step, depth
 
     @property
@@ -54,20 +56,19 @@ class Columns:
 
     def lateral_um(self) -> tuple[Floats, Floats]:
         """Coordinates of the rows and of the columns: the middle of the voxels that they hold."""
-        coordinates: list[Floats] = []
-        for axis, count in zip((self.frame.rows, self.frame.cols), self.shape[:2], strict=True):
-            voxels = np.asarray(self.volume.coords[axis].values, dtype=np.float64)[: count * self.step]
-            coordinates.append(voxels.reshape(count, self.step).mean(axis=1) if self.step > 1 else voxels)
-        return coordinates[0], coordinates[1]
+        rows_um, cols_um = (
+            self.volume.coords[axis].values[: n * self.step].astype(np.float64).reshape(n, self.step).mean(axis=1)
+            for axis, n in zip(self.axes[:2], self.shape[:2], strict=True)
+        )
+        return rows_um, cols_um
 
     def voxels(self, tile: Tile, depth: slice = slice(None)) -> NDArray[Any]:
         """Voxels of a tile as they are stored, (rows * step, cols * step, depth), or of a part of their depth."""
-        k, f = self.step, self.frame
-        part = self.volume.isel(
-            {f.rows: slice(tile.r0 * k, tile.r1 * k), f.cols: slice(tile.c0 * k, tile.c1 * k), f.through: depth}
-        )
+        k = self.step
+        box = slice(tile.r0 * k, tile.r1 * k), slice(tile.c0 * k, tile.c1 * k), depth
+        part = self.volume.isel(dict(zip(self.axes, box, strict=True)))
         # Turned only after it was read: what is read lazily may not know how to turn.
-        return part.values.transpose([part.get_axis_num(axis) for axis in (f.rows, f.cols, f.through)])
+        return part.values.transpose([part.get_axis_num(axis) for axis in self.axes])
 
     def grey(
         self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)
@@ -100,12 +101,13 @@ class Columns:
     def tiles(self, engine: Engine, *, multiple: int = 1) -> list[Tile]:
         """Cover all columns with tiles that fit into the engine's memory; their edges are multiples of ``multiple``."""
         rows, cols, depth = self.shape
-        column = depth * self.step**2 * (self.volume.dtype.itemsize + _WORKING / self.step**2)
+        # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
+        column = depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
         budget = engine.memory_bytes / (engine.at_once + 1) / 2
         chunks, edges = self.volume.encoding.get("chunks"), [multiple]
         if chunks is not None:
             # Columns in a chunk of the file where they fit into it evenly.
-            sizes = [chunks["zyx".index(axis)] for axis in (self.frame.rows, self.frame.cols)]
+            sizes = [chunks["zyx".index(axis)] for axis in self.axes[:2]]
             edges += [n // self.step for n in sizes if n % self.step == 0 and n // self.step <= _TILE]
         multiple = int(np.lcm.reduce(edges))
         edge = max(int(np.clip(np.sqrt(budget / column), 8, _TILE)) // multiple, 1) * multiple
@@ -155,11 +157,13 @@ def make_guide(coarse: CoarseSheet, columns: Columns) -> Guide:
         0.5 * (low + high) * pitch[2], pitch[:2],
         cutoff_um=max(8 * coarse.block * max(pitch[:2]), 2 * float(np.nanmedian(high - low)) * pitch[2]),
     )  # fmt: skip
-    slope_r, slope_c = (np.gradient(smooth, p, axis=i) for i, p in enumerate(pitch[:2]))
-    cosine = 1 / np.sqrt(1 + slope_r**2 + slope_c**2)
-    voxels = (slope * p / columns.step / pitch[2] for slope, p in zip((slope_r, slope_c), pitch[:2], strict=True))
-    along_r, along_c = (np.where(np.isfinite(v), v, 0.0) for v in voxels)
-    return Guide(low=low, high=high, slope_r=along_r, slope_c=along_c, tilt=np.where(np.isfinite(cosine), cosine, 1.0))
+    slopes = np.gradient(smooth, *pitch[:2])
+    cosine = 1 / np.sqrt(1 + slopes[0] ** 2 + slopes[1] ** 2)
+    rise = [s * p / columns.step / pitch[2] for s, p in zip(slopes, pitch[:2], strict=True)]
+    slope_r, slope_c, tilt = (
+        np.where(np.isfinite(a), a, b) for a, b in ((rise[0], 0.0), (rise[1], 0.0), (cosine, 1.0))
+    )
+    return Guide(low=low, high=high, slope_r=slope_r, slope_c=slope_c, tilt=tilt)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -180,22 +184,22 @@ class GreyScale:
         return tile.grown(self.halo, self.halo, shape)
 
 
-def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> NDArray[np.float32]:
-    """Grey above the air of the columns of a tile, (rows, cols, depth); ``guide`` is that of the grown tile."""
+def oriented(columns: Columns, tile: Tile, guide: Guide, scale: GreyScale) -> tuple[NDArray[np.float32], Guide]:
+    """Grey above the air of the columns of a tile, (rows, cols, depth), and its guide from that of the grown tile."""
     outside = scale.grown(tile, columns.shape[:2])
+    inner = tile.within(outside)
     part = columns.grey(outside, (guide.slope_r, guide.slope_c))
     part -= np.float32(scale.air)
     if scale.polarity < 0:
         part *= np.float32(-1)
     if not scale.halo:
-        return part
+        return part, guide
     weights = np.exp(-0.5 * (np.arange(scale.halo + 1) / scale.blend) ** 2)
     weights = (weights / (2 * weights.sum() - 1)).astype(np.float32)
     other, rise_r, rise_c = np.empty_like(part), guide.slope_r * columns.step, guide.slope_c * columns.step
     _kernels.blend(part, rise_r, weights, 1, 0, other)
     _kernels.blend(other, rise_c, weights, 0, 1, part)
-    inner = tile.within(outside)
-    return np.ascontiguousarray(part[inner.rows, inner.cols])
+    return np.ascontiguousarray(part[inner.rows, inner.cols]), guide.part(inner)
 
 
 FRINGE_PX = 1.5  # width of a fringe where it is not known better, in voxels
@@ -252,11 +256,10 @@ class Priors:
     def attrs(self, pitch_um: float, frame: Frame) -> dict[str, float]:
         """Return grey levels (NaN for a coating that is not there), noise, blur and fringe as surfaces carry them."""
         air, polarity, edge = self.scale.air, self.scale.polarity, self.edge
-        high, low = (
+        top, bottom = (
             float(polarity * side.level[2] + air) if side.coated else float("nan")
-            for side in (self.sides[True], self.sides[False])
+            for side in (self.sides[frame.top == "high"], self.sides[frame.top == "low"])
         )
-        top, bottom = (high, low) if frame.top == "high" else (low, high)
         return {
             "grey_air": air, "grey_base": polarity * self.base + air, "grey_coating_top": top,
             "grey_coating_bottom": bottom, "grey_noise": self.noise, "grey_noise_single": self.single_noise,

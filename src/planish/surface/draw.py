@@ -23,7 +23,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
 from planish.core.tiles import Engine, Tile
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.surface import _draw_kernels
 from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented
 from planish.surface.params import FACES, Corrections, Face, Stretch
@@ -139,8 +139,7 @@ class Drawing:
 
     def _points(self, stretch: Stretch, face: Face) -> Floats:
         """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
-        frame = self.columns.frame
-        axes = frame.rows, frame.cols, frame.through
+        axes = self.columns.axes
         points = np.array([[getattr(point, axis) for axis in axes] for point in stretch.of(face)], dtype=np.float64)
         for axis, um, places in zip(axes, (*self.lateral_um, self.columns.depth_um), points.T, strict=True):
             outside = np.flatnonzero((places < um[0] - 1e-6) | (places > um[-1] + 1e-6))
@@ -252,11 +251,10 @@ def _in_tile(places: NDArray[np.intp], tile: Tile) -> Bools:
 
 def _search_edges(job: EdgeJob, tile: Tile) -> Floats:
     (columns, guide, scale, is_high, blur), (rows, cols), edges, before, after = job
-    grey = oriented(columns, tile, guide, scale)
-    outside = scale.grown(tile, columns.shape[:2])
-    profiles = grey[rows - tile.r0, cols - tile.c0]
-    profiles = np.ascontiguousarray(profiles[:, ::-1] if is_high else profiles)
-    width = blur / guide.tilt[rows - outside.r0, cols - outside.c0]
+    grey, guide = oriented(columns, tile, guide, scale)
+    places = rows - tile.r0, cols - tile.c0
+    profiles = np.ascontiguousarray(grey[places][:, ::-1] if is_high else grey[places])
+    width = blur / guide.tilt[places]
     depths = np.empty(len(profiles))
     _draw_kernels.draw_edges(profiles, *edges, *before, width, *after, depths)
     return depths
@@ -306,7 +304,7 @@ def krige(
     return height, error
 
 
-def variogram_slope(heights: Floats, pitch: tuple[float, float], lag_um: float, *, least: float) -> float:
+def variogram_slope(heights: Floats, pitch: Pair, lag_um: float, *, least: float) -> float:
     """Slope of the linear variogram of a field (rows, cols), NaN where unknown, from pairs ``lag_um`` apart.
 
     ``least``: variance at that lag where no more is seen.

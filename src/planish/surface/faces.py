@@ -149,8 +149,7 @@ def _fit_tile(job: FitJob, tile: Tile) -> Floats:
     """Face and coating thickness seen from the high end, then from the low end, in voxels, (4, rows, cols)."""
     columns, guide, priors, again = job
     edge = priors.edge
-    grey = oriented(columns, tile, guide, priors.scale)
-    guide = guide.part(tile.within(priors.scale.grown(tile, columns.shape[:2])))
+    grey, guide = oriented(columns, tile, guide, priors.scale)
     tilt = np.ascontiguousarray(guide.tilt)
     out, fit = np.empty((4, *tile.shape)), np.empty((5, *tile.shape))
     for k, high in enumerate((True, False)):

@@ -119,8 +119,8 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
         doubtful(guide, survey.coarse, priors.edge.width, columns.shape[2]),
         (air, priors.scale.polarity * priors.base + air), engine,
     )  # fmt: skip
-    surfaces.attrs |= priors.attrs(columns.pitch[2], frame)
-    surfaces.attrs |= {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
+    shares = {"missing_share": survey.missing_share, "empty_share": survey.empty_share}
+    surfaces.attrs |= priors.attrs(columns.pitch[2], frame) | shares
     if survey.padding is not None:
         surfaces.attrs["padding"] = survey.padding
     if params.corrections is None:
@@ -129,16 +129,15 @@ def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int
     return correct_surfaces(surfaces, volume, corrections, params=params, engine=engine)
 
 
-_THICKNESS_UM = (2.0, 5000.0)  # from a thin tissue to a thick board, with room on both sides
-_UNUSUAL_UM = (0.05, 50_000.0)  # where the user says that it is no paper
 _LEAST_SHARE = 0.15  # of the columns with more than air: with less there is no map
 _LEAVES = 0.2  # of the columns: where the sheet leaves the volume in fewer, its axis is not questioned
-_THINNER = 1 / 6  # of the run along an axis: what a sheet that is seen edge on measures along its normal, or less
 
 
 def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
     """Raise VolumeError where a sheet is not as thick as sheets are, or too few of its columns are measured."""
-    thickness, (low, high) = float(surfaces.attrs["thickness_um"]), _UNUSUAL_UM if unusual_size else _THICKNESS_UM
+    thickness = float(surfaces.attrs["thickness_um"])
+    # From a thin tissue to a thick board, with room on both sides.
+    low, high = (0.05, 50_000.0) if unusual_size else (2.0, 5000.0)
     if not low <= thickness <= high:
         voxel = ", ".join(f"{v:g}" for v in surfaces.attrs["voxel_um"])
         raise VolumeError(
@@ -168,14 +167,14 @@ def check_axis(columns: Columns, survey: Survey, params: SurfaceParams, engine: 
     axis = likely_through(columns.volume.variable)
     if axis is None or axis == columns.frame.through:
         return
+    turned = replace(columns, frame=Frame(through=axis), padding=None)
     try:
-        other = take_survey(replace(columns, frame=Frame(through=axis), padding=None), params, engine)
+        other = take_survey(turned, params, engine).coarse
     except VolumeError:
         return
-    runs = [float(np.nanmedian((s.high - s.low) * p)) for s, p in (
-        (coarse, columns.pitch[2]), (other.coarse, replace(columns, frame=Frame(through=axis)).pitch[2])
-    )]  # fmt: skip
-    if other.coarse.leaves.mean() < _LEAVES and runs[1] < _THINNER * runs[0]:
+    runs = [float(np.nanmedian((s.high - s.low) * c.pitch[2])) for s, c in ((coarse, columns), (other, turned))]
+    # A sheet that is seen edge on measures a sixth of its run, or less, along its normal.
+    if other.leaves.mean() < _LEAVES and runs[1] < 1 / 6 * runs[0]:
         raise VolumeError(
             f"The sheet is seen edge on: along {columns.frame.through} it leaves the volume in "
             f"{100 * coarse.leaves.mean():.0f} % of the columns, and is {runs[0]:.0f} um thick in the others."

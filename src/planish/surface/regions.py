@@ -5,14 +5,14 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage, spatial
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.surface.coarse import MERGED, CoarseSheet, flags_to_columns
 from planish.surface.columns import Guide
 
 _HOLE_UM = 600.0  # a gap wider than this is missing sheet, not a hole
 
 
-def regions(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float], rim_um: float) -> tuple[Bools, Bools, Bools]:
+def regions(is_sheet: Bools, runs_out: Bools, pitch: Pair, rim_um: float) -> tuple[Bools, Bools, Bools]:
     """Return where the sheet is, the rims of its holes and edges, and its outline with the holes filled.
 
     A hole is a gap no wider than 600 um; ``rim_um`` around it is burnt. Other gaps are the end of the sheet or of the
@@ -56,7 +56,7 @@ def doubtful(guide: Guide, coarse: CoarseSheet, width: float, depth: int) -> tup
     return touching, flags_to_columns(coarse.leaves, coarse.block, extent.shape) | near
 
 
-def _near(region: Bools, pitch: tuple[float, float], distance_um: float) -> Bools:
+def _near(region: Bools, pitch: Pair, distance_um: float) -> Bools:
     """Columns within a distance of a region."""
     if not region.any():
         return np.zeros_like(region)
@@ -68,7 +68,7 @@ def _disc(radius: int) -> Bools:
     return x * x + y * y <= radius * radius + 0.5
 
 
-def half_closed(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float]) -> Floats:
+def half_closed(is_sheet: Bools, runs_out: Bools, pitch: Pair) -> Floats:
     """Middles (n, 2), in columns, of the holes of which less than 70 % is open.
 
     A hole is compared with its own ellipse, and where there are three or more, with the usual ellipse of all: what has
@@ -80,7 +80,7 @@ def half_closed(is_sheet: Bools, runs_out: Bools, pitch: tuple[float, float]) ->
     return middles[(open_um2 < 0.7 * np.maximum(ellipse_um2, usual))[:, 0]]
 
 
-def all_holes(sheet: Bools, pitch: tuple[float, float]) -> Floats:
+def all_holes(sheet: Bools, pitch: Pair) -> Floats:
     """Gaps of the sheet between 40 and 600 um wide that do not reach the border of the map, (n, 4).
 
     Row and column of the middle; area without sheet, and of the ellipse with the second moments of the convex outline.

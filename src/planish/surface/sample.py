@@ -66,7 +66,7 @@ class Sampler:
         # The same columns are looked at several times.
         if tile not in self.cache:
             guide = self.guide.part(self.scale.grown(tile, self.columns.shape[:2]))
-            self.cache[tile] = oriented(self.columns, tile, guide, self.scale)[0]
+            self.cache[tile] = oriented(self.columns, tile, guide, self.scale)[0][0]
         part = self.cache[tile]
         return np.ascontiguousarray(part[:, ::-1]) if high else part
 
