@@ -12,11 +12,9 @@ from planish.core.errors import SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, pitch
 from planish.core.transform import Similarity, axial_angle
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats
 from planish.resample.places import Mesh, covering_grid, find_places, resample_dataset
 from planish.resample.warp import warp_image
-
-_LATTICE_SIDE = 200  # places a side at which the expected error is worked out; it varies over millimetres
 
 
 def resample_maps(
@@ -60,15 +58,13 @@ def resample_maps(
     """
     if onto is not None:
         return SheetOnto(surfaces, flat, transform=transform).on(onto)
-    uv, step = _flat_coordinates(flat), pitch(surfaces)
-    properties, errors, layers = _variable_names(surfaces)
-    data = surfaces[[*properties, *errors, *layers]].assign({k: flat[k] for k in ("projected_u", "projected_v")})
-    data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
-    pixel = map_um or float(np.sqrt(step[0] * step[1]))
+    uv, step, names = _flat_coordinates(flat), pitch(surfaces), _variable_names(surfaces)
+    pixel, layers = map_um or float(np.sqrt(step[0] * step[1])), names[2]
     grid = covering_grid(uv, pixel)
     places = find_places(uv, grid, least_um=min(step))
+    data = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
     maps = resample_dataset(data, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
-    maps = _as_stored(maps, surfaces, (properties, errors, layers), pixel, Similarity())
+    maps = _as_stored(maps, surfaces, names, pixel, Similarity())
     is_measured = np.isfinite(maps["thickness"].values)
     maps["valid"] = (("v", "u"), is_measured, {"long_name": "Measured"})
     maps.attrs["overlaps"] = places.overlaps
@@ -81,6 +77,10 @@ def resample_maps(
     return maps
 
 
+Names = tuple[list[str], list[str], list[str]]
+"""Of the properties, of the standard errors that are known, and of the layers that holes are found in."""
+
+
 class SheetOnto:
     """The maps of a sheet on the pixels of a reference, of which parts are asked for one by one.
 
@@ -89,9 +89,8 @@ class SheetOnto:
 
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
         uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
-        properties, errors, _ = self._names = (*_variable_names(surfaces)[:2], [])
-        data = surfaces[[*properties, *errors]].assign({name: flat[name] for name in ("u", "v")})
-        self._data = data.assign(_in_volume(surfaces, np.isfinite(flat["u"].values)))
+        self._names = *_variable_names(surfaces)[:2], list[str]()
+        self._data = _on_columns(surfaces, flat, self._names, ("u", "v"))
         if transform is not None:
             uv, self._similarity = transform(uv), transform.similarity
         self._mesh = Mesh.of(uv, least_um=min(pitch(surfaces)) * self._similarity.scale)
@@ -99,9 +98,8 @@ class SheetOnto:
     def on(self, part: Grid) -> xr.Dataset:
         """The maps on some pixels of the reference."""
         (rows, cols), places = self._mesh.under(part)
-        maps = resample_dataset(
-            self._data.isel(y=rows, x=cols), places, dims=("y", "x"), coords={"y": part.y_um, "x": part.x_um}
-        )
+        data, coords = self._data.isel(y=rows, x=cols), {"y": part.y_um, "x": part.x_um}
+        maps = resample_dataset(data, places, dims=("y", "x"), coords=coords)
         pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
         return _as_stored(maps, self._surfaces, self._names, pixel, self._similarity)
 
@@ -111,14 +109,13 @@ def _flat_coordinates(flat: xr.Dataset) -> Floats:
 
 
 def _as_stored(
-    maps: xr.Dataset, surfaces: xr.Dataset, names: tuple[list[str], list[str], list[str]], pixel_um: float,
-    similarity: Similarity,
-) -> xr.Dataset:  # fmt: skip
+    maps: xr.Dataset, surfaces: xr.Dataset, names: Names, pixel_um: float, similarity: Similarity
+) -> xr.Dataset:
     """Turn angles with the sheet, give the errors of means, and take the types in which maps are stored."""
     properties, errors, layers = names
-    maps = _with_angles(maps, similarity).assign(
-        {name: maps[name].copy(data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um)) for name in errors}
-    )
+    maps = _with_angles(maps, similarity)
+    for name in errors:
+        maps[name] = maps[name].copy(data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um))
     # Geometry stays double.
     stored = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
     return maps.assign({name: maps[name].astype(np.float32) for name in stored if name in maps})
@@ -167,7 +164,7 @@ class Lattice:
     """
 
     def __init__(self, grid: Grid) -> None:
-        self._nodes_um = [np.linspace(v[0], v[-1], min(v.size, _LATTICE_SIDE)) for v in (grid.y_um, grid.x_um)]
+        self._nodes_um = [np.linspace(v[0], v[-1], min(v.size, 200)) for v in (grid.y_um, grid.x_um)]
         self.places: Floats = np.stack(np.meshgrid(self._nodes_um[1], self._nodes_um[0]), axis=-1)
 
     def between(self, values: Floats, part: Grid) -> Floats:
@@ -181,8 +178,7 @@ class Lattice:
         return values
 
 
-def _variable_names(surfaces: xr.Dataset) -> tuple[list[str], list[str], list[str]]:
-    """Names of the properties, of the standard errors that are known, and of the layers that holes are found in."""
+def _variable_names(surfaces: xr.Dataset) -> Names:
     attributes = {str(name): variable.attrs for name, variable in surfaces.data_vars.items()}
     properties = [name for name, attrs in attributes.items() if attrs.get("role") == "property"]
     supported = [name for name, attrs in attributes.items() if "support_um" in attrs and name not in properties]
@@ -212,27 +208,22 @@ def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
     return np.sqrt(variance, out=variance)
 
 
-def _in_volume(surfaces: xr.Dataset, is_flattened: Bools) -> dict[str, Any]:
-    """Place in the volume of each column of the centre surface."""
-    frame = Frame.of(surfaces)
-    coordinates = {
-        frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :],
-        frame.through: surfaces["centre"].values,
-    }  # fmt: skip
-    return {
-        f"volume_{axis}": (
-            ("y", "x"),
-            np.where(is_flattened, coordinates[axis], np.nan),
-            {"units": "um", "long_name": f"Centre surface, {axis} in the volume"},
-        )
-        for axis in ("x", "y", "z")
-    }
+def _on_columns(surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]) -> xr.Dataset:
+    """What is brought to a grid, with the place in the volume of each column of the centre surface."""
+    data = surfaces[[*names[0], *names[1], *names[2]]].assign({name: flat[name] for name in coordinates})
+    frame, is_flattened = Frame.of(surfaces), np.isfinite(flat["u"].values)
+    columns = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
+    columns[frame.through] = surfaces["centre"].values
+    for axis in ("x", "y", "z"):
+        attrs = {"units": "um", "long_name": f"Centre surface, {axis} in the volume"}
+        data[f"volume_{axis}"] = ("y", "x"), np.where(is_flattened, columns[axis], np.nan), attrs
+    return data
 
 
 def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:
     """Turn axial directions with the sheet, and work the angles out again from their averaged components."""
     for name in [str(n).removesuffix("_angle") for n in maps.data_vars if str(n).endswith("_angle")]:
-        parts = [f"{name}_cos2", f"{name}_sin2"]
+        parts = f"{name}_cos2", f"{name}_sin2"
         if any(part not in maps for part in parts):
             continue
         cos2, sin2 = (maps[part].values for part in parts)

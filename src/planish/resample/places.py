@@ -25,12 +25,8 @@ Indices = NDArray[np.int32]
 Method = Literal["quads", "delaunay"]
 Result = TypeVar("Result")
 
-_MOST_PIXELS = 2**31
-_MOST_NODES = 2**30  # two triangles per node are numbered in 32 bits
 _SEGMENT = 32  # quads whose extent is known together: passed over at once where they do not touch a band of pixels
-_MOST_FINE = 32
 _LEAST_ROWS = 32  # of a band: below that, starting a thread takes longer than the work
-_BANDS = 4  # per thread, so that one with an easy band takes over from one with a hard band
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -97,19 +93,19 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     Where quads overlap, the first in the order of the mesh stays. A quad without one of its corners covers nothing.
     """
     shape = grid.shape
-    if min(shape) < 1 or shape[0] * shape[1] > _MOST_PIXELS:
+    if min(shape) < 1 or shape[0] * shape[1] > 2**31:
         raise SurfaceError(f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size.")
-    if uv.ndim != 3 or uv.shape[2] != 2 or uv.shape[0] * uv.shape[1] > _MOST_NODES:
+    # Two triangles per node are numbered in 32 bits.
+    if uv.ndim != 3 or uv.shape[2] != 2 or uv.shape[0] * uv.shape[1] > 2**30:
         raise SurfaceError(
             f"The flat coordinates have the shape {uv.shape}; (rows, cols, 2) is needed, with 2^30 nodes at most."
         )
     pixel, origin = grid.pixel_um, grid.origin_um
-    fine = max(1, int(np.ceil(max(pixel) / least_um - 1e-6))) if least_um else 1
-    fine = min(fine, _MOST_FINE)
+    fine = min(max(1, int(np.ceil(max(pixel) / least_um - 1e-6))), 32) if least_um else 1
     step = pixel[1] / fine, pixel[0] / fine
     # The first sub-pixel's centre lies half a pixel less half a sub-pixel before the pixel's.
     first = origin[0] - 0.5 * (pixel[1] - step[0]), origin[1] - 0.5 * (pixel[0] - step[1])
-    size, mesh = (shape[0] * fine, shape[1] * fine), (int(uv.shape[0]), int(uv.shape[1]))
+    size, mesh = (shape[0] * fine, shape[1] * fine), (uv.shape[0], uv.shape[1])
     uv, corners, overlaps = np.ascontiguousarray(uv, dtype=np.float64), np.empty((0, 3), dtype=np.int32), 0
     triangle, weight = np.empty(size, np.int32), np.empty((2, *size))
     if method == "delaunay":
@@ -138,12 +134,9 @@ class Mesh:
     @classmethod
     def of(cls, uv: Floats, *, least_um: float) -> Mesh:
         """``least_um`` is the pitch of the mesh, as for :func:`find_places`."""
-        extents = [_extents(uv[..., k], 0.0, 1.0) for k in range(2)]
-        low, high = (np.stack([ends[k] for ends in extents]) for k in range(2))
-        return cls(
-            uv=uv, least_um=least_um, _low=np.minimum(low[:, :-1], low[:, 1:]),
-            _high=np.maximum(high[:, :-1], high[:, 1:]),
-        )  # fmt: skip
+        low, high = map(np.stack, zip(*(_extents(uv[..., k], 0.0, 1.0) for k in range(2)), strict=True))
+        low, high = np.minimum(low[:, :-1], low[:, 1:]), np.maximum(high[:, :-1], high[:, 1:])
+        return cls(uv=uv, least_um=least_um, _low=low, _high=high)
 
     def under(self, grid: Grid) -> Under:
         """Locate the pixels of a grid."""
@@ -185,7 +178,8 @@ def covering_grid(uv: Floats, pixel_um: float) -> Grid:
 def each_band(work: Callable[[int, int], Result], rows: int) -> list[Result]:
     """Call ``work(begin, end)`` for bands of ``rows`` rows, on several threads, and return what it gives, in order."""
     threads = count_threads()
-    count = max(1, min(_BANDS * threads, rows // _LEAST_ROWS))
+    # Four a thread, so that one with an easy band takes over from one with a hard band.
+    count = max(1, min(4 * threads, rows // _LEAST_ROWS))
     edges = [rows * k // count for k in range(count + 1)]
     return map_threads(work, edges[:-1], edges[1:], number=min(threads, count))
 
@@ -217,20 +211,17 @@ def _locate_in_delaunay(uv: Floats, first: Pair, step: Pair, triangle: Indices, 
             f"The {finite.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one line. "
             "Check the flat coordinates."
         ) from error
-    corners = np.ascontiguousarray(finite[triangulation.simplices], dtype=np.int32)
-    u = first[0] + step[0] * np.arange(triangle.shape[1])
-    for begin in range(0, len(triangle), _LEAST_ROWS):
-        v = first[1] + step[1] * np.arange(begin, min(begin + _LEAST_ROWS, len(triangle)))
-        points = np.stack(np.broadcast_arrays(u[None, :], v[:, None]), axis=-1)
-        simplex = triangulation.find_simplex(points)
+    u, v = (a + b * np.arange(n) for a, b, n in zip(first, step, triangle.shape[::-1], strict=True))
+    for begin in range(0, v.size, _LEAST_ROWS):
+        rows = slice(begin, begin + _LEAST_ROWS)
+        points = np.stack(np.meshgrid(u, v[rows]), axis=-1)
+        triangle[rows] = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
-        inverse = triangulation.transform[simplex]
+        inverse = triangulation.transform[triangle[rows]]
         first_two = np.einsum("yxij,yxj->yxi", inverse[..., :2, :], points - inverse[..., 2, :])
-        rows = slice(begin, begin + len(v))
-        triangle[rows] = simplex
         weight[0, rows] = first_two[..., 1]
         weight[1, rows] = 1.0 - first_two.sum(axis=-1)
-    return corners
+    return np.ascontiguousarray(finite[triangulation.simplices], dtype=np.int32)
 
 
 def resample(field: NDArray[Any], places: Places) -> Floats:
@@ -289,12 +280,12 @@ def resample_dataset(
     coords : mapping of str to array
         Positions of the grid's rows and columns in um.
     """
-    variables: dict[str, Any] = {}
+    variables: dict[str, xr.Variable] = {}
     for name, variable in data.data_vars.items():
         attrs = {k: variable.attrs[k] for k in ("units", "long_name", "role", "support_um") if k in variable.attrs}
         if np.issubdtype(variable.dtype, np.floating):
-            variables[str(name)] = (dims, resample(variable.values, places), attrs)
-    return xr.Dataset(variables, coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()})
+            variables[str(name)] = xr.Variable(dims, resample(variable.values, places), attrs)
+    return xr.Dataset(variables, coords={k: (k, um, {"units": "um"}) for k, um in coords.items()})
 
 
 def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
@@ -303,13 +294,11 @@ def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:
         raise SurfaceError(
             f"The field has the shape {field.shape}, the mesh {places.mesh}. Give a field on the nodes of that mesh."
         )
-    nodes = np.ascontiguousarray(field, dtype=np.float64).reshape(-1)
-    out = np.empty(places.shape)
+    nodes, p = np.ascontiguousarray(field, dtype=np.float64).reshape(-1), places
+    out = np.empty(p.shape)
 
     def band(begin: int, end: int) -> None:
-        sample(
-            nodes, places.mesh[1], places.triangle, places.weight, places.corners, places.fine, out, share, begin, end
-        )
+        sample(nodes, p.mesh[1], p.triangle, p.weight, p.corners, p.fine, out, share, begin, end)
 
     each_band(band, out.shape[0])
     return out

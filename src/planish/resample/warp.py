@@ -36,11 +36,8 @@ percent off does not change the method in the middle of an image."""
 
 _TILE = (512, 4096)  # target pixels that a thread works on, always the same ones; whole blocks
 _BLOCK = 256  # target pixels
-_ERROR = 0.5 * TOLERANCE  # what the polynomial may err by where it is tested; the rest is for between the tests
 _NODES = np.array([0.0, 1.0, 2.0, 3.0]) / 3
 _TEST = np.array([1.0, 3.0, 5.0]) / 6
-_MOST_PIXELS = 2**18  # of the source under a patch: what is summed for area means then stays in the cache
-_NEAR = 2.0  # source pixels: a patch that is further away from the source than this shows nothing of it
 _EDGE = 1e-9  # of the weights: a pixel of the source with less does not count, so none is lost to rounding
 _FLAT = 1e-6  # of the square of its diagonal: an area below that is none
 
@@ -156,10 +153,10 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
     """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
     low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
     high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
-    if np.prod((high - low).astype(np.float64)) > 2**26:  # source pixels under one pixel
+    pixels = np.prod((high - low).astype(np.float64))
+    if pixels > 2**26:
         raise ResourceError(
-            f"{np.prod((high - low).astype(np.float64)):.1e} pixels of the source lie under one pixel. Warp to smaller "
-            "pixels first, then take means."
+            f"{pixels:.1e} pixels of the source lie under one pixel. Warp to smaller pixels first, then take means."
         )
     part = np.full((high - low)[::-1], np.nan, dtype=image.dtype)
     first, last = np.maximum(low, 0), np.minimum(high, image.shape[::-1])
@@ -218,15 +215,22 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
         finite = is_defined.all(axis=1)
         error = np.where(finite, np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2)), np.inf)
         low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
-        margin = (2 * error + _NEAR)[:, None]
+        margin = (2 * error + 2.0)[:, None]  # a patch that is further away from the source shows nothing of it
         is_outside = np.any((high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1)
         is_empty = (finite & is_outside) | ~is_defined.any(axis=1)
         single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
-        small = (error <= _ERROR) & ((high - low).prod(axis=1) <= _MOST_PIXELS)
+        # Where it is tested the polynomial may err by half; the rest is for between the tests. What is summed for area
+        # means stays in the cache where no more pixels of the source lie under a patch.
+        small = (error <= 0.5 * TOLERANCE) & ((high - low).prod(axis=1) <= 2**18)
         is_patch = finite & ~is_empty & (small | single)
         patches.append((bounds[is_patch], nodes[is_patch]))
-        bounds = _quarters(bounds[~(is_patch | is_empty | single)])
-    return np.concatenate([f[0] for f in patches]), np.concatenate([f[1] for f in patches])
+        # The others are cut in the middle of both sides.
+        y0, y1, x0, x1 = bounds[~(is_patch | is_empty | single)].T
+        y, x = (y0 + y1 + 1) // 2, (x0 + x1 + 1) // 2
+        quarters = (y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1)
+        bounds = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])
+        bounds = bounds[(bounds[:, 1] > bounds[:, 0]) & (bounds[:, 3] > bounds[:, 2])]
+    return np.concatenate([bounds for bounds, _ in patches]), np.concatenate([nodes for _, nodes in patches])
 
 
 def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
@@ -238,11 +242,3 @@ def places(nodes: Floats, v: Floats, u: Floats) -> Floats:
 def _weights(shares: Floats) -> Floats:
     """Weights (n, 4) of the nodes in the polynomial through them, at shares (n,) of the way."""
     return np.stack([np.prod([(shares - b) / (a - b) for b in _NODES if b != a], axis=0) for a in _NODES], axis=-1)
-
-
-def _quarters(bounds: Integers) -> Integers:
-    """Cut rectangles in the middle of both sides."""
-    y, x = (bounds[:, 0] + bounds[:, 1] + 1) // 2, (bounds[:, 2] + bounds[:, 3] + 1) // 2
-    y0, y1, x0, x1 = bounds.T
-    parts = np.concatenate([np.stack(e, 1) for e in ((y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1))])
-    return parts[(parts[:, 1] > parts[:, 0]) & (parts[:, 3] > parts[:, 2])]
