@@ -193,12 +193,14 @@ def absorption_base(rays: Rays) -> Measured:
     greys = rays.greys
     whole = _absorption(rays)
     lengths, variance = whole.values, whole.se**2
-    for side, thick in zip(SIDES, (rays.top - rays.interface_top, rays.interface_bottom - rays.bottom), strict=True):
-        if greys.coated(side):
-            layer = coating_absorption(rays, side)
-            share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
-            lengths = lengths - layer.values * share - thick
-            variance = variance + (layer.se * share) ** 2
+    thick: dict[Side, Floats] = {
+        "top": rays.top - rays.interface_top, "bottom": rays.interface_bottom - rays.bottom
+    }  # fmt: skip
+    for side in filter(greys.coated, SIDES):
+        layer = coating_absorption(rays, side)
+        share = (greys.coating(side) - greys.air) / (greys.base - greys.air) - 1
+        lengths = lengths - layer.values * share - thick[side]
+        variance = variance + (layer.se * share) ** 2
     return Measured(values=lengths, se=np.sqrt(variance))
 
 
@@ -207,18 +209,17 @@ def _check(d: MeasureParams, greys: Greys) -> None:
     if d.grammage_g_m2 is not None:
         return
     d.need("Grammage", "grammage_g_m2", "base_g_cm3")
-    for side in SIDES:
-        if greys.coated(side):
-            d.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
+    for side in filter(greys.coated, SIDES):
+        d.need(f"Grammage with a coating on the {side} side", f"coat_weight_{side}_g_m2", "coating_g_cm3")
 
 
 def _has_masses(d: MeasureParams, greys: Greys) -> bool:
-    coated = any(greys.coated(side) for side in SIDES)
-    return d.grammage_g_m2 is not None or (d.base_g_cm3 is not None and (not coated or d.coating_g_cm3 is not None))
+    is_bare = not any(map(greys.coated, SIDES))
+    return d.grammage_g_m2 is not None or (d.base_g_cm3 is not None and (is_bare or d.coating_g_cm3 is not None))
 
 
 def _sources(d: MeasureParams, greys: Greys) -> tuple[str, ...]:
-    sides: list[Side] = [side for side in SIDES if greys.coated(side)]
+    sides = list(filter(greys.coated, SIDES))
     is_separable = all(d.coating_g_cm3 is not None or d.coat_weight(side) is not None for side in sides)
     if not sides or (d.grammage_g_m2 is not None and not is_separable):
         return ("absorption",)
@@ -241,7 +242,7 @@ def grammage(sheet: Sheet) -> Measured:
     parts = [
         _in_grams(maps[f"coating_absorption_{side}"], sheet, f"Grammage with a coating on the {side} side",
                   d.coat_weight(side), "coating_g_cm3")
-        for side in SIDES if greys.coated(side)
+        for side in filter(greys.coated, SIDES)
     ]  # fmt: skip
     if base_g_m2 is not None:
         coats = sum(sheet.mean(p.values) for p in parts)

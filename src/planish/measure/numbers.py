@@ -137,17 +137,18 @@ def two_sidedness(maps: xr.Dataset) -> dict[str, float]:
     """
     out: dict[str, float] = {}
     for pair in ("coating", "topography"):
-        if not (f"{pair}_top" in maps and f"{pair}_bottom" in maps):
+        names = [f"{pair}_{side}" for side in SIDES]
+        if any(name not in maps for name in names):
             continue
-        top, bottom = (maps[f"{pair}_{side}"].values.astype(np.float64) for side in ("top", "bottom"))
+        top, bottom = (maps[name].values.astype(np.float64) for name in names)
         is_finite = np.isfinite(top) & np.isfinite(bottom)
         if np.count_nonzero(is_finite) < 3:
             continue
         a, b = top[is_finite], bottom[is_finite]
         sd = float(a.std()), float(b.std())
         out[f"{pair}_difference_um"] = float(a.mean() - b.mean())
-        out[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else float("nan")
-        out[f"{pair}_correlation"] = float(np.corrcoef(a, b)[0, 1]) if min(sd) > 0 else float("nan")
+        out[f"{pair}_sd_ratio"] = sd[0] / sd[1] if sd[1] > 0 else np.nan
+        out[f"{pair}_correlation"] = float(np.corrcoef(a, b)[0, 1]) if min(sd) > 0 else np.nan
         out[f"{pair}_n"] = int(a.size)
     if not out:
         raise CannotMeasure(

@@ -79,7 +79,7 @@ class Rays:
     noise_um: float
     mirrored: bool
     mean_stretch: Pair
-    _cache: dict[str, object] = field(default_factory=lambda: {})
+    _cache: dict[str, object] = field(default_factory=lambda: {}, init=False)
 
     @property
     def step_um(self) -> float:
@@ -153,7 +153,7 @@ class Rays:
         """Return some of the rows."""
         arrays = ("grey", *FACES, "normals", "stretch", "slope", "oblique", "status")
         cut: dict[str, Any] = {name: getattr(self, name)[part] for name in arrays}
-        return replace(self, **cut, _cache={})
+        return replace(self, **cut)
 
 
 class Met(NamedTuple):

@@ -55,9 +55,8 @@ def choose_sheet(
     if params.sheet_grey is not None:
         low, high = params.sheet_grey
         grey = blocks if choice.seed is None else sharp
-        polarity = 1.0 if 0.5 * (low + high) >= air else -1.0
-        edge = (low if polarity > 0 else high) - air
-        sheet = search_sheet(polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge), choice)
+        polarity, edge = (1.0, low) if 0.5 * (low + high) >= air else (-1.0, high)
+        sheet = search_sheet(polarity * (grey - air), (grey >= low) & (grey <= high), abs(edge - air), choice)
         return sheet, "air" if choice.seed is None else "material", polarity
     polarity, threshold, least = material(blocks, air, scatter)
     oriented = _above_air(blocks, air, polarity)

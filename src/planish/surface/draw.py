@@ -27,6 +27,7 @@ from planish.core.typing import Bools, Floats, Pair
 from planish.surface import _draw_kernels
 from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented
 from planish.surface.params import FACES, Corrections, Face, Stretch
+from planish.surface.sample import spread
 
 IMAGE, INTERPOLATED = 1, 2
 """A column's face was found again in the image, or interpolated."""
@@ -96,9 +97,7 @@ class Drawing:
             field: Floats, trusted: Bools, wanted: Bools, with_points: bool = True
         ) -> tuple[Floats, Floats] | None:
             """Krige between the points and the field around them."""
-            places = np.argwhere(trusted)
-            if len(places):  # 160 columns at most, spread over all of them
-                places = places[np.unique(np.linspace(0, len(places) - 1, min(len(places), 160)).astype(int))]
+            places = spread(np.argwhere(trusted), 160)
             rows, cols = places.T
             points_um = points if with_points else points[:0]
             if not (len(points_um) + len(places) and wanted.any()):
@@ -134,8 +133,9 @@ class Drawing:
         opposite = self._measured(other, window)
         if (expected := expect(opposite, np.isfinite(opposite) & near, missing, False)) is not None:
             self._redraw(other, window, missing, expected)
-        for redrawn, where in ((face, wrong), (other, missing)):
-            self._redraw_interface(redrawn, window, where, near, expect)
+        redrawn: dict[Face, Bools] = {face: wrong, other: missing}
+        for side, where in redrawn.items():
+            self._redraw_interface(side, window, where, near, expect)
 
     def _points(self, stretch: Stretch, face: Face) -> Floats:
         """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from planish.core.errors import VolumeError
 from planish.core.robust import mad_sd
 from planish.core.tiles import Tile
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Ints
 from planish.surface import _fit_kernels
 from planish.surface.columns import Columns, Edge, GreyScale, Guide, Side, oriented
 from planish.surface.survey import Survey
@@ -27,7 +27,7 @@ class Sample(NamedTuple):
     outer: Floats
     other: Floats
     tilt: Floats
-    row: NDArray[np.intp]
+    row: Ints
 
     def thinned(self, every: int) -> Sample:
         """Return every so-many-th column."""
@@ -35,6 +35,11 @@ class Sample(NamedTuple):
 
 
 Samples = dict[bool, Sample]  # by whether they are read from the high end
+
+
+def spread(index: Ints, most: int) -> Ints:
+    """Take so many of an index (n, ...) at most, spread over all of it."""
+    return index[np.unique(np.linspace(0, len(index) - 1, min(len(index), most)).astype(int))]
 
 
 class Sampler:
@@ -50,8 +55,7 @@ class Sampler:
         self.noise = max(survey.noise / columns.step, 1e-6 * abs(survey.air) + 1e-9)
         self.scatter = self.single_noise = self.noise
         has_sheet = np.isfinite(guide.low) & np.isfinite(guide.high)
-        rows = np.flatnonzero(has_sheet.any(axis=1))
-        rows = rows[np.unique(np.linspace(0, rows.size - 1, min(rows.size, 24)).astype(int))]
+        rows = spread(np.flatnonzero(has_sheet.any(axis=1)), 24)
         wide = min(columns.shape[1], 1024)  # columns of each of them
         # Pieces of rows, spread over the sheet: starts that are far apart from one row to the next, multiples of the
         # golden section.
@@ -83,8 +87,7 @@ class Sampler:
         for number, tile in enumerate(self.rows):
             guide = self.guide.part(tile)
             outer, other = (a[0] for a in guide.faces(self.columns.shape[2], high=high))
-            good = np.flatnonzero(np.isfinite(outer) & np.isfinite(other))
-            good = good[np.unique(np.linspace(0, good.size - 1, min(good.size, per_row)).astype(int))]
+            good = spread(np.flatnonzero(np.isfinite(outer) & np.isfinite(other)), per_row)
             if good.size:
                 row = np.full(good.size, number)
                 grey = self._read(tile, high=high)[good]

@@ -49,8 +49,7 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
     block, stride = _block(columns)
     flat = _sampled(columns, stride, engine).reshape(-1, depth)
     padding = padding_value(flat)
-    columns = replace(columns, padding=padding)
-    blocks, sharp, missing = _blocks(columns, block, engine)
+    blocks, sharp, missing = _blocks(replace(columns, padding=padding), block, engine)
     if params.seed_um is None:
         sharp = blocks  # only a seed needs both
     if missing > 0.9:
@@ -64,13 +63,12 @@ def take_survey(columns: Columns, params: SurfaceParams, engine: Engine) -> Surv
         ends, voxels = _airy(ends, voxels, seed_grey(sharp, choice.seed))
         scatter = mad_sd(ends)
     air = mode(ends)
-    noise = voxel_noise(voxels, air)
     coarse, surroundings, polarity = choose_sheet(blocks, sharp, air, params, choice, scatter)
     limit = 6.0 * mad_sd(ends)  # what is nowhere above that is air from end to end
-    empty = np.array([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
+    empty = np.mean([~(polarity * (row - air) > limit).any(axis=1) for row in blocks])
     return Survey(
-        coarse=coarse, air=air, noise=noise, polarity=polarity, padding=padding,
-        missing_share=missing, empty_share=float(empty.mean()), surroundings=surroundings,
+        coarse=coarse, air=air, noise=voxel_noise(voxels, air), polarity=polarity, padding=padding,
+        missing_share=missing, empty_share=float(empty), surroundings=surroundings,
     )  # fmt: skip
 
 
@@ -83,9 +81,8 @@ def survey_labels(columns: Columns, params: SurfaceParams, engine: Engine) -> tu
         As :func:`take_survey`.
     """
     block = _block(columns)[0]
-    _, shares, _ = _blocks(columns, block, engine)
-    choice = make_choice(columns, block, shares.shape, params)
-    sheet = search_sheet(shares, shares > 0.5, 0.5, choice)
+    shares = _blocks(columns, block, engine)[1]
+    sheet = search_sheet(shares, shares > 0.5, 0.5, make_choice(columns, block, shares.shape, params))
     return sheet, float(1.0 - (shares > 0).any(axis=2).mean())
 
 
@@ -110,42 +107,35 @@ def _block(columns: Columns) -> tuple[int, tuple[int, int]]:
 
 def _sampled(columns: Columns, stride: tuple[int, int], engine: Engine) -> NDArray[Any]:
     """Every ``stride``-th column, as stored."""
-    rows, cols, depth = columns.shape
-    k = columns.step
-    row_numbers = np.arange(0, rows, stride[0])
-    out = np.empty((row_numbers.size, -(-cols // stride[1]), depth), dtype=columns.volume.dtype)
-    single = replace(columns, step=1)
+    rows, cols, _ = columns.shape
+    k, single = columns.step, replace(columns, step=1)
 
-    def read(n: int) -> None:
-        r = int(row_numbers[n]) * k
-        out[n] = single.voxels(Tile(r, r + 1, 0, cols * k))[0, : cols * k : stride[1] * k]
+    def read(row: int) -> NDArray[Any]:
+        return single.voxels(Tile(row * k, row * k + 1, 0, cols * k))[0, :: stride[1] * k].copy()
 
-    map_threads(read, range(row_numbers.size), number=engine.at_once)
-    return out
+    return np.stack(map_threads(read, range(0, rows, stride[0]), number=engine.at_once))
 
 
 def _blocks(columns: Columns, block: int, engine: Engine) -> tuple[NDArray[np.float32], NDArray[np.float32], float]:
     """Block means (block rows, block cols, depth), smoothed and as they are, NaN for gaps; share of missing voxels."""
     rows, cols, depth = columns.shape
-    counts = max(rows // block, 1), max(cols // block, 1)
-    out = np.empty((*counts, depth), dtype=np.float32)
-    bad = 0.0
+    out, bad = np.empty((max(rows // block, 1), max(cols // block, 1), depth), dtype=np.float32), 0.0
     tiles = [
-        # What is left over belongs to the last block of the axis, and so to the last tile.
+        # What remains belongs to the last block of the axis, and so to the last tile.
         Tile(t.r0, rows if t.r1 > rows - block else t.r1, t.c0, cols if t.c1 > cols - block else t.c1)
         for t in columns.tiles(engine, multiple=block)
-        if (t.r0 <= max(rows - block, 0)) and (t.c0 <= max(cols - block, 0))
+        if t.r0 <= max(rows - block, 0) and t.c0 <= max(cols - block, 0)
     ]
     for tile, sums in engine.map("survey", _tile_blocks, lambda _tile: (columns, block), tiles):
         r, c = tile.r0 // block, tile.c0 // block
         part = sums[..., :-1]
         out[r : r + part.shape[0], c : c + part.shape[1]] = part
         bad += float(sums[..., -1].sum(dtype=np.float64))
-    missing = ~np.isfinite(out)
+    missing, smooth = ~np.isfinite(out), out
     if missing.any():
         out[missing] = np.nan
-    size = (3, 3, 3) if block < 3 else (1, 1, 3)
-    smooth = ndimage.uniform_filter(out, size, mode="nearest") if not missing.any() else out
+    else:
+        smooth = ndimage.uniform_filter(out, (3, 3, 3) if block < 3 else (1, 1, 3), mode="nearest")
     return smooth, out, bad / (rows * cols * depth * columns.step**2)
 
 
@@ -184,12 +174,12 @@ def _ends(columns: NDArray[Any], inside: Bools) -> Floats:
 
 def _airy(ends: Floats, voxels: Floats, seed: Floats) -> tuple[Floats, Floats]:
     """Where the two ends of the columns differ, keep the one that looks less like the object at the seed."""
-    halves = [(part[: part.shape[0] // 2], part[part.shape[0] // 2 :]) for part in (ends, voxels)]
+    halves = [(part[: len(part) // 2], part[len(part) // 2 :]) for part in (ends, voxels)]
     levels = [mode(half) for half in halves[0]]
-    object_grey = float(np.median(seed))
-    if abs(levels[0] - levels[1]) < 0.1 * max(abs(level - object_grey) for level in levels):
+    contrasts = [abs(level - float(np.median(seed))) for level in levels]
+    if abs(levels[0] - levels[1]) < 0.1 * max(contrasts):
         return ends, voxels
-    k = int(np.argmax([abs(level - object_grey) for level in levels]))
+    k = int(np.argmax(contrasts))
     return halves[0][k], halves[1][k]
 
 
@@ -222,40 +212,36 @@ def padding_value(columns: NDArray[np.generic]) -> float | None:
     same = columns == corner
     if not np.isfinite(corner) or columns[-1, -1] != corner or same.mean() < 1e-3:
         return None
-    inside = ~same
-    has_inside = inside.sum(axis=1) > 12
+    has_inside, end = (~same).sum(axis=1) > 12, columns.shape[1] - 1
     if np.count_nonzero(has_inside) < 10:
         return None
-    profiles = columns[has_inside].astype(np.float64)
-    first, last = first_and_last(inside[has_inside])
-    cut = (first > 0) | (last < columns.shape[1] - 1)
-    whole = ~same.all(axis=1)
+    profiles, padding = columns[has_inside].astype(np.float64), float(corner)
+    first, last = first_and_last(~same[has_inside])
+    cut = (first > 0) | (last < end)
     if np.count_nonzero(cut) < 0.05 * cut.size:
         # Few columns end in the padding. If others hold nothing else, the circle lies across the columns.
-        is_across = np.count_nonzero(~whole) > 0.01 * whole.size and not inside[whole][:, 0].mean() < 0.5
-        return float(corner) if is_across else None
+        empty = same.all(axis=1)
+        is_across = np.count_nonzero(empty) > 0.01 * empty.size and not (~same[~empty][:, 0]).mean() < 0.5
+        return padding if is_across else None
     rows = np.flatnonzero(cut & (first > 0))
     if rows.size < 10:
-        rows, first = np.flatnonzero(cut), columns.shape[1] - 1 - last
-        profiles = profiles[:, ::-1]
-    edge = profiles[rows, first[rows]]
-    deeper = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), columns.shape[1] - 1)]
+        rows, first, profiles = np.flatnonzero(cut), end - last, profiles[:, ::-1]
+    deeper = profiles[rows[:, None], np.minimum(first[rows][:, None] + np.arange(2, 6), end)]
     level = float(np.median(deeper))
     scatter = max(mad_sd(deeper - level), 1e-9)
     run = (profiles[rows, :-2] + profiles[rows, 1:-1] + profiles[rows, 2:]) / 3
     run = np.where(same[has_inside][rows][:, 1:-1], level, run)
-    stands_out = float(np.median(np.max(np.abs(run - level), axis=1)))
-    sharp = abs(float(np.median(edge)) - level) < 0.2 * abs(level - float(corner))
-    differs = abs(level - float(corner)) > 3 * scatter
-    return float(corner) if sharp and differs and stands_out > 4 * scatter else None
+    stands_out = float(np.median(np.max(np.abs(run - level), axis=1))) > 4 * scatter
+    contrast = abs(level - padding)
+    is_sharp = abs(float(np.median(profiles[rows, first[rows]])) - level) < 0.2 * contrast
+    return padding if is_sharp and contrast > 3 * scatter and stands_out else None
 
 
 def voxel_noise(ends: Floats, air: float) -> float:
     """Standard deviation of one voxel, from samples (n, 3) of neighbouring voxels in the air."""
-    steps = np.diff(ends, axis=1).ravel()
     distance = np.abs(ends - air)
-    near = np.abs(ends[:, :-1].ravel() - air) <= max(float(np.nanpercentile(distance, 60)), 1e-12)
-    if not near.any():
+    steps = np.diff(ends, axis=1)[distance[:, :-1] <= max(float(np.nanpercentile(distance, 60)), 1e-12)]
+    if not steps.size:
         return 0.0
-    robust = mad_sd(steps[near]) / np.sqrt(2.0)
-    return float(robust if robust > 0 else np.sqrt(np.mean(steps[near] ** 2) / 2))
+    robust = mad_sd(steps) / np.sqrt(2.0)
+    return float(robust if robust > 0 else np.sqrt(np.mean(steps**2) / 2))
