@@ -19,6 +19,7 @@ from planish.measure.registry import (
     Measured,
     Sheet,
     Side,
+    cached,
     face_length,
     ray_property,
     sheet_property,
@@ -56,31 +57,29 @@ NO_INK, AT_LIMIT = 1, 2
 def _check_ink(params: MeasureParams, _greys: Greys) -> None:
     if params.ink_grey is None:
         raise CannotMeasure(
-            "The depth of ink needs the grey values that are ink. Give their range as ink_grey = [low, high] in "
-            "[properties] of a study file; look at a printed and an unprinted spot in the slices."
+            "The depth of ink needs the grey values that are ink. Read them from a printed and an unprinted spot, and "
+            "give their range as ink_grey = [low, high] in [properties] of a study file."
         )
 
 
+@cached
 def _depths(rays: Rays) -> tuple[Floats, NDArray[np.uint8]]:
     from planish.measure import _ray_kernels
 
-    def work() -> tuple[Floats, NDArray[np.uint8]]:
-        assert rays.params.ink_grey is not None
-        reach = rays.params.ink_reach_um
-        limit = 0.5 * (rays.top + rays.bottom) if reach is None else np.maximum(rays.top - reach, rays.bottom)
-        low, high = rays.params.ink_grey
-        step, shares = rays.step_um, np.array([0.50, 0.90, 0.95])
-        depth, total = _ray_kernels.depths_of_shares(
-            rays.grey, float(rays.s_um[0]), step, rays.top, limit, low, high, shares
-        )
-        # Ink that is still there where the search ends may go deeper: its shares are not known.
-        near, _ = rays.length(limit, limit + step, least=low, most=high)
-        reason = np.zeros(total.shape, dtype=np.uint8)
-        reason[near > 0.5 * step] = AT_LIMIT
-        reason[total < rays.voxel_um] = NO_INK
-        return np.where(reason == 0, depth, np.nan), reason
-
-    return rays.cached("ink", work)
+    assert rays.params.ink_grey is not None
+    reach = rays.params.ink_reach_um
+    limit = 0.5 * (rays.top + rays.bottom) if reach is None else np.maximum(rays.top - reach, rays.bottom)
+    low, high = rays.params.ink_grey
+    step, shares = rays.step_um, np.array([0.50, 0.90, 0.95])
+    depth, total = _ray_kernels.depths_of_shares(
+        rays.grey, float(rays.s_um[0]), step, rays.top, limit, low, high, shares
+    )
+    # Ink that is still there where the search ends may go deeper: its shares are not known.
+    near, _ = rays.length(limit, limit + step, least=low, most=high)
+    reason = np.zeros(total.shape, dtype=np.uint8)
+    reason[near > 0.5 * step] = AT_LIMIT
+    reason[total < rays.voxel_um] = NO_INK
+    return np.where(reason == 0, depth, np.nan), reason
 
 
 for _which, (_share, _title) in enumerate(
@@ -191,25 +190,23 @@ def thickness_envelope(sheet: Sheet) -> Measured:
     return Measured(values=top + bottom)
 
 
+@cached
 def _layer(rays: Rays, side: Side) -> tuple[Floats, Floats, Floats]:
     """Return t_sum, t_env and the standard error of both of the coating of one side."""
     from planish.measure import _ray_kernels
     from planish.measure.uncertainty import layer_errors
 
-    def work() -> tuple[Floats, Floats, Floats]:
-        greys = rays.greys
-        coat = greys.coating(side)
-        face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
-        summed, outer, ends = _ray_kernels.layers(
-            rays.grey, float(rays.s_um[0]), rays.step_um, face, -1.0 if side == "top" else 1.0,
-            0.5 * (coat + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
-            rays.params.gap_um, other,
-        )  # fmt: skip
-        of_face = rays.oblique * layer_errors(outer / rays.oblique, greys, rays.noise_um, side)[0]
-        se = np.hypot(of_face, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coat - greys.base))
-        return summed, outer, se
-
-    return rays.cached(f"layer_{side}", work)
+    greys = rays.greys
+    coat = greys.coating(side)
+    face, other = (rays.top, rays.interface_bottom) if side == "top" else (rays.bottom, rays.interface_top)
+    summed, outer, ends = _ray_kernels.layers(
+        rays.grey, float(rays.s_um[0]), rays.step_um, face, -1.0 if side == "top" else 1.0,
+        0.5 * (coat + greys.base), greys.polarity, rays.oblique * (2.5 * greys.blur_um + rays.voxel_um),
+        rays.params.gap_um, other,
+    )  # fmt: skip
+    of_face = rays.oblique * layer_errors(outer / rays.oblique, greys, rays.noise_um, side)[0]
+    se = np.hypot(of_face, np.sqrt(np.maximum(ends, 1)) * rays.crossing_se(coat - greys.base))
+    return summed, outer, se
 
 
 @ray_property("coating_{side}_sum", units="um", long_name="Coating on the ray, {side} side", check=_has_coating)
@@ -321,8 +318,8 @@ def scale_limited(height: Floats, pitch_um: Pair, *, s_filter_um: float, l_filte
     if not (inside & is_finite).any():
         size = " x ".join(f"{n * p / 1000:.2g}" for n, p in zip(height.shape, pitch_um, strict=True))
         raise CannotMeasure(
-            f"The sheet is {size} mm large; with an L-filter of {l_filter_um / 1000:g} mm, half of which is discarded "
-            "along its edge, nothing is left. Give a shorter l_filter_um, and say so beside every number."
+            f"The sheet is {size} mm large: an L-filter of {l_filter_um / 1000:g} mm, half of which is discarded along "
+            "its edge, leaves nothing. Give a shorter l_filter_um, and say so beside every number."
         )
     fine = smoothed(height, pitch_um, _sigma(s_filter_um)) if s_filter_um >= 2 * max(pitch_um) else height
     coarse = smoothed(height, pitch_um, _sigma(l_filter_um))

@@ -96,8 +96,8 @@ def _filler_level(params: MeasureParams, greys: Greys) -> float:
     coats = [level for level in (greys.coating_top, greys.coating_bottom) if np.isfinite(level)]
     if not coats:
         raise CannotMeasure(
-            "Filler needs the grey level from which on the base counts as filler; without a coating there is none to "
-            "tell it from. Give filler_grey in [properties] of a study file."
+            "Filler needs the grey level from which on the base counts as filler: there is no coating to tell it from. "
+            "Give filler_grey in [properties] of a study file."
         )
     return 0.5 * (greys.base + float(np.mean(coats)))
 
@@ -210,8 +210,7 @@ def depth_profiles(
     count, total, squares = np.moveaxis(np.concatenate(parts, axis=-1).sum(axis=-1), -1, 0)
     if not (count > 0).any():
         raise CannotMeasure(
-            f"The base is too thin for {bins} layers: none is as thick as a step of the rays ({frame.step_um:g} um). "
-            "Ask for fewer bins."
+            f"The base is too thin for {bins} layers of a step of the rays ({frame.step_um:g} um). Ask for fewer bins."
         )
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(count > 0, total / count, np.nan)

@@ -298,9 +298,8 @@ def each_tile(
         rows = int(engine.memory_bytes / 2 / threads / per_row) - 2 * halo
         if rows < 1:
             raise ResourceError(
-                f"One row of rays with its neighbourhood takes {(2 * halo + 1) * per_row * threads / 2**20:.0f} MiB on "
-                f"{threads} threads, and {engine.memory_bytes / 2**21:.0f} MiB were allowed. Allow more, or fewer "
-                "threads."
+                f"A row of rays with its neighbourhood takes {(2 * halo + 1) * per_row * threads / 2**20:.0f} MiB on "
+                f"{threads} threads, {engine.memory_bytes / 2**21:.0f} MiB are allowed. Allow more, or fewer threads."
             )
         # Tiles of even size, several for each thread; a halo costs less the larger they are.
         rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)

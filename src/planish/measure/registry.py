@@ -19,7 +19,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial, update_wrapper
 from importlib import import_module
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Concatenate, Literal, ParamSpec, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,7 +31,9 @@ if TYPE_CHECKING:
     import xarray as xr
 
     from planish.measure.params import MeasureParams
-    from planish.measure.rays import RayFrame
+    from planish.measure.rays import RayFrame, Rays
+
+P, T = ParamSpec("P"), TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,8 +84,8 @@ class Greys:
         """Refuse grey values that are no X-ray absorption: those of a sheet darker than what surrounds it."""
         if self.polarity < 0:
             raise CannotMeasure(
-                f"{subject} is read from X-ray absorption, and this sheet is darker than what surrounds it, as in "
-                "photographs of sections in resin. Use a property that needs lengths only, with a density."
+                f"{subject} is read from X-ray absorption, and this sheet is darker than what surrounds it. Use a "
+                "property that needs lengths only, with a density."
             )
 
 
@@ -167,6 +169,15 @@ class Sheet:
     def mean(self, values: Floats) -> float:
         """Mean over the valid rays."""
         return float(np.mean(values[self.valid & np.isfinite(values)], dtype=np.float64))
+
+
+def cached(function: Callable[Concatenate[Rays, P], T]) -> Callable[Concatenate[Rays, P], T]:
+    """Work out once for the same rays what several properties share."""
+
+    def cached_function(rays: Rays, /, *args: P.args, **kwargs: P.kwargs) -> T:
+        return rays.cached(repr((function.__name__, args, kwargs)), lambda: function(rays, *args, **kwargs))
+
+    return cached_function
 
 
 Length = float | Callable[["MeasureParams"], float]

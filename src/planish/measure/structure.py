@@ -23,7 +23,7 @@ from planish.core.options import Params, option
 from planish.core.transform import axial_angle
 from planish.core.typing import Floats
 from planish.measure.phases import void_level
-from planish.measure.registry import FWHM, Property, ray_property
+from planish.measure.registry import FWHM, Property, cached, ray_property
 
 if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
@@ -59,59 +59,55 @@ def _width(params: MeasureParams) -> float:
     return FWHM * params.orientation_rho_um
 
 
+@cached
 def _gradients(rays: Rays) -> tuple[Grey3, Grey3, slice]:
     """Gradient along rows and columns, per um of projection, of the samples (slice) that some base reaches."""
     from scipy import ndimage
 
-    def work() -> tuple[Grey3, Grey3, slice]:
-        samples = rays.samples_within(*rays.core)
-        grey = rays.grey[..., samples]
-        grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
-        bells: list[Floats] = []
-        slopes: list[Floats] = []
-        for pitch in rays.pitch_um:
-            sigma = max((rays.params.orientation_sigma_um or pitch) / pitch, 0.5)
-            x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
-            bell = np.exp(-0.5 * (x / sigma) ** 2)
-            bells.append(bell / bell.sum())
-            slopes.append(x * bell / np.sum(x * x * bell) / pitch)  # 1 on a ramp
+    samples = rays.samples_within(*rays.core)
+    grey = rays.grey[..., samples]
+    grey = np.where(np.isfinite(grey), grey, np.float32(rays.greys.base))
+    bells: list[Floats] = []
+    slopes: list[Floats] = []
+    for pitch in rays.pitch_um:
+        sigma = max((rays.params.orientation_sigma_um or pitch) / pitch, 0.5)
+        x = np.arange(-int(np.ceil(_CUT * sigma)), int(np.ceil(_CUT * sigma)) + 1)
+        bell = np.exp(-0.5 * (x / sigma) ** 2)
+        bells.append(bell / bell.sum())
+        slopes.append(x * bell / np.sum(x * x * bell) / pitch)  # 1 on a ramp
 
-        def along(axis: int) -> Grey3:
-            calm = ndimage.correlate1d(grey, bells[1 - axis], 1 - axis, mode="nearest")
-            return ndimage.correlate1d(calm, slopes[axis], axis, mode="nearest")
+    def along(axis: int) -> Grey3:
+        calm = ndimage.correlate1d(grey, bells[1 - axis], 1 - axis, mode="nearest")
+        return ndimage.correlate1d(calm, slopes[axis], axis, mode="nearest")
 
-        return along(0), along(1), samples
-
-    return rays.cached("gradients", work)
+    return along(0), along(1), samples
 
 
+@cached
 def _tensor(rays: Rays, lowest: float, highest: float) -> tuple[Floats, Floats, Floats]:
     """Trace, cosine part and sine part (rows, cols) of the gathered tensor between two relative depths of the base."""
     # With the gradient g in the tangent plane: sums of gx^2 + gy^2, gx^2 - gy^2 and 2 gx gy over the layer, outside
     # voids and the base's edges, then averaged over orientation_rho_um.
     from scipy import ndimage
 
-    def work() -> tuple[Floats, Floats, Floats]:
-        by_row, by_col, samples = _gradients(rays)
-        bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
-        lower, upper = rays.core
-        inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * thick)[..., None]
-        inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * thick)[..., None]
-        inside &= rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
-        across, down, mixed = (
-            np.einsum("ijk,ijk,ijk->ij", a, b, inside, dtype=np.float64)
-            for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
-        )
-        xx, yy, xy = _in_tangent_plane(across, down, mixed, rays.slope)
-        is_valid = (rays.status == 0) & np.isfinite(xx)
-        sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
-        gathered = [
-            ndimage.gaussian_filter(np.where(is_valid, v, 0.0), sigma, mode="constant", truncate=_CUT)
-            for v in (xx + yy, xx - yy, 2 * xy)
-        ]
-        return gathered[0], gathered[1], gathered[2]
-
-    return rays.cached(f"tensor {lowest} {highest}", work)
+    by_row, by_col, samples = _gradients(rays)
+    bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
+    lower, upper = rays.core
+    inside = rays.s_um[samples] >= np.maximum(lower, bottom + lowest * thick)[..., None]
+    inside &= rays.s_um[samples] < np.minimum(upper, bottom + highest * thick)[..., None]
+    inside &= rays.greys.polarity * (rays.grey[..., samples] - void_level(rays.greys, rays.params)) > 0
+    across, down, mixed = (
+        np.einsum("ijk,ijk,ijk->ij", a, b, inside, dtype=np.float64)
+        for a, b in ((by_col, by_col), (by_row, by_row), (by_row, by_col))
+    )
+    xx, yy, xy = _in_tangent_plane(across, down, mixed, rays.slope)
+    is_valid = (rays.status == 0) & np.isfinite(xx)
+    sigma = [rays.params.orientation_rho_um / p for p in rays.pitch_um]
+    gathered = [
+        ndimage.gaussian_filter(np.where(is_valid, v, 0.0), sigma, mode="constant", truncate=_CUT)
+        for v in (xx + yy, xx - yy, 2 * xy)
+    ]
+    return gathered[0], gathered[1], gathered[2]
 
 
 def _in_tangent_plane(xx: Floats, yy: Floats, xy: Floats, slope: Floats) -> tuple[Floats, Floats, Floats]:
@@ -189,17 +185,14 @@ def orientation_layers(count: int) -> tuple[Property, ...]:
     return tuple(layers)
 
 
+@cached
 def _voids(rays: Rays) -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
     """Samples that are void (rows, cols, s), and how many there are on each ray."""
-
-    def work() -> tuple[NDArray[np.uint8], NDArray[np.int64]]:
-        # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
-        samples = rays.samples_within(*rays.core, more=1)
-        beyond = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
-        void = ((beyond < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
-        return void, void.sum(axis=-1, dtype=np.int64)
-
-    return rays.cached("voids", work)
+    # Beyond what any base reaches there is no void; one sample more on either side is the wall there.
+    samples = rays.samples_within(*rays.core, more=1)
+    beyond = rays.greys.polarity * (rays.grey[..., samples] - np.float32(void_level(rays.greys, rays.params)))
+    void = ((beyond < 0) & rays.between(*rays.core)[..., samples]).astype(np.uint8)
+    return void, void.sum(axis=-1, dtype=np.int64)
 
 
 def _reach(params: MeasureParams) -> float:

@@ -51,8 +51,8 @@ def assemble(
     middle = np.where(sheet & ~rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
     if not np.isfinite(middle).any():
         raise VolumeError(
-            f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only; "
-            "nothing is left to measure. Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
+            f"The sheet is {thickness:.3g} um thick and consists of holes and their rims of {params.rim_um:g} um only. "
+            "Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = centre_surface(middle, outline, pitch, params)
     variables = {name: _variable(heights[name], f"{name.capitalize()} face") for name in ("top", "bottom")}

@@ -155,9 +155,8 @@ class LabelColumns(Columns):
             out[raw == label] = code
         if (out == _UNKNOWN).any():
             raise VolumeError(
-                f"The volume holds the label {raw[out == _UNKNOWN].flat[0]}, and its meaning is not given. Say which "
-                "labels are air, base, coating and void with --label-air, --label-base, --label-coating and "
-                "--label-void."
+                f"The volume holds the label {raw[out == _UNKNOWN].flat[0]}, and its meaning is not given. Give it "
+                "with --label-air, --label-base, --label-coating or --label-void."
             )
         return (out > 0).astype(np.uint8) if self.sheet else out
 

@@ -139,8 +139,8 @@ def _refined(oriented: Blocks, threshold: float, choice: Choice) -> CoarseSheet:
     rows, cols = np.nonzero(sheet.is_whole)
     if rows.size == 0:
         raise VolumeError(
-            "No column of the volume shows both faces of the sheet. The sheet leaves the volume on one side, or it is "
-            "not the axis through the sheet that was named with --through."
+            "No column of the volume shows both faces of the sheet: it leaves the volume on one side, or --through "
+            "names another axis."
         )
     low, high = sheet.low[rows, cols], sheet.high[rows, cols]
     depth = np.rint(low[:, None] + (high - low)[:, None] * np.linspace(*CORE, 7)).astype(int)
@@ -180,9 +180,8 @@ def _chosen(oriented: Blocks, sharp: Blocks, threshold: float, choice: Choice) -
     if best is not None:
         return best, True
     raise VolumeError(
-        f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others at every grey: "
-        "it cannot be separated from them. Crop the volume to a part where it stands alone, or "
-        "choose another point with --seed-um."
+        f"The object at the seed point {choice.describe(choice.seed)} um (z, y, x) touches others at every grey. "
+        "Crop the volume to a part where it stands alone, or choose another point with --seed-um."
     ) from failure
 
 

@@ -108,9 +108,8 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
     gappy = np.median(filled[is_sheet] / (last - first + 1)[is_sheet])
     if gappy < 0.4:
         raise VolumeError(
-            "Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
-            f"{100 * gappy:.0f} % between their first and last voxel, so several sheets lie behind each other. "
-            f"{_CHOOSE}"
+            f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
+            f"{100 * gappy:.0f} %, so several sheets lie behind each other. {_CHOOSE}"
         )
     low, high = _extent(blocks, np.where(is_sheet, first, -1), np.where(is_sheet, last, -1), threshold)
     specks = int(np.count_nonzero(sizes[1:] >= 8)) - 1  # fewer blocks are noise

@@ -96,14 +96,10 @@ def find_surfaces(
 def _search(volume: xr.DataArray, frame: Frame, params: SurfaceParams, step: int, engine: Engine) -> xr.Dataset:
     if params.labels is not None:
         if params.corrections is not None:
-            raise InputError(
-                "Faces are corrected in grey values. Correct labels in the program that made them, or leave "
-                "--corrections out."
-            )
+            raise InputError("Faces are corrected in grey values. Correct labels in the program that made them.")
         if step > 1:
             raise InputError(
-                f"The labels of {step} x {step} voxels have no mean: labels need columns of one voxel. Give more "
-                "memory (--memory), or crop the volume."
+                f"The labels of {step} x {step} voxels have no mean. Give more memory (--memory), or crop the volume."
             )
         return surfaces_from_labels(volume, frame, params.labels, params, engine)
     columns = Columns(volume=volume, frame=frame, step=step)
@@ -149,9 +145,9 @@ def check_sheet(surfaces: xr.Dataset, *, unusual_size: bool) -> None:
     measured /= max(1.0 - float(surfaces.attrs.get("empty_share", 0.0)), measured)
     if measured < _LEAST_SHARE:
         raise VolumeError(
-            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns only that are not all air; "
-            f"{100 * _LEAST_SHARE:.0f} % are needed for a map. Check --through and --sheet-grey, and that the sheet "
-            "does not leave the volume."
+            f"Both faces of the sheet were found in {100 * measured:.1f} % of the columns that are not all air; "
+            f"{100 * _LEAST_SHARE:.0f} % are needed. Check --through and --sheet-grey, and that the sheet stays in the "
+            "volume."
         )
 
 

@@ -10,7 +10,7 @@ from pydantic import Field, ValidationError, model_validator
 
 from planish.core.errors import FileError
 from planish.core.options import Params, option
-from planish.core.tables import read_text
+from planish.core.tables import model_faults, raise_faults, read_text
 
 Label = Annotated[int, Field(ge=0)]
 Fringe = Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)]
@@ -145,14 +145,12 @@ def read_corrections(path: str | Path) -> Corrections:
         If it cannot be read, or holds something else; all faults are named.
     """
     name = Path(path).name
-    text = read_text(Path(path), what="file of corrections")
     try:
-        content: Any = json.loads(text)
+        content: Any = json.loads(read_text(Path(path), what="file of corrections"))
     except (ValueError, RecursionError) as error:
         raise FileError(f"{name} is no JSON: {error}. {_REMEDY}") from error
     try:
         return Corrections.model_validate(content)
     except ValidationError as error:
-        faults = [f"{'.'.join(map(str, e['loc']))}: {e['msg'].removeprefix('Value error, ')}" for e in error.errors()]
-        more = f" and {len(faults) - 8} more" if len(faults) > 8 else ""
-        raise FileError(f"{name} holds no corrections of surfaces: {'; '.join(faults[:8])}{more}. {_REMEDY}") from error
+        raise_faults(f"{name} holds no corrections of surfaces", model_faults(error), _REMEDY, error=FileError)
+        raise
