@@ -242,7 +242,7 @@ def grammage(sheet: Sheet) -> Measured:
     parts = [
         _in_grams(maps[f"coating_absorption_{side}"], sheet, f"Grammage with a coating on the {side} side",
                   d.coat_weight(side), "coating_g_cm3")
-        for side in filter(greys.coated, SIDES)
+        for side in SIDES if greys.coated(side)
     ]  # fmt: skip
     if base_g_m2 is not None:
         coats = sum(sheet.mean(p.values) for p in parts)

@@ -228,10 +228,7 @@ class RayFrame:
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
         """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
         met, frame = meet(surfaces, params.rays), Frame.of(surfaces)
-        columns, shape = (
-            (volume.sizes[frame.rows], volume.sizes[frame.cols]),
-            (surfaces.sizes["y"], surfaces.sizes["x"]),
-        )
+        columns, shape = (volume.sizes[frame.rows], volume.sizes[frame.cols]), surfaces["centre"].shape
         wide = max(columns[0] // max(shape[0], 1), 1)  # voxels along the edge of a column of the surfaces
         if (columns[0] // wide, columns[1] // wide) != shape:
             raise SurfaceError(

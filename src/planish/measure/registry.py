@@ -33,7 +33,8 @@ if TYPE_CHECKING:
     from planish.measure.params import MeasureParams
     from planish.measure.rays import RayFrame, Rays
 
-P, T = ParamSpec("P"), TypeVar("T")
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -65,15 +66,15 @@ class Greys:
             single_noise=float(attrs.get("grey_noise_single", attrs["grey_noise"])),
         )  # fmt: skip
 
-    def coating(self, side: str) -> float:
+    def coating(self, side: Side) -> float:
         """Level of the coating of ``top`` or ``bottom``."""
         return self.coating_top if side == "top" else self.coating_bottom
 
-    def coated(self, side: str) -> bool:
+    def coated(self, side: Side) -> bool:
         """Tell if that side has a coating."""
         return bool(np.isfinite(self.coating(side)))
 
-    def need_coating(self, side: str, subject: str) -> float:
+    def need_coating(self, side: Side, subject: str) -> float:
         """Level of the coating; CannotMeasure if that side has none."""
         level = self.coating(side)
         if not np.isfinite(level):

@@ -1,13 +1,11 @@
 """Structure of the base in the plane of the sheet: fibre orientation (P-13) and the size of the pores (P-10).
 
-Orientation comes from the structure tensor of the straightened volume. A step between rays is a step in the centre
-surface, whatever its tilt, so that the normal direction drops out: only gradients in the tangent plane are gathered,
-and turned into its own frame by the root of the metric, which is the frame that flattening keeps. A fibre lies along
-the direction in which the grey changes least.
+Orientation comes from the structure tensor of the straightened volume: gradients in the tangent plane are gathered and
+turned into its own frame by the root of the metric; a fibre lies along the direction in which the grey changes least.
 
-Pores are voids (:func:`~planish.measure.phases.void_level`) inside the base; they end at its interfaces: chords in the
-plane of the sheet, and the largest spheres that fit. What is smaller than two voxels is not seen. Neither size has a
-standard error: it depends on which voids were resolved, and a distribution of pores needs 20 mm2 to be stable.
+Pores are voids (:func:`~planish.measure.phases.void_level`) inside the base: chords in the plane of the sheet, and the
+largest spheres that fit. What is smaller than two voxels is not seen. Neither size has a standard error: it depends on
+which voids were resolved, and a distribution of pores needs 20 mm2 to be stable.
 """
 
 from __future__ import annotations

@@ -125,7 +125,7 @@ def common_errors(unit_um: float) -> dict[str, float]:
     }  # fmt: skip
 
 
-def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: str) -> tuple[Floats, Floats, Floats]:
+def layer_errors(thickness: Floats, greys: Greys, noise_um: float, side: Side) -> tuple[Floats, Floats, Floats]:
     """Standard errors of a fitted staircase air-coating-base: of its face, its thickness and its interface, um.
 
     The least variance that an unbiased fit can have, the inverse of the Fisher matrix of the blurred staircase

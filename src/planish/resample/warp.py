@@ -1,10 +1,7 @@
 """Images on another grid: warped by any transformation, of any size, patch by patch.
 
-Where pixels become smaller the values are interpolated, where they become larger they are averaged. In each block of
-the target the transformation is asked at 4 x 4 points, which give a polynomial of third degree in each direction, and
-at 3 x 3 points between them, where that polynomial errs most; blocks where it errs too much are cut into four. So a
-thin-plate spline is evaluated once in some thousand pixels, and an affine transformation is met exactly. The blocks lie
-where the grid says and nowhere else: no result depends on what is worked on together.
+The transformation is asked at 4 x 4 points of a block, which give a polynomial, and at 3 x 3 between them; blocks where
+it errs too much are cut into four. They lie where the grid says: no result depends on what is worked on together.
 """
 
 from __future__ import annotations

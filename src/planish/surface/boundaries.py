@@ -1,8 +1,7 @@
 """Faces at boundaries: slice by slice as Hirn et al. (2009) found them, or between the labels of another program.
 
-A slice is a row of the maps: for serial sections whose first axis counts the sections, ``--through y`` or ``x`` makes
-it one section. Thresholds lie where they separate the classes of grey best (Otsu): air and paper, and, where the volume
-has a coating, paper and coating. A coating thinner than the blur comes out as thick as the blur; that is how it was.
+A slice is a row of the maps, its thresholds separate the classes of grey best (Otsu): air, paper and, where there is
+one, coating. A coating thinner than the blur comes out as thick as the blur; that is how it was.
 """
 
 from __future__ import annotations

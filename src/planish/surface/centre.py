@@ -1,10 +1,6 @@
-"""The centre surface: Gaussian regression of second order, twice, through the mean of the two faces.
+"""The centre surface: Gaussian regression of second order (ISO 16610-31 without its robust weights), applied twice.
 
-Gaussian smoothing flattens what it smooths: a crest sinks and an edge turns inwards. The regression filter of second
-order (ISO 16610-31 without its robust weights) fits a local paraboloid with Gaussian weights instead. It passes slopes
-and curvatures unchanged, runs up to the border, and carries the surface across holes. It is applied a second time to
-what it left behind, so that waves much longer than its cut-off keep their height. The cut-off, the wavelength that
-passes by half, is the same 400 um that a Gaussian of 75 um has.
+Its local paraboloids pass slopes and curvatures, run up to the border and across holes; Gaussian smoothing flattens.
 """
 
 from __future__ import annotations

@@ -83,7 +83,7 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
         where = moved if name == "centre" else changed
         before[name] = before[name].copy(data=np.where(where, surfaces[f"found_{name}"].values, before[name].values))
     for name in ("corrections", "corrected_tiles"):
-        before.attrs.pop(name)
+        before.attrs.pop(name, None)
     return before
 
 

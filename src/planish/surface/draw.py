@@ -1,10 +1,7 @@
 """Faces drawn to points that a person set, where the search followed something else.
 
-Around the points a face is expected where kriging puts it: between the points and the face around them, which is known
-from the search. What lies there within its error stays as it was found. The other columns are searched again close to
-the expected place, for an edge whose levels are free, because an inclusion has levels of its own. The face is the
-mean of this edge and the expected place, each weighted by its variance; where the image shows no edge it is the
-expected place. Its standard error follows.
+Kriging between the points and the face around them says where a face is expected. Columns that lie elsewhere are
+searched again for an edge whose levels are free; the face is the mean of both, each weighted by its variance.
 """
 
 from __future__ import annotations

@@ -1,7 +1,6 @@
 """Learning from some columns what the fit has to know: grey levels, their spread, the blur, a phase-contrast fringe.
 
-A staircase that is only blurred is nowhere darker than the air; a fringe makes the air beside the face darker than the
-air farther away. Where that is not seen none is taken: an edge steeper than a Gaussian's may have other reasons.
+Only a fringe makes the air beside the face darker than the air farther away; where that is not seen none is taken.
 """
 
 from __future__ import annotations
