@@ -105,8 +105,8 @@ def roughness_numbers(limited: Floats, pitch_um: Pair, *, s_filter_um: float, l_
     steep = steep[np.isfinite(steep)]
     if not steep.size:
         raise CannotMeasure(
-            f"Between the filters {h.size} heights are known, none with neighbours on all sides. Give a shorter "
-            "l_filter_um, and say so beside every number."
+            f"Between the filters {h.size} heights are known, none with neighbours on all sides: the field is too "
+            "small. Give a shorter l_filter_um, and say so beside every number."
         )
     return RoughnessFacts(
         sa=float(np.mean(np.abs(h))), sq=sq, ssk=float(np.mean(h**3)) / sq**3, sku=float(np.mean(h**4)) / sq**4,

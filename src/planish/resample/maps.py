@@ -62,8 +62,8 @@ def resample_maps(
     pixel, layers = map_um or float(np.sqrt(step[0] * step[1])), names[2]
     grid = covering_grid(uv, pixel)
     places = find_places(uv, grid, least_um=min(step))
-    data = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
-    maps = resample_dataset(data, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    columns = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
+    maps = resample_dataset(columns, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
     maps = _as_stored(maps, surfaces, names, pixel, Similarity())
     is_measured = np.isfinite(maps["thickness"].values)
     maps["valid"] = (("v", "u"), is_measured, {"long_name": "Measured"})
@@ -90,7 +90,7 @@ class SheetOnto:
     def __init__(self, surfaces: xr.Dataset, flat: xr.Dataset, *, transform: Any = None) -> None:
         uv, self._surfaces, self._similarity = _flat_coordinates(flat), surfaces, Similarity()
         self._names = *_variable_names(surfaces)[:2], list[str]()
-        self._data = _on_columns(surfaces, flat, self._names, ("u", "v"))
+        self._columns = _on_columns(surfaces, flat, self._names, ("u", "v"))
         if transform is not None:
             uv, self._similarity = transform(uv), transform.similarity
         self._mesh = Mesh.of(uv, least_um=min(pitch(surfaces)) * self._similarity.scale)
@@ -98,8 +98,8 @@ class SheetOnto:
     def on(self, part: Grid) -> xr.Dataset:
         """The maps on some pixels of the reference."""
         (rows, cols), places = self._mesh.under(part)
-        data, coords = self._data.isel(y=rows, x=cols), {"y": part.y_um, "x": part.x_um}
-        maps = resample_dataset(data, places, dims=("y", "x"), coords=coords)
+        columns, coords = self._columns.isel(y=rows, x=cols), {"y": part.y_um, "x": part.x_um}
+        maps = resample_dataset(columns, places, dims=("y", "x"), coords=coords)
         pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
         return _as_stored(maps, self._surfaces, self._names, pixel, self._similarity)
 
@@ -210,14 +210,14 @@ def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
 
 def _on_columns(surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinates: tuple[str, str]) -> xr.Dataset:
     """What is brought to a grid, with the place in the volume of each column of the centre surface."""
-    data = surfaces[[*names[0], *names[1], *names[2]]].assign({name: flat[name] for name in coordinates})
+    fields = surfaces[[*names[0], *names[1], *names[2]]].assign({name: flat[name] for name in coordinates})
     frame, is_flattened = Frame.of(surfaces), np.isfinite(flat["u"].values)
     columns = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
     columns[frame.through] = surfaces["centre"].values
     for axis in ("x", "y", "z"):
         attrs = {"units": "um", "long_name": f"Centre surface, {axis} in the volume"}
-        data[f"volume_{axis}"] = ("y", "x"), np.where(is_flattened, columns[axis], np.nan), attrs
-    return data
+        fields[f"volume_{axis}"] = ("y", "x"), np.where(is_flattened, columns[axis], np.nan), attrs
+    return fields
 
 
 def _with_angles(maps: xr.Dataset, similarity: Similarity) -> xr.Dataset:

@@ -125,7 +125,8 @@ def warp_image(
     height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
     raise CannotRegister(
         f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
-        "overlaps. Check the pixel sizes and the origin, and that the transformation goes from target to image."
+        "overlaps. Check the pixel sizes and the origin, and that the transformation goes from target to image "
+        "(else use its inverse)."
     )
 
 

@@ -68,10 +68,10 @@ def find_faces(columns: Columns, guide: Guide, priors: Priors, engine: Engine, p
         for k, plate in enumerate(plates):
             better = floating[k] & np.isfinite(below[2 * k])
             # A plate floats when there is a face below most of it.
-            floats = np.append(False, _share(better, plate, int(plate.max())) > _MOST_OF)
-            particles += int(np.count_nonzero(floats))
-            better &= (plate == 0) | floats[plate]
-            depths[2 * k][floats[plate] & ~better] = np.nan
+            is_floating = np.append(False, _share(better, plate, int(plate.max())) > _MOST_OF)
+            particles += int(np.count_nonzero(is_floating))
+            better &= (plate == 0) | is_floating[plate]
+            depths[2 * k][is_floating[plate] & ~better] = np.nan
             depths[2 * k : 2 * k + 2, better] = below[2 * k : 2 * k + 2, better]
     return faces_from_depths(depths, columns, priors.coated, cleaned=True, particles=particles)
 
