@@ -299,7 +299,7 @@ def each_tile(
         if rows < 1:
             raise ResourceError(
                 f"A row of rays with its neighbourhood takes {(2 * halo + 1) * per_row * threads / 2**20:.0f} MiB on "
-                f"{threads} threads, {engine.memory_bytes / 2**21:.0f} MiB are allowed. Allow more, or fewer threads."
+                f"{threads} threads, {engine.memory_bytes / 2**21:.0f} MiB were allowed. Allow more, or fewer threads."
             )
         # Tiles of even size, several for each thread; a halo costs less the larger they are.
         rows = max(min(rows, max(-(-count // (4 * threads)), 2 * halo)), 1)
