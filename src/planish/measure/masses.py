@@ -219,7 +219,7 @@ def _has_masses(d: MeasureParams, greys: Greys) -> bool:
 
 
 def _sources(d: MeasureParams, greys: Greys) -> tuple[str, ...]:
-    sides = list(filter(greys.coated, SIDES))
+    sides: list[Side] = [side for side in SIDES if greys.coated(side)]
     is_separable = all(d.coating_g_cm3 is not None or d.coat_weight(side) is not None for side in sides)
     if not sides or (d.grammage_g_m2 is not None and not is_separable):
         return ("absorption",)
