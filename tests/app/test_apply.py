@@ -8,6 +8,7 @@ import sys
 import time
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -46,7 +47,8 @@ def do(session, **change):
 
 
 def ordered(session):
-    return apply.order_of(apply.OriginalRun.of(session), session.state, session.folder / apply.STAGED)
+    study, files = apply.order_of(session, session.folder / apply.STAGED)
+    return SimpleNamespace(study=study, files=files)
 
 
 def made(session):

@@ -156,7 +156,7 @@ def stretch_in(surfaces, *, off_um=12.0):
         place = {frame.through: surfaces["top"].values[row, col + k] + frame.sign * off_um,
                  frame.rows: surfaces["y"].values[row], frame.cols: surfaces["x"].values[col + k]}  # fmt: skip
         points.append(changes.CorrectedPoint(**{axis: float(place[axis]) for axis in "zyx"}, face="top"))
-    return int(row), changes.Correction(id="c1", points=tuple(points), reach_um=40.0)
+    return int(row), changes.Correct(id="c1", points=tuple(points), reach_um=40.0)
 
 
 @pytest.mark.study

@@ -5,13 +5,13 @@ from __future__ import annotations
 import itertools
 import re
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
 
-from planish.app.changes import End, Mark, State, changed_corrections
+from planish.app.changes import End, Mark, changed_corrections
 from planish.app.picture import PLANES
 from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
@@ -26,122 +26,77 @@ from planish.run.study import EDITS, LayerParams, Study, changed
 STAGED = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""
 
-_OF_A_MAP = re.compile(r"-map(-\d+)?$")
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OriginalRun:
-    """A run as it was before anything was changed.
-
-    Attributes
-    ----------
-    study : Study
-        With absolute paths; of a map that is linked to an image in the session, the study of that link.
-    state : State
-    marks : mapping of str to Dataset (mark)
-        All holes and marks of each registration, matched or not, by the name of the moving layer.
-    """
-
-    study: Study
-    state: State
-    marks: Mapping[str, xr.Dataset]
-
-    @classmethod
-    def of(cls, session: Session) -> OriginalRun:
-        """Give the run that a session began with."""
-        if session.image_params is None:
-            marks = {name: registration.marks for name, registration in session.registrations.items()}
-            return cls(study=session.study, state=session.first, marks=marks)
-        sheet, noted = session.study.layers[0], noted_study(session.folder)
-        study = session.study if noted is None else noted
-        name = next((layer.name for layer in study.layers if layer.image is not None), "image")
-        image = LayerParams(name=name, image=session.image_params)
-        holes = session.holes(sheet.name)
-        rows = {side: np.arange(holes[side].sizes["mark"]) for side in PLANES}
-        unpaired_rows = {
-            "moving": np.append(rows["moving"], rows["fixed"] * 0 - 1),
-            "fixed": np.append(rows["moving"] * 0 - 1, rows["fixed"]),
-        }
-        labels = [f"{side} {k + 1}" for side in PLANES for k in rows[side]]
-        marks = make_marks(labels, {side: MarkPlaces.of_holes(holes[side], unpaired_rows[side]) for side in PLANES})
-        return cls(
-            study=study.model_copy(update={"layers": (sheet, image)}), state=session.first, marks={sheet.name: marks}
-        )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RunOrder:
-    """What a new run is made of: its study, and texts of files by name, which the study finds in ``staged``."""
-
-    study: Study
-    files: Mapping[str, str]
-
-
-def order_of(original: OriginalRun, state: State, staged: Path) -> RunOrder:
-    """Give the study of a session, and the files that it names.
+def order_of(session: Session, staged: Path) -> tuple[Study, dict[str, str]]:
+    """Give the study of the new run of a session, and texts of files by name, which the study finds in ``staged``.
 
     Parameters
     ----------
-    original : OriginalRun
-    state : State
-        What is to be applied. Where it is as it was, so is the study, and no file is written.
+    session : Session
+        Where it stands as it began, so does the study, and no file is written.
     staged : Path
-        Folder where the files of the order will stand while the run is made.
+        Folder where the files will stand while the run is made.
     """
-    files: dict[str, str] = {}
-    study = _with_marks(original, state, staged, files)
-    if state.model != original.state.model:
+    study, holes = _original_run(session)
+    first, state, files = session.first, session.state, dict[str, str]()
+    usual_um, alone = float(np.mean(study.holes.hole_um)), len(state.marks) == 1
+    for name, marks in state.marks.items():
+        if marks == first.marks[name]:
+            continue
+        file = "marks.json" if alone else f"marks-{name}.json"
+        files[file] = marks_text(all_marks(marks, holes[name], usual_um=usual_um))
+        path = str(staged / file)
+        if alone:
+            study = changed(study, registration=changed(study.registration, marks=path))
+        study = _with_layer(study, name, marks=None if alone else path)
+    if state.model != first.model:
         study = changed(study, registration=changed(study.registration, model=state.model))
-    if state.regions != original.state.regions:
-        path = None
-        if state.regions:
-            regions = tuple(
-                Region(
-                    name=region.name, reason=region.reason, author=region.author,
-                    polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
-                )
-                for region in state.regions
-            )  # fmt: skip
-            path, files[REGIONS] = str(staged / REGIONS), geojson_text(Regions(declared=regions))
-        study = changed(study, correlate=changed(study.correlate, regions=path))
-    for name, corrections in changed_corrections(study, original.state.corrections, state.corrections).items():
-        path = None
+    if state.regions != first.regions:
+        regions = tuple(
+            Region(
+                name=region.name, reason=region.reason, author=region.author,
+                polygons=(tuple(ring_of(np.array(ring)) for ring in (region.polygon, *region.holes)),),
+            )
+            for region in state.regions
+        )  # fmt: skip
+        if regions:
+            files[REGIONS] = geojson_text(Regions(declared=regions))
+        study = changed(study, correlate=changed(study.correlate, regions=str(staged / REGIONS) if regions else None))
+    for name, corrections in changed_corrections(study, first.corrections, state.corrections).items():
+        file = f"surface-{name}.json"
         if corrections.stretches:
-            path = str(staged / f"surface-{name}.json")
-            files[f"surface-{name}.json"] = corrections.to_json()
-        layers = (
-            changed(layer, surface=changed(layer.surface, corrections=path)) if layer.name == name else layer
-            for layer in study.layers
-        )
-        study = changed(study, layers=tuple(layers))
-    return RunOrder(study=study, files=files)
+            files[file] = corrections.to_json()
+        surface = next(layer.surface for layer in study.layers if layer.name == name)
+        path = str(staged / file) if corrections.stretches else None
+        study = _with_layer(study, name, surface=changed(surface, corrections=path))
+    return study, files
+
+
+def _with_layer(study: Study, name: str, **fields: Any) -> Study:
+    layers = (changed(layer, **fields) if layer.name == name else layer for layer in study.layers)
+    return changed(study, layers=tuple(layers))
+
+
+def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
+    """Study of a run before any change, and all holes and marks by layer; of a map, those of its link to the image."""
+    if session.image_params is None:
+        return session.study, {name: registration.marks for name, registration in session.registrations.items()}
+    sheet, study = session.study.layers[0], noted_study(session.folder) or session.study
+    name = next((layer.name for layer in study.layers if layer.image is not None), "image")
+    image = LayerParams(name=name, image=session.image_params)
+    holes = session.holes(sheet.name)
+    m, n = (holes[side].sizes["mark"] for side in PLANES)
+    rows = {"moving": [*range(m), *[-1] * n], "fixed": [*[-1] * m, *range(n)]}
+    labels = [f"{side} {k + 1}" for side, count in zip(PLANES, (m, n), strict=True) for k in range(count)]
+    marks = make_marks(labels, {side: MarkPlaces.of_holes(holes[side], np.array(rows[side])) for side in PLANES})
+    return study.model_copy(update={"layers": (sheet, image)}), {sheet.name: marks}
 
 
 def place_of(run: Path, *, linked: bool) -> Path:
     """Choose the folder of the new run: ``RUN-2`` beside RUN, ``OUT`` of the ``OUT-map`` that is linked to an image."""
-    if linked and (suffix := _OF_A_MAP.search(run.name)) and suffix.start():
+    if linked and (suffix := re.search(r"-map(-\d+)?$", run.name)) and suffix.start():
         return free_path(run.with_name(run.name[: suffix.start()]))
     return free_path(run)
-
-
-# --- marks -----------------------------------------------------------------------------------------------------------
-
-
-def _with_marks(original: OriginalRun, state: State, staged: Path, files: dict[str, str]) -> Study:
-    """The study with the marks of each registration that has others than before."""
-    study, usual_um = original.study, float(np.mean(original.study.holes.hole_um))
-    alone = len(state.marks) == 1
-    for name, marks in state.marks.items():
-        if marks == original.state.marks[name]:
-            continue
-        file = "marks.json" if alone else f"marks-{name}.json"
-        files[file] = marks_text(all_marks(marks, original.marks[name], usual_um=usual_um))
-        path = str(staged / file)
-        if alone:
-            study = changed(study, registration=changed(study.registration, marks=path))
-        layers = (changed(m, marks=None if alone else path) if m.name == name else m for m in study.layers)
-        study = changed(study, layers=tuple(layers))
-    return study
 
 
 def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> xr.Dataset:

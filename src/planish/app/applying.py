@@ -15,7 +15,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal
 
-from planish.app.apply import STAGED, OriginalRun, order_of, place_of
+from planish.app.apply import STAGED, order_of, place_of
 from planish.app.apply_worker import TARGET
 from planish.app.session import Session
 from planish.core.errors import InputError
@@ -29,7 +29,6 @@ _BEHIND = {
     "read": 0.02, "surface": 0.05, "measure": 0.25, "flatten": 0.35, "resample": 0.4, "check": 0.42, "register": 0.45,
     "link": 0.5, "correlate": 0.65, "write": 0.88,
 }  # fmt: skip
-_PATIENCE_S = 5.0  # for a process that was asked to stop
 _LOST = (
     "The process that made the run ended without a word, most likely because the memory was used up. Close other "
     "programs and apply it again."
@@ -73,11 +72,13 @@ class Applying:
     session : Session
     reports : dict of Path
         Pages of runs that were made, by ticket.
+    progress : Progress
+        Of the run that is made.
     """
 
     session: Session
     reports: dict[str, Path] = field(default_factory=dict[str, Path])
-    _progress: Progress = field(default_factory=Progress)
+    progress: Progress = field(default_factory=Progress)
     _process: subprocess.Popen[str] | None = None
     _ready: subprocess.Popen[str] | None = None
     _reader: threading.Thread | None = None
@@ -92,12 +93,6 @@ class Applying:
             return
         self._clean()
         self._unlisten = self.session.listen(self._warm_soon)
-
-    @property
-    def progress(self) -> Progress:
-        """Progress of the run that is made."""
-        with self._lock:
-            return self._progress
 
     def warm(self) -> None:
         """Start the process that the next Apply will use, which takes a second or two."""
@@ -127,28 +122,28 @@ class Applying:
             If what stands cannot be written, such as two marks of one name.
         """
         with self._lock:
-            if self._progress.state == "working":
+            if self.progress.state == "working":
                 raise Busy("A run is being made already. Wait for it, or cancel it first.")
             folder = self.session.folder.absolute()
             staged = folder / STAGED
-            order = order_of(OriginalRun.of(self.session), self.session.state, staged)
+            study, files = order_of(self.session, staged)
             out = place_of(folder, linked=self.session.image_params is not None)
             self.warm()
             process, self._ready = self._ready, None
             assert process is not None
             assert process.stdin is not None
-            text = {
-                "study": order.study.model_dump_json(), "files": dict(order.files), "out": str(out),
-                "run": str(folder), "staged": str(staged),
+            order = {
+                "study": study.model_dump_json(), "files": files, "out": str(out), "run": str(folder),
+                "staged": str(staged),
             }  # fmt: skip
             with suppress(BrokenPipeError):  # it died: whoever reads from it says so
-                process.stdin.write(json.dumps(text) + "\n")
+                process.stdin.write(json.dumps(order) + "\n")
                 process.stdin.flush()
             self._process, self._stopped = process, False
-            self._progress = Progress(state="working", message=f"Making {out.name} ...")
+            self.progress = Progress(state="working", message=f"Making {out.name} ...")
             self._reader = threading.Thread(target=self._follow_progress, args=(process, out), daemon=True)
             self._reader.start()
-            return self._progress
+            return self.progress
 
     def cancel(self) -> Progress:
         """Stop; when this returns, nothing is left of the new run, or it was done already."""
@@ -160,7 +155,7 @@ class Applying:
                 process.stdin.close()
             try:
                 # Before its first stage it writes nothing, and hears nothing.
-                process.wait(_PATIENCE_S if self.progress.stage else 0)
+                process.wait(5.0 if self.progress.stage else 0)
             except subprocess.TimeoutExpired:
                 process.kill()
             reader.join()
@@ -182,12 +177,10 @@ class Applying:
         for line in process.stdout:
             last = json.loads(line)
             if last["state"] == "working":
-                stage = last["stage"]
-                with self._lock:
-                    share = max(self._progress.share, _BEHIND.get(stage, 0.0))
-                    self._progress = Progress(state="working", stage=stage, share=share, message=last["message"])
+                share = max(self.progress.share, _BEHIND.get(last["stage"], 0.0))
+                self.progress = Progress(**last, share=share)
         _wait_and_close(process)
-        state, message = str(last.get("state", "")), str(last.get("message", ""))
+        state = last.get("state")
         if state == "done":
             ticket = secrets.token_urlsafe(24)
             self.reports[ticket] = out / "report.html"
@@ -198,10 +191,10 @@ class Applying:
             if state == "cancelled" or (state != "failed" and self._stopped):
                 end = Progress(state="cancelled", message="Cancelled; nothing was written.")
             else:
-                end = Progress(state="failed", message=message if state == "failed" else _LOST)
+                end = Progress(state="failed", message=last["message"] if state == "failed" else _LOST)
         with self._lock:
             self._process = self._reader = None
-            self._progress = end
+            self.progress = end
 
     def _clean(self) -> None:
         """Remove the files of an order, and what there is of its run."""
@@ -214,7 +207,5 @@ class Applying:
 def _wait_and_close(process: subprocess.Popen[str]) -> None:
     """Wait for the end of a process, and close what led to it."""
     process.wait()
-    for stream in (process.stdin, process.stdout):
-        if stream is not None:
-            with suppress(OSError):
-                stream.close()
+    with suppress(OSError), process:
+        pass

@@ -94,16 +94,6 @@ Points = Annotated[tuple[CorrectedPoint, ...], Field(min_length=1, max_length=MO
 Polygon = Annotated[tuple[tuple[Um, Um], ...], Field(min_length=3, max_length=MOST_POINTS)]
 
 
-class Correction(_Part):
-    """A stretch of a face that was found wrong, and the points that it runs through."""
-
-    id: Id
-    layer: Layer | None = None
-    points: Points
-    reach_um: Annotated[float, Field(gt=0, le=5000)] | None = None
-    note: Text = ""
-
-
 class DrawnRegion(_Part):
     """A polygon of the reference, ``(x, y)`` in um, that is declared an artefact."""
 
@@ -182,7 +172,7 @@ class ChooseModel(_Change):
 
 
 class Correct(_Change):
-    """A correction of a face."""
+    """A correction of a face: a stretch that was found wrong, and the points that it runs through."""
 
     do: Literal["correct"] = "correct"
     id: Id = FREE
@@ -266,13 +256,13 @@ class State:
         By the name of the moving layer, newest last.
     model : str
         Transformation that is fitted.
-    corrections : tuple of Correction
+    corrections : tuple of Correct
     regions : tuple of DrawnRegion
     """
 
     marks: Mapping[str, tuple[Mark, ...]]
     model: str = "auto"
-    corrections: tuple[Correction, ...] = ()
+    corrections: tuple[Correct, ...] = ()
     regions: tuple[DrawnRegion, ...] = ()
     first: str = ""  # the layer of changes that name none
 
@@ -300,8 +290,7 @@ def applied(state: State, change: Change) -> State:
         case ChooseModel():
             return replace(state, model=change.model)
         case Correct():
-            correction = Correction.model_validate(change.model_dump(exclude={"do"}))
-            return replace(state, corrections=(*state.corrections, correction))
+            return replace(state, corrections=(*state.corrections, change))
         case Uncorrect():
             return replace(state, corrections=_without(state.corrections, change.id))
         case DeclareRegion():
@@ -315,6 +304,8 @@ def applied(state: State, change: Change) -> State:
 
 
 def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Delete | Import) -> tuple[Mark, ...]:
+    if isinstance(change, Add | Relabel) and any(m.label == change.label and m.id != change.id for m in marks):
+        raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
     match change:
         case Add():
             if change.moving is None and change.fixed is None:
@@ -322,8 +313,6 @@ def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | D
             if len(marks) >= MOST_MARKS:
                 raise ChangeError(f"There are {len(marks)} marks; {MOST_MARKS} are the most.")
             labels = {mark.label for mark in marks}
-            if change.label in labels:
-                raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
             label = change.label or next(name for k in range(1, len(marks) + 2) if (name := f"mark {k}") not in labels)
             new = Mark(id=change.id, label=checked_label(label), moving=change.moving, fixed=change.fixed)
             return (*marks, new)
@@ -335,8 +324,6 @@ def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | D
         case Use():
             return _with_fields(marks, change.id, used=change.used)
         case Relabel():
-            if any(mark.label == change.label and mark.id != change.id for mark in marks):
-                raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
             return _with_fields(marks, change.id, label=checked_label(change.label))
         case Delete():
             return _without(marks, change.id)
@@ -351,7 +338,7 @@ def checked_label(label: str) -> str:
     return label
 
 
-T = TypeVar("T", Mark, Correction, DrawnRegion)
+T = TypeVar("T", Mark, Correct, DrawnRegion)
 
 
 def _with_fields(marks: tuple[Mark, ...], part_id: str, **fields: Any) -> tuple[Mark, ...]:
@@ -371,28 +358,26 @@ def _part_of_id(parts: tuple[T, ...], part_id: str) -> T:
     return part
 
 
-def corrections_of(study: Study) -> tuple[Correction, ...]:
+def corrections_of(study: Study) -> tuple[Correct, ...]:
     """The corrections that a run has, as a session begins with them."""
-    corrections: list[Correction] = []
+    corrections: list[Correct] = []
     for layer in study.layers:
         if layer.volume is None or layer.surface.corrections is None:
             continue
         for stretch in read_corrections(layer.surface.corrections).stretches:
             named = {"id": f"c0-{len(corrections) + 1}", "layer": layer.name}
-            corrections.append(Correction.model_validate(stretch.model_dump() | named))
+            corrections.append(Correct.model_validate(stretch.model_dump() | named))
     return tuple(corrections)
 
 
-def stretches_of(corrections: Sequence[Correction], layer: str, first: str) -> Corrections:
+def stretches_of(corrections: Sequence[Correct], layer: str, first: str) -> Corrections:
     """The corrections of one layer as its file has them; those that name none are of the ``first``."""
     of_layer = [correction for correction in corrections if (correction.layer or first) == layer]
-    stretches = [correction.model_dump(exclude={"layer"}, exclude_none=True) for correction in of_layer]
+    stretches = [correction.model_dump(exclude={"do", "layer"}, exclude_none=True) for correction in of_layer]
     return Corrections.model_validate({"stretches": stretches})
 
 
-def changed_corrections(
-    study: Study, before: Sequence[Correction], now: Sequence[Correction]
-) -> Mapping[str, Corrections]:
+def changed_corrections(study: Study, before: Sequence[Correct], now: Sequence[Correct]) -> Mapping[str, Corrections]:
     """The corrections of each layer that has others than before."""
     volumes = [layer.name for layer in study.layers if layer.volume is not None]
     return {

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import base64
-import binascii
 import io
 import tempfile
 import zipfile
@@ -13,18 +12,18 @@ from typing import Annotated
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field
 
-from planish.app.changes import ChangeError, Import, Mark, checked_label
+from planish.app.changes import ChangeError, Import, checked_label
 from planish.app.fits import Fitted
-from planish.app.picture import PLANES, Plane
+from planish.app.picture import PLANES, Plane, layer_run
 from planish.app.pictures import Pictures
-from planish.app.session import Session, ends_of, places_of
+from planish.app.session import Session, pairs_of, places_of
 from planish.core.errors import MarkError
 from planish.io.run_folder import read_group
 from planish.marks.exchange import LayerPixels, make_marks, pair_of_layers, read_any, write_any
 from planish.marks.exchange.formats import TARGETS
 from planish.run.layers import Layer
 from planish.run.registration import volume_to_map
-from planish.run.run import MAPS, is_run
+from planish.run.run import MAPS
 
 _SUFFIXES = (".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat")
 _ENDS = {"json": ".json", "slicer": ".mrk.json", "elastix": ".txt", "matlab": ".mat"}
@@ -46,13 +45,13 @@ class MarkFile(BaseModel):
 
     def content(self) -> bytes:
         """Its bytes; ChangeError where there are none."""
-        if (self.text is None) == (self.base64 is None):
-            raise ChangeError("A file of marks is sent as text or as base64.")
-        if self.text is not None:
+        if self.text is not None and self.base64 is None:
             return self.text.encode("utf-8", "surrogatepass")
+        if self.text is not None or self.base64 is None:
+            raise ChangeError("A file of marks is sent as text or as base64.")
         try:
-            return base64.b64decode(self.base64 or "", validate=True)
-        except (binascii.Error, ValueError) as error:
+            return base64.b64decode(self.base64, validate=True)
+        except ValueError as error:
             raise ChangeError(f"This is no base64: {error}.") from error
 
 
@@ -82,16 +81,8 @@ def imported(
     moving, fixed = pair_of_layers(marks, name=first.name)
     if moving == "volume":
         marks, moving = volume_to_map(marks, _sheet(session, layer)), "moving"
-    ends = ends_of(marks, moving), ends_of(marks, fixed)
-    rows = zip(marks["label"].values, marks["used"].values, *ends, strict=True)
-    return Import(
-        layer=layer,
-        marks=tuple(
-            Mark(id="m0", label=checked_label(str(label)), used=bool(used), moving=a, fixed=b)
-            for label, used, a, b in rows
-            if a is not None and b is not None
-        ),
-    )
+    pairs = pairs_of(marks, moving, fixed, label=lambda name: checked_label(str(name)))
+    return Import(layer=layer, marks=pairs)
 
 
 def exported(session: Session, pictures: Pictures, layer: str, to: str, fitted: Fitted) -> tuple[str, bytes]:
@@ -142,8 +133,6 @@ def _sheet(session: Session, layer: str) -> Layer:
     facts = session.results.layer(layer)
     if facts.sheet is None:
         raise MarkError(f"The marks have places in a volume, and {layer} is an image. Give marks with places in both.")
-    inner = session.folder / "layers" / layer
-    store = (inner if is_run(inner) else session.folder) / MAPS
     params = next(params for params in session.study.layers if params.name == layer)
-    groups = {name: read_group(store, name) for name in ("surfaces", "flat")}
+    groups = {name: read_group(layer_run(session.folder, layer) / MAPS, name) for name in ("surfaces", "flat")}
     return Layer(params=params, source=facts.source, groups=groups, facts=facts.sheet)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from math import comb
 from typing import Any
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from planish.app.changes import Mark
-from planish.app.picture import PLANES, Plane, finite_or_none
+from planish.app.picture import PLANES, Answer, Plane, finite_or_none
 from planish.core.errors import PlanishError
 from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats
@@ -26,7 +26,6 @@ Complexes = NDArray[np.complex128]
 LEAST = 5
 """Of fewer marks none can be told from the others."""
 _CHANCE = 0.01  # of right marks alone, in one set of a hundred one is named
-_MOST_PAIRS = 1500  # of which a similarity is tried
 _CLEAR = 4.0  # standard deviations of one coordinate
 
 
@@ -86,7 +85,7 @@ def _best_inliers(z: Complexes, w: Complexes, count: int) -> NDArray[np.intp]:
     if len(z) < 56:
         i, j = np.array(list(combinations(range(len(z)), 2))).T
     else:
-        tries = np.tile(np.arange(len(z)), (_MOST_PAIRS, 1))
+        tries = np.tile(np.arange(len(z)), (1500, 1))  # of so many pairs a similarity is tried
         i, j = np.random.default_rng(0).permuted(tries, axis=1)[:, :2].T
     with np.errstate(divide="ignore", invalid="ignore"):
         turn = (w[j] - w[i]) / (z[j] - z[i])
@@ -116,12 +115,10 @@ def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complex
 QUICK = ("rigid", "similarity", "affine", "projective")
 """Models that are fitted within a click."""
 
-_OF_MARKS = "(counted from 0)", "marks only"  # in warnings of a fit that are about single marks
 _COVARIANCES = ("cov_xx", "cov_xy", "cov_yy")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class FitWarning:
+class FitWarning(Answer):
     """Something to be careful about: of one mark, or of all."""
 
     text: str
@@ -134,8 +131,6 @@ class Fitted:
 
     Attributes
     ----------
-    model : str
-        What was asked for.
     fit : FittedTransform or None
         To the pairs in use; of a quick model while another one follows.
     ids : tuple of str
@@ -153,7 +148,6 @@ class Fitted:
     mirrored : bool or None
     """
 
-    model: str
     fit: FittedTransform | None
     ids: tuple[str, ...]
     labels: tuple[str, ...]
@@ -176,10 +170,9 @@ class Fitted:
             far = np.argsort(-self.leave_one_out_um[out], kind="stable")
             names = _enumerated([self.labels[int(k)] for k in out[far]])
             off = _enumerated([f"{self.leave_one_out_um[k]:.0f}" for k in out[far]])
-            several = out.size > 1
+            stand, they_are, them = ("stand", "they are", "them") if out.size > 1 else ("stands", "it is", "it")
             return (
-                f"{names} {'stand' if several else 'stands'} out: {off} um off the others. Check where "
-                f"{'they are' if several else 'it is'} set, or take {'them' if several else 'it'} out of use."
+                f"{names} {stand} out: {off} um off the others. Check where {they_are} set, or take {them} out of use."
             )
         if self.error:
             return self.error
@@ -229,18 +222,22 @@ def fitted(
     ends = ([getattr(mark, plane).xy for mark in rows] for plane in PLANES)
     moving, fixed = (np.array(places, dtype=np.float64).reshape(-1, 2) for places in ends)
     used = np.array([mark.used for mark in rows], dtype=np.bool_)
-    is_mirrored = _fits_mirrored(moving[used], fixed[used]) if mirrored is None else mirrored
+    is_mirrored = bool(mirrored)
+    if mirrored is None:
+        with suppress(PlanishError):
+            is_mirrored = _least_squares(moving[used], fixed[used], "similarity", None).mirrored
     is_outlier = np.zeros(len(rows), dtype=np.bool_)
     is_outlier[used] = find_outliers(moving[used], fixed[used], is_mirrored, tolerance_um=params.tolerance_um)
     nans = np.full(len(rows), np.nan)
-    common: dict[str, Any] = {
-        "model": model, "ids": tuple(m.id for m in rows), "labels": tuple(m.label for m in rows), "moving": moving,
-        "fixed": fixed, "used": used, "mirrored": mirrored, "pending": quick and len(rows) > 1,
-    }  # fmt: skip
     warnings, error = _at_one_place(rows), ""
     if (count := int(used.sum())) < 3:
         few = f"{count} pair{'s' * (count != 1)} of marks in use: a registration needs 3, far apart, and more to say"
         warnings.append(FitWarning(text=f"{few} how good it is."))
+    unfitted = Fitted(
+        fit=None, ids=tuple(m.id for m in rows), labels=tuple(m.label for m in rows), moving=moving, fixed=fixed,
+        used=used, outliers=is_outlier, residual_um=nans, leave_one_out_um=nans, warnings=tuple(warnings),
+        pending=quick and len(rows) > 1, mirrored=mirrored,
+    )  # fmt: skip
     try:
         if model == "auto" and not quick:
             fit = _fit_as_applied([m for m in rows if m.used], mirrored, params)
@@ -250,12 +247,9 @@ def fitted(
     except PlanishError as refused:
         error = _refusal(refused, rows, used)
         try:  # there is something to look at: which marks are wrong
-            fit = _least_squares(moving[used], fixed[used], "similarity", mirrored, inspect=False)
+            fit = _least_squares(moving[used], fixed[used], "similarity", mirrored)
         except PlanishError:
-            return Fitted(
-                **common, fit=None, outliers=is_outlier, residual_um=nans, leave_one_out_um=nans, error=error,
-                warnings=tuple(warnings),
-            )  # fmt: skip
+            return replace(unfitted, error=error)
     residual, leave_one_out_um = np.linalg.norm(fixed - fit(moving), axis=1), nans.copy()
     leave_one_out_um[used], leave_one_out_um[~used] = fit.leave_one_out_um, residual[~used]
     if is_outlier.any():
@@ -263,45 +257,35 @@ def fitted(
         # Marks that stand out take part in no fit here: they would spoil the errors of the others.
         weights = (used & ~is_outlier).astype(np.float64)
         with suppress(PlanishError):  # too few are left for this model
-            fit_to_others = _least_squares(moving, fixed, kind, mirrored, inspect=False, weights=weights)
+            fit_to_others = _least_squares(moving, fixed, kind, mirrored, weights=weights)
             leave_one_out_um = fit_to_others.leave_one_out_um
     warnings += _warnings_of_marks(rows, used, is_outlier, fit, residual, leave_one_out_um)
     # Those of the fit that are about single marks stand beside them already.
-    warnings += [FitWarning(text=text) for text in fit.warnings if not any(part in text for part in _OF_MARKS)]
-    return Fitted(
-        **common, fit=fit, outliers=is_outlier, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
+    of_marks = "(counted from 0)", "marks only"
+    warnings += [FitWarning(text=text) for text in fit.warnings if not any(part in text for part in of_marks)]
+    return replace(
+        unfitted, fit=fit, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
         warnings=tuple(warnings),
     )  # fmt: skip
 
 
 def _fit_as_applied(rows: Sequence[Mark], mirrored: bool | None, params: RegistrationParams) -> FittedTransform:
-    """The fit that a run makes of given marks."""
-    sides = zip(PLANES, ("bottom" if mirrored else "top", "top"), strict=True)
-    holes = [holes_of(rows, plane).assign_attrs(seen_from=side) for plane, side in sides]
+    """The fit that a run makes of given marks, with covariances where those of all are known."""
+    holes: list[xr.Dataset] = []
+    for plane, side in zip(PLANES, ("bottom" if mirrored else "top", "top"), strict=True):
+        ends, names = [getattr(mark, plane) for mark in rows], ["x", "y"]
+        if all(getattr(end, name) is not None for end in ends for name in _COVARIANCES):
+            names += _COVARIANCES
+        columns = {name: ("mark", np.array([getattr(e, name) for e in ends], dtype=np.float64)) for name in names}
+        holes.append(xr.Dataset(columns, attrs={"seen_from": side}))
     pairs = np.stack([np.arange(len(rows))] * 2, axis=1)
     return register_marks(*holes, params=params.model_copy(update={"model": "auto"}), pairs=pairs).fit
 
 
-def holes_of(rows: Sequence[Mark], plane: Plane) -> xr.Dataset:
-    """One end of marks as holes, with covariances where those of all are known."""
-    ends = [getattr(mark, plane) for mark in rows]
-    names = ["x", "y"]
-    if all(getattr(end, name) is not None for end in ends for name in _COVARIANCES):
-        names += _COVARIANCES
-    return xr.Dataset({name: ("mark", np.array([getattr(e, name) for e in ends], dtype=np.float64)) for name in names})
-
-
-def _fits_mirrored(moving: Floats, fixed: Floats) -> bool:
-    """Tell whether a mirrored similarity fits better."""
-    try:
-        return _least_squares(moving, fixed, "similarity", None, inspect=False).mirrored
-    except PlanishError:
-        return False
-
-
 def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **how: Any) -> FittedTransform:
     """Least squares, in which no mark is left out."""
-    return fit_transform(moving, fixed, model=model, mirrored=mirrored, robust=False, lowest="similarity", **how)
+    how = {"robust": False, "lowest": "similarity", "inspect": False} | how
+    return fit_transform(moving, fixed, model=model, mirrored=mirrored, **how)
 
 
 def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tuple[Any, str]:
@@ -312,7 +296,7 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
         return shift, "from 1 mark, a shift: rotation and scale unknown"
     with suppress(PlanishError):
         if len(moving):
-            fit = _least_squares(moving, fixed, "similarity", mirrored, inspect=False)
+            fit = _least_squares(moving, fixed, "similarity", mirrored)
             return fit, f"from {len(moving)} marks, a similarity: its error is not known"
     return None, ""
 

@@ -61,11 +61,8 @@ class Journal:
                     ) from error
             self._lock = lock
         try:
-            data = b""
             try:
-                data = path.read_bytes()
-            except (FileNotFoundError, NotADirectoryError):
-                pass
+                data = path.read_bytes() if path.exists() else b""
             except OSError as error:
                 raise FileError(f"{path} cannot be read: {os.strerror(error.errno or 0)}.") from error
             self._end = data.rfind(b"\n") + 1

@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import asyncio
 import json
-from collections.abc import AsyncIterator, Callable
-from contextlib import suppress
-from pathlib import Path
+from collections.abc import AsyncIterator, Awaitable, Callable
 from typing import Any
 
 import anyio
@@ -20,16 +18,16 @@ from starlette.routing import Route
 from planish.app.applying import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
 from planish.app.exchange import MarkFile, exported, imported
+from planish.app.fits import Fitted
 from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Session, Stale
 from planish.app.snap import not_snapped, snapped
+from planish.app.view_routes import required_numbers
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams
-
-HEARTBEAT_S = 0.5
 
 
 class _Body(BaseModel):
@@ -48,22 +46,13 @@ class _SnapBody(_Body):
     layer: Layer | None = None
 
 
-class _ImportBody(MarkFile):
+class _ImportBody(MarkFile, _Body):
     layer: Layer | None = None
     second: MarkFile | None = None
-    version: int | None = None
 
 
 def _session(request: Request) -> Session:
     return request.app.state.session
-
-
-async def _body_of(request: Request, model: type[Any]) -> Any:
-    """The body of a request; ChangeError where it is no such thing."""
-    try:
-        return model.model_validate_json(await request.body() or b"{}")
-    except ValidationError as error:
-        raise ChangeError(f"This cannot be read: {faults_of(error)}.") from error
 
 
 # --- what there is ---------------------------------------------------------------------------------------------------
@@ -71,31 +60,32 @@ async def _body_of(request: Request, model: type[Any]) -> Any:
 
 async def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
-    session, pictures = _session(request), request.app.state.pictures
+    return JSONResponse(await run_sync(_described, request))
 
-    def described() -> dict[str, Any]:
-        layers: list[dict[str, Any]] = []
-        for layer in session.layers:
-            circles: dict[str, list[list[float]]] = {}
-            for plane, holes in session.holes(layer).items():
-                um = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], np.nan)
-                columns = holes["x"].values, holes["y"].values, np.where(np.isfinite(um), um, USUAL_UM)
-                circles[plane] = np.stack(columns, 1).tolist()
-            owners = {plane: session.shown_by(layer, plane) for plane in PLANES}
-            shown = {plane: {"plane": owner[0], "layer": owner[1]} for plane, owner in owners.items()}
-            headline = session.results.layer(layer).headline
-            layers.append(
-                {"name": layer, "to": session.target(layer), "headline": headline, "holes": circles, "shown": shown}
-            )
-        return {
-            "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
-            "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
-            "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
-            "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
-            "pictures": pictures.described(),
-        }  # fmt: skip
 
-    return JSONResponse(await run_sync(described))
+def _described(request: Request) -> dict[str, Any]:
+    session = _session(request)
+    layers: list[dict[str, Any]] = []
+    for layer in session.layers:
+        circles: dict[str, list[list[float]]] = {}
+        for plane, holes in session.holes(layer).items():
+            um = holes["diameter"].values if "diameter" in holes else np.full(holes.sizes["mark"], np.nan)
+            columns = holes["x"].values, holes["y"].values, np.where(np.isfinite(um), um, USUAL_UM)
+            circles[plane] = np.stack(columns, 1).tolist()
+        layers.append({
+            "name": layer, "to": session.target(layer), "headline": session.results.layer(layer).headline,
+            "holes": circles,
+            "shown": {
+                plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES
+            },
+        })  # fmt: skip
+    return {
+        "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
+        "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
+        "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
+        "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
+        "pictures": [picture.facts.model_dump() for picture in request.app.state.pictures],
+    }  # fmt: skip
 
 
 async def get_state(request: Request) -> Response:
@@ -124,7 +114,7 @@ async def get_events(request: Request) -> Response:
         try:
             while True:
                 yield json.dumps({"version": session.version}).encode() + b"\n"
-                with anyio.move_on_after(HEARTBEAT_S):
+                with anyio.move_on_after(0.5):
                     await news.wait()
                 news = anyio.Event()
         finally:
@@ -136,64 +126,44 @@ async def get_events(request: Request) -> Response:
 # --- what is changed -------------------------------------------------------------------------------------------------
 
 
-async def post_change(request: Request) -> Response:
-    """Make a change."""
-    body: _ChangeBody = await _body_of(request, _ChangeBody)
-    return await _state_after(request, lambda: _session(request).change(body.change, version=body.version))
+def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> Callable[..., Awaitable[Response]]:
+    """Handle what changes the session: the answer is the state after it, also where it came too late."""
 
-
-async def post_undo(request: Request) -> Response:
-    """Take the last change back."""
-    body: _Body = await _body_of(request, _Body)
-    return await _state_after(request, lambda: _session(request).undo(version=body.version))
-
-
-async def post_redo(request: Request) -> Response:
-    """Make it again."""
-    body: _Body = await _body_of(request, _Body)
-    return await _state_after(request, lambda: _session(request).redo(version=body.version))
-
-
-async def post_snap(request: Request) -> Response:
-    """Move both ends of a mark into the holes that they lie in."""
-    body: _SnapBody = await _body_of(request, _SnapBody)
-    session = _session(request)
-
-    def snap() -> str:
-        layer = body.layer or session.state.first
-        mark = session.state.mark(layer, body.id)
-        move = snapped(session, request.app.state.pictures, layer, mark)
-        session.change(move, version=body.version)
-        return not_snapped(mark, move)
-
-    return await _state_after(request, snap)
-
-
-async def post_import(request: Request) -> Response:
-    """Take the marks of a file in place of all that are there."""
-    body: _ImportBody = await _body_of(request, _ImportBody)
-    session = _session(request)
-
-    def take() -> str:
-        layer = body.layer or session.state.first
-        change = imported(session, request.app.state.pictures, layer, body, body.second)
-        session.change(change, version=body.version)
-        return f"{len(change.marks)} pairs of marks imported."
-
-    return await _state_after(request, take)
-
-
-async def _state_after(request: Request, action: Callable[[], object]) -> Response:
-    """Do something, and give the state after it; with what stands now where that was seen too late."""
-
-    def act() -> Response:
+    async def handle(request: Request) -> Response:
         try:
-            message = action()
-        except Stale as error:
-            return JSONResponse({"error": error.text} | _state_of(request), 409)
-        return JSONResponse(_state_of(request) | ({"said": message} if isinstance(message, str) and message else {}))
+            body = model.model_validate_json(await request.body() or b"{}")
+        except ValidationError as error:
+            raise ChangeError(f"This cannot be read: {faults_of(error)}.") from error
 
-    return await run_sync(act)
+        def act() -> Response:
+            try:
+                message = action(request, body)
+            except Stale as error:
+                return JSONResponse({"error": error.text} | _state_of(request), 409)
+            said = {"said": message} if isinstance(message, str) and message else {}
+            return JSONResponse(_state_of(request) | said)
+
+        return await run_sync(act)
+
+    return handle
+
+
+def _snap(request: Request, body: _SnapBody) -> str:
+    """Move both ends of a mark into the holes that they lie in."""
+    session = _session(request)
+    layer = body.layer or session.state.first
+    mark = session.state.mark(layer, body.id)
+    move = snapped(session, request.app.state.pictures, layer, mark)
+    session.change(move, version=body.version)
+    return not_snapped(mark, move)
+
+
+def _import(request: Request, body: _ImportBody) -> str:
+    """Take the marks of a file in place of all that are there."""
+    session = _session(request)
+    change = imported(session, request.app.state.pictures, body.layer or session.state.first, body, body.second)
+    session.change(change, version=body.version)
+    return f"{len(change.marks)} pairs of marks imported."
 
 
 # --- what is asked for ------------------------------------------------------------------------------------------------
@@ -202,16 +172,12 @@ async def _state_after(request: Request, action: Callable[[], object]) -> Respon
 async def get_predict(request: Request) -> Response:
     """Predict where a point of one plane lies in the other."""
     live: Live = request.app.state.live
-    side, *point = (request.query_params.get(key, "") for key in ("side", "x", "y"))
+    side = request.query_params.get("side", "")
     if side not in PLANES:
         raise ChangeError("A point is predicted of side=moving or side=fixed.")
-    point_um = [float("nan"), float("nan")]
-    for k, text in enumerate(point):
-        with suppress(ValueError):
-            point_um[k] = float(text)
-        if not abs(point_um[k]) <= FARTHEST_UM:
-            raise ChangeError(f"{text[:40]!r} is no place in um.")
-    x, y = point_um
+    (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
+    if max(abs(x), abs(y)) > FARTHEST_UM:
+        raise ChangeError(f"({x:g}, {y:g}) is no place in um.")
     prediction = await run_sync(lambda: live.fit(_layer(request)).predicted(side, (x, y)))
     if prediction is None:
         return JSONResponse(None)
@@ -221,31 +187,19 @@ async def get_predict(request: Request) -> Response:
 
 async def get_export(request: Request) -> Response:
     """The marks as a file."""
-    session = _session(request)
-    live: Live = request.app.state.live
     layer, to = _layer(request), request.query_params.get("format", "json")
-
-    def write() -> tuple[str, bytes]:
-        return exported(session, request.app.state.pictures, layer, to, live.fit(layer))
-
-    name, data = await run_sync(write)
+    fit: Callable[[str], Fitted] = request.app.state.live.fit
+    name, data = await run_sync(lambda: exported(_session(request), request.app.state.pictures, layer, to, fit(layer)))
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(data, headers=headers, media_type="application/octet-stream")
-
-
-# The page is one file that needs nothing else; it keeps no script, and none that got into it would be carried out.
-_HEADERS = {
-    "content-security-policy": "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'",
-    "cache-control": "no-store",
-}
 
 
 def _applying(request: Request) -> Applying:
     return request.app.state.applying
 
 
-def _answer(progress: Progress, status: int = 200) -> Response:
-    return JSONResponse(progress.model_dump(exclude_none=True), status)
+def _answer(progress: Progress, status: int = 200, **more: str) -> Response:
+    return JSONResponse(more | progress.model_dump(exclude_none=True), status)
 
 
 async def get_apply(request: Request) -> Response:
@@ -259,7 +213,7 @@ async def post_apply(request: Request) -> Response:
     try:
         return _answer(await run_sync(applying.start), 202)
     except Busy as error:
-        return JSONResponse({"error": error.text} | applying.progress.model_dump(exclude_none=True), 409)
+        return _answer(applying.progress, 409, error=error.text)
 
 
 async def post_cancel(request: Request) -> Response:
@@ -272,25 +226,32 @@ async def get_report(request: Request) -> Response:
     path = _applying(request).reports.get(request.path_params["ticket"])
     if path is None:
         return PlainTextResponse("There is no such report.", 404)
+    # The page is one file that needs nothing else; it keeps no script, and none that got into it would be carried out.
+    policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'"
+    headers = {"content-security-policy": policy, "cache-control": "no-store"}
     try:
-        return Response(await run_sync(Path(path).read_bytes), headers=_HEADERS, media_type="text/html; charset=utf-8")
+        return Response(await run_sync(path.read_bytes), headers=headers, media_type="text/html; charset=utf-8")
     except OSError:
         return PlainTextResponse("The run is not there any more.", 404)
+
+
+def _post(path: str, endpoint: Callable[..., Awaitable[Response]]) -> Route:
+    return Route(path, endpoint, methods=["POST"])
 
 
 ROUTES = [
     Route("/api/session", get_session),
     Route("/api/state", get_state),
     Route("/api/events", get_events),
-    Route("/api/change", post_change, methods=["POST"]),
-    Route("/api/undo", post_undo, methods=["POST"]),
-    Route("/api/redo", post_redo, methods=["POST"]),
-    Route("/api/snap", post_snap, methods=["POST"]),
+    _post("/api/change", _changing(_ChangeBody, lambda r, body: _session(r).change(body.change, version=body.version))),
+    _post("/api/undo", _changing(_Body, lambda r, body: _session(r).undo(version=body.version))),
+    _post("/api/redo", _changing(_Body, lambda r, body: _session(r).redo(version=body.version))),
+    _post("/api/snap", _changing(_SnapBody, _snap)),
     Route("/api/predict", get_predict),
-    Route("/api/marks/import", post_import, methods=["POST"]),
+    _post("/api/marks/import", _changing(_ImportBody, _import)),
     Route("/api/marks/export", get_export),
     Route("/api/apply", get_apply),
-    Route("/api/apply", post_apply, methods=["POST"]),
-    Route("/api/apply/cancel", post_cancel, methods=["POST"]),
+    _post("/api/apply", post_apply),
+    _post("/api/apply/cancel", post_cancel),
     Route("/report/{ticket}", get_report),
 ]

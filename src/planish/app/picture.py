@@ -28,6 +28,7 @@ from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where
 from planish.core.typing import Floats
 from planish.io.map_store import CHUNK, map_tiles
+from planish.run.run import is_run
 
 Plane = Literal["moving", "fixed"]
 PLANES: tuple[Plane, Plane] = ("moving", "fixed")
@@ -47,10 +48,15 @@ class Answer(BaseModel):
     model_config = ConfigDict(frozen=True, allow_inf_nan=False)
 
 
-def finite_or_none(value: Any) -> float | None:
-    """Give a number as JSON can hold it: None where it is not finite."""
-    number = float(value)
-    return number if math.isfinite(number) else None
+def finite_or_none(number: Any) -> float | None:
+    """Give a number as JSON can hold it: None where it is missing or not finite."""
+    return float(number) if number is not None and math.isfinite(number) else None
+
+
+def layer_run(run: Path, layer: str) -> Path:
+    """Give the folder of the run that holds the maps of a layer: one within a run of several, or the run itself."""
+    inner = run / "layers" / layer
+    return inner if is_run(inner) else run
 
 
 class PictureFacts(Answer):

@@ -15,7 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.analyze.compare import is_property
-from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_place
+from planish.app.picture import TILE, ComputedLevels, Plane, PlanePicture, Stored, cache_place, layer_run
 from planish.app.strain import strains
 from planish.core.area import count_of, middles
 from planish.core.errors import InputError
@@ -27,7 +27,7 @@ from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
 from planish.run.gathering import LINKED
-from planish.run.run import MAPS, is_run, open_results
+from planish.run.run import MAPS, open_results
 from planish.run.study import read_study
 
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
@@ -102,10 +102,6 @@ class Pictures:
         layers = {p.layer for p in pictures}
         return [p for p in self.on_same_pixels(pictures[0]) if p.layer in layers and p.name.split("/")[-1] == "valid"]
 
-    def described(self) -> list[dict[str, Any]]:
-        """What a page has to know of all of them, as JSON has it."""
-        return [picture.facts.model_dump() for picture in self]
-
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
     """The pictures of a run: of every moving layer, then of what lies on the reference."""
@@ -116,9 +112,9 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
     together = study.is_sheet_on_image
     for facts in results.moving:
         params = next(layer for layer in study.layers if layer.name == facts.name)
-        prefix, inner = "" if together else f"{facts.name}/", run / "layers" / facts.name
+        prefix = "" if together else f"{facts.name}/"
         if params.image is None:
-            yield from _sheet(inner if is_run(inner) else run, layer=facts.name, prefix=prefix)
+            yield from _sheet(layer_run(run, facts.name), layer=facts.name, prefix=prefix)
         elif Path(params.image.path).is_file():
             yield image_picture(ImageFile.of(params.image, facts.name), plane="moving", name=f"{prefix}image")
     if together:

@@ -3,18 +3,17 @@
 from __future__ import annotations
 
 import hmac
-import json
 import logging
 import secrets
 import socket
 from collections.abc import Callable, Sequence
-from contextlib import suppress
+from contextlib import closing, suppress
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import Any
 
 import uvicorn
 from starlette.applications import Starlette
+from starlette.datastructures import Headers, MutableHeaders
 from starlette.middleware import Middleware
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
@@ -31,32 +30,21 @@ from planish.core.errors import FileError, PlanishError, ResourceError
 MOST_BYTES = 2_000_000
 """Of one request: what a person changes is small."""
 
-POLICY = (
-    "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; connect-src 'self'; "
-    "frame-ancestors 'none'"
-)
+_TOO_LARGE = f"A request may have {MOST_BYTES} bytes."
 HEADERS = {
-    "content-security-policy": POLICY,
+    "content-security-policy": "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data: blob:; "
+    "connect-src 'self'; frame-ancestors 'none'",
     "x-content-type-options": "nosniff",
     "referrer-policy": "no-referrer",
     "cross-origin-resource-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
 }
-_READS = {"GET", "HEAD"}
 _log = logging.getLogger("planish.app")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Refused(Exception):
-    """A request that is not let in."""
-
-    status: int
-    text: str
-
-
-class TooLarge(Exception):
-    """A body that goes on beyond what is allowed, whatever its headers said."""
+    """A request that is not let in, with the status and the text of the answer."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,86 +73,65 @@ class Guard:
         if scope["type"] != "http":  # web sockets: there are none
             await send({"type": "websocket.close", "code": 1008})
             return
-        started = False
+        started, received = False, 0
+
+        async def limited() -> Message:
+            nonlocal received
+            message = await receive()
+            received += len(message.get("body", b""))
+            if received > MOST_BYTES:  # whatever its headers said
+                raise Refused(413, _TOO_LARGE)
+            return message
 
         async def answer(message: Message) -> None:
             nonlocal started
             if message["type"] == "http.response.start":
                 started = True
-                present = {name for name, _ in message.get("headers", [])}
-                extra = [(k.encode(), v.encode()) for k, v in HEADERS.items() if k.encode() not in present]
-                message = {**message, "headers": [*message.get("headers", []), *extra]}
+                headers = MutableHeaders(scope=message)
+                for name, text in HEADERS.items():
+                    headers.setdefault(name, text)
             await send(message)
 
         try:
             self._check(scope)
-            await self.app(scope, _limited(receive), answer)
-        except Refused as refused:
-            await _send_error(refused.status, refused.text, answer)
-        except TooLarge:
-            if started:
-                raise
-            await _send_error(413, f"A request may have {MOST_BYTES} bytes.", answer)
+            await self.app(scope, limited, answer)
         except Exception as error:
-            _log.exception("A fault in planish")
+            if isinstance(error, Refused):
+                status, text = error.args
+            else:
+                _log.exception("A fault in planish")
+                status, fault = 500, f"A fault in planish: {type(error).__name__}."
+                text = f"{fault} The terminal in which it was started says more."
             if started:
                 raise
-            text = f"A fault in planish: {type(error).__name__}. The terminal in which it was started says more."
-            await _send_error(500, text, answer)
+            await JSONResponse({"error": text}, status)(scope, receive, answer)
 
     def _check(self, scope: Scope) -> None:
-        headers: list[tuple[bytes, bytes]] = scope["headers"]
-        host = _single_header(headers, b"host")
+        headers = Headers(raw=[(name.lower(), text) for name, text in scope["headers"]])
+
+        def single(name: str) -> str:
+            """The text of a header that is there once."""
+            texts = headers.getlist(name)
+            return texts[0] if len(texts) == 1 else ""
+
+        host = single("host")
         if host not in self.hosts:
-            raise Refused(status=421, text="This server is not called by that name.")
+            raise Refused(421, "This server is not called by that name.")
         # All but the files of the page, and a report, whose address is a secret itself.
         data = f"{scope['path']}/".startswith("/api/")
-        if data and not hmac.compare_digest(_single_header(headers, b"authorization"), f"Bearer {self.token}"):
-            raise Refused(status=401, text="The token of this start is missing. Open the address that planish printed.")
-        if scope["method"] in _READS:
+        if data and not hmac.compare_digest(single("authorization").encode(), f"Bearer {self.token}".encode()):
+            raise Refused(401, "The token of this start is missing. Open the address that planish printed.")
+        if scope["method"] in ("GET", "HEAD"):
             return
         if scope["method"] != "POST" or not data:
-            raise Refused(status=405, text="There is nothing to be written so.")
-        if _single_header(headers, b"origin") != f"http://{host}":
-            raise Refused(status=403, text="Another page may change nothing here.")
-        if _single_header(headers, b"content-type").partition(";")[0].strip().lower() != "application/json":
-            raise Refused(status=415, text="JSON is needed, as application/json.")
-        length = _single_header(headers, b"content-length") or "0"
+            raise Refused(405, "There is nothing to be written so.")
+        if single("origin") != f"http://{host}":
+            raise Refused(403, "Another page may change nothing here.")
+        if single("content-type").partition(";")[0].strip().lower() != "application/json":
+            raise Refused(415, "JSON is needed, as application/json.")
+        length = single("content-length") or "0"
         if not length.isdecimal() or len(length) > 12 or int(length) > MOST_BYTES:
-            raise Refused(status=413, text=f"A request may have {MOST_BYTES} bytes.")
-
-
-def _single_header(headers: list[tuple[bytes, bytes]], name: bytes) -> str:
-    """The value of a header that is there once; nothing of one that is there twice, or is no text."""
-    matches = [value for key, value in headers if key.lower() == name]
-    try:
-        return matches[0].decode("ascii") if len(matches) == 1 else ""
-    except UnicodeDecodeError:
-        return ""
-
-
-def _limited(receive: Receive) -> Receive:
-    received = 0
-
-    async def part() -> Message:
-        nonlocal received
-        message = await receive()
-        received += len(message.get("body", b""))
-        if received > MOST_BYTES:
-            raise TooLarge
-        return message
-
-    return part
-
-
-async def _send_error(status: int, text: str, send: Any) -> None:
-    body = json.dumps({"error": text}).encode()
-    headers = [(b"content-type", b"application/json"), (b"content-length", str(len(body)).encode())]
-    await send({"type": "http.response.start", "status": status, "headers": headers})
-    await send({"type": "http.response.body", "body": body})
-
-
-_KINDS = {".html": "text/html", ".js": "text/javascript", ".css": "text/css"}
+            raise Refused(413, _TOO_LARGE)
 
 
 def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlette:
@@ -195,19 +162,16 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
 
 def _static() -> list[BaseRoute]:
     """A route for each file of the page, read once: no path of a request is ever looked up on the disk."""
+    kinds = {"html": "text/html", "js": "text/javascript", "css": "text/css"}
     root = files("planish.app") / "static"
     routes: list[BaseRoute] = []
     for folder, prefix in ((root, "/"), (root / "vendor", "/vendor/")):
         for file in folder.iterdir():
-            kind = _KINDS.get(f".{file.name.rpartition('.')[2]}")
+            kind = kinds.get(file.name.rpartition(".")[2])
             if file.is_file() and kind is not None:
-
-                async def serve(_request: Request, data: bytes = file.read_bytes(), kind: str = kind) -> Response:
-                    return Response(data, media_type=f"{kind}; charset=utf-8")
-
-                routes.append(Route(f"{prefix}{file.name}", serve))
-                if file.name == "index.html":
-                    routes.append(Route("/", serve))
+                answer = Response(file.read_bytes(), media_type=f"{kind}; charset=utf-8")
+                paths = [f"{prefix}{file.name}", *(["/"] if file.name == "index.html" else [])]
+                routes += [Route(path, answer, methods=["GET"]) for path in paths]
     return routes
 
 
@@ -236,18 +200,18 @@ def serve(session: Session, *, host: str, port: int, started: Callable[[str], No
         If nothing can listen there.
     """
     token = secrets.token_urlsafe(32)
-    try:
+    with closing(session):
         try:
             listening = socket.create_server((host, port))
             # Those that are accepted inherit it. Else the kernel keeps the second part of each answer back for 40 ms.
             listening.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         except OSError as error:
+            reason = error.strerror or error
             raise FileError(
-                f"Nothing can listen on {host}:{port} ({error.strerror or error}). Give another --port; 0 takes a free "
-                "one."
+                f"Nothing can listen on {host}:{port} ({reason}). Give another --port; 0 takes a free one."
             ) from error
-        with listening as socket_:
-            bound = int(socket_.getsockname()[1])
+        with listening:
+            bound = int(listening.getsockname()[1])
             app = create_app(session, token=token, hosts=[f"{name}:{bound}" for name in _names(host)])
             config = uvicorn.Config(
                 app, log_config=None, access_log=False, server_header=False, date_header=False, lifespan="off",
@@ -256,21 +220,18 @@ def serve(session: Session, *, host: str, port: int, started: Callable[[str], No
             logging.getLogger("uvicorn").setLevel(logging.ERROR)
             shown = "127.0.0.1" if host in ("127.0.0.1", "localhost", "0.0.0.0") else host
             started(f"http://{shown}:{bound}/#token={token}")
-            try:
-                with suppress(KeyboardInterrupt):  # how a server ends
-                    uvicorn.Server(config).run(sockets=[socket_])
-            finally:
-                app.state.applying.close()
-    finally:
-        session.close()
+            # An interrupt is how a server ends.
+            with closing(app.state.applying), suppress(KeyboardInterrupt):
+                uvicorn.Server(config).run(sockets=[listening])
 
 
 def _names(host: str) -> list[str]:
     """List the names of the server in requests."""
-    loopback, addresses = ["127.0.0.1", "localhost"], list[str]()
+    loopback = ["127.0.0.1", "localhost"]
     if host != "0.0.0.0":
         return loopback if host in loopback else [host]
-    name = socket.gethostname()
+    names = [*loopback, socket.gethostname()]
     with suppress(OSError):
-        addresses = sorted({str(address[4][0]) for address in socket.getaddrinfo(name, None, socket.AF_INET)})
-    return [*loopback, name, *addresses]
+        addresses = socket.getaddrinfo(names[-1], None, socket.AF_INET)
+        names += sorted({str(address[4][0]) for address in addresses})
+    return names

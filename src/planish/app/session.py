@@ -81,8 +81,8 @@ class Session:
     reason: str
     version: int = 0
     changed_at: int = 0  # version of the last change: what was asked for before is stale
-    _done: list[State] = field(default_factory=list[State])
-    _undone: list[State] = field(default_factory=list[State])
+    _states: list[State] = field(default_factory=list[State])
+    _position: int = 0
     _lock: threading.RLock = field(default_factory=threading.RLock)
     _listeners: set[Callable[[], None]] = field(default_factory=set[Callable[[], None]])
 
@@ -107,7 +107,14 @@ class Session:
         registrations = {
             layer.name: Registration.read(run / marks_file(results, layer.name)) for layer in results.moving
         }
-        journal, reason = _journal(run / EDITS / name, of=of, read_only=read_only)
+        path, reason = run / EDITS / name, "It was opened with --read-only." if read_only else ""
+        try:
+            journal = Journal(path, of=of, write=not read_only)
+        except InUse:
+            raise
+        except PlanishError as error:
+            journal = Journal(path, of=of, write=False)
+            reason = f"The run cannot be written, so nothing can be changed. {error.text}"
         session = cls(
             folder=run, study=study, results=results, registrations=registrations, image_params=params,
             journal=journal, reason=reason,
@@ -195,22 +202,22 @@ class Session:
     @property
     def state(self) -> State:
         """What stands now."""
-        return self._done[-1]
+        return self._states[self._position]
 
     @property
     def first(self) -> State:
         """The run as it was."""
-        return self._done[0]
+        return self._states[0]
 
     @property
     def can_undo(self) -> bool:
         """Whether there is a change to take back."""
-        return len(self._done) > 1
+        return self._position > 0
 
     @property
     def can_redo(self) -> bool:
         """Whether there is a change to make again."""
-        return bool(self._undone)
+        return self._position + 1 < len(self._states)
 
     def change(self, change: Change, *, version: int | None = None) -> State:
         """Make a change: it is saved when this returns, or was not made.
@@ -225,53 +232,46 @@ class Session:
             If it cannot be saved.
         """
         with self._lock:
-            self._check(version)
             new = numbered(change, len(self.journal.lines) + 1)
-            state = applied(self.state, new)
-            line = new.model_dump_json(exclude_none=True).encode()
-            self.journal.append(line)
-            return self._step(line, state)
+            return self._save(new.model_dump_json(exclude_none=True).encode(), version)
 
     def undo(self, *, version: int | None = None) -> State:
         """Take the last change back; ChangeError where there is none."""
-        with self._lock:
-            self._check(version)
-            if not self.can_undo:
-                raise ChangeError("There is nothing to undo: the run stands as it was.")
-            self.journal.append(_UNDO)
-            return self._step(_UNDO)
+        return self._save(_UNDO, version)
 
     def redo(self, *, version: int | None = None) -> State:
         """Make the change that was taken back again; ChangeError where there is none."""
+        return self._save(_REDO, version)
+
+    def _save(self, line: bytes, version: int | None) -> State:
         with self._lock:
-            self._check(version)
-            if not self.can_redo:
-                raise ChangeError("There is nothing to redo.")
-            self.journal.append(_REDO)
-            return self._step(_REDO)
+            if version is not None and version < self.changed_at:
+                raise Stale("Something was changed in another window meanwhile. What stands now is shown; do it again.")
+            self._step(line, save=True)
+            return self.state
 
-    def _check(self, version: int | None) -> None:
-        if version is not None and version < self.changed_at:
-            raise Stale("Something was changed in another window meanwhile. What stands now is shown; do it again.")
-
-    def _step(self, line: bytes, state: State | None = None) -> State:
+    def _step(self, line: bytes, *, save: bool) -> None:
         """Take the step of a line of the journal: to the state before, to the one after it, or to a new one."""
-        if line == _UNDO and self.can_undo:
-            self._undone.append(self._done.pop())
-        elif line == _REDO and self.can_redo:
-            self._done.append(self._undone.pop())
-        else:
-            self._done.append(state or applied(self.state, change_of(line)))
-            self._undone.clear()
+        states, position = self._states, self._position + 1
+        if line == _UNDO:
+            position -= 2
+            if position < 0:
+                raise ChangeError("There is nothing to undo: the run stands as it was.")
+        elif line != _REDO:
+            states = [*states[:position], applied(self.state, change_of(line))]
+        elif position == len(states):
+            raise ChangeError("There is nothing to redo.")
+        if save:
+            self.journal.append(line)
+        self._states, self._position = states, position
         self.publish()
         self.changed_at = self.version
-        return self.state
 
     def _replay(self) -> None:
-        self._done = [self._original_state()]
+        self._states = [self._original_state()]
         for k, line in enumerate(self.journal.lines, 1):
             try:
-                self._step(line)
+                self._step(line, save=False)
             except ChangeError as error:
                 raise FileError(
                     f"{self.journal.path} is damaged: its change {k} cannot be made ({error.text}) Cut the file before "
@@ -289,16 +289,7 @@ class Session:
             )
             for k, (region, rings) in enumerate(polygons, 1)
         ]  # fmt: skip
-        marks: dict[str, tuple[Mark, ...]] = {}
-        for layer, registration in self.registrations.items():
-            pairs = registration.marks
-            ends = [ends_of(pairs, plane) for plane in PLANES]
-            rows = zip(pairs["label"].values, pairs["used"].values, *ends, strict=True)
-            marks[layer] = tuple(
-                Mark(id=f"m0-{k}", label=str(label), used=bool(used), moving=moving, fixed=fixed)
-                for k, (label, used, moving, fixed) in enumerate(rows, 1)
-                if moving is not None and fixed is not None
-            )
+        marks = {layer: pairs_of(registration.marks) for layer, registration in self.registrations.items()}
         return State(
             marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
             corrections=corrections_of(self.study), first=self.layers[0],
@@ -324,18 +315,6 @@ class Session:
     def close(self) -> None:
         """Let others change the run."""
         self.journal.close()
-
-
-def _journal(path: Path, *, of: str, read_only: bool) -> tuple[Journal, str]:
-    """The journal, and why it is only read."""
-    if read_only:
-        return Journal(path, of=of, write=False), "It was opened with --read-only."
-    try:
-        return Journal(path, of=of, write=True), ""
-    except InUse:
-        raise
-    except PlanishError as error:
-        return Journal(path, of=of, write=False), f"The run cannot be written, so nothing can be changed. {error.text}"
 
 
 def _image_params(run: Path, image: Path | ImageParams | None, results: Results) -> ImageParams | None:
@@ -369,6 +348,18 @@ def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
         source = "imported" if sources is None else str(sources[k])
         ends.append(End(**fields, source=source) if {"x", "y"} <= fields.keys() else None)  # pyright: ignore
     return ends
+
+
+def pairs_of(
+    marks: xr.Dataset, moving: str = "moving", fixed: str = "fixed", *, label: Callable[[Any], str] = str
+) -> tuple[Mark, ...]:  # fmt: skip
+    """Give the marks of a file that lie in both planes."""
+    columns = marks["label"].values, marks["used"].values, ends_of(marks, moving), ends_of(marks, fixed)
+    return tuple(
+        Mark(id=f"m0-{k}", label=label(name), used=bool(used), moving=a, fixed=b)
+        for k, (name, used, a, b) in enumerate(zip(*columns, strict=True), 1)
+        if a is not None and b is not None
+    )
 
 
 def places_of(ends: Sequence[End | None]) -> MarkPlaces:

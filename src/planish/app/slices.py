@@ -13,7 +13,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.app.picture import Answer, Codes
+from planish.app.picture import Answer, Codes, layer_run
 from planish.core.errors import FileError, InputError
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
@@ -24,7 +24,7 @@ from planish.io.map_store import stored_group
 from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
 from planish.io.sections import is_section_folder
 from planish.measure.rays import directions, meet, slopes_of
-from planish.run.run import MAPS, is_run
+from planish.run.run import MAPS
 from planish.run.study import Study
 from planish.surface import Corrections, preview_faces, uncorrected
 
@@ -356,8 +356,7 @@ def sheets_of(folder: Path, study: Study) -> dict[str, tuple[VolumeParams, Path]
     """Volumes of the sheets of a run, and the stores with their surfaces, by layer."""
     sheets: dict[str, tuple[VolumeParams, Path]] = {}
     for layer in study.layers:
-        inner = folder / "layers" / layer.name
-        store = (inner if is_run(inner) else folder) / MAPS
+        store = layer_run(folder, layer.name) / MAPS
         if layer.volume is not None and (store / "surfaces").is_dir():
             sheets[layer.name] = layer.volume, store
     return sheets

@@ -10,6 +10,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.app.picture import layer_run
 from planish.core.bands import bands
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, held
@@ -47,8 +48,9 @@ MOST_POINTS = 40_000
 def sheet_run(run: Path, layer: str) -> Path | None:
     """Folder of the run that a layer was flattened in: this one, or one within it; None where it is no sheet."""
     sheet = next((params for params in read_study(run / RUN_TOML).layers if params.name == layer), None)
-    folders = () if sheet is None or sheet.kind == "image" else (run / "layers" / layer, run)
-    return next((folder for folder in folders if (folder / MAPS / "strain").is_dir()), None)
+    folder = layer_run(run, layer)
+    is_flattened = sheet is not None and sheet.kind != "image" and (folder / MAPS / "strain").is_dir()
+    return folder if is_flattened else None
 
 
 class _CellValues(LazyArray):

@@ -41,18 +41,15 @@ async def get_tile(request: Request) -> Response:
 
 async def get_cursor(request: Request) -> Response:
     """All values at a point."""
-    x, y = _number(request, "x"), _number(request, "y")
+    (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
     picture = _picture(request, "id")
     return await _answer(lambda: cursor(_tiles(request), picture, x, y))
 
 
 async def get_profile(request: Request) -> Response:
     """Values along a line."""
-    line = _numbers(request, "line", 4)
-    if line is None:
-        raise InputError("A profile needs a line: x0, y0, x1, y1 in um.")
+    x0, y0, x1, y1 = required_numbers(request, "line", 4)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
-    x0, y0, x1, y1 = line
     return await _answer(lambda: profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
 
@@ -73,8 +70,7 @@ async def get_selection(request: Request) -> Response:
     (a, b), region, tiles = _pair(request), _region(request), _tiles(request)
     brushes: list[Brush] = []
     for key, picture in (("brush_a", a), ("brush_b", b)):
-        limits = _numbers(request, key, 2)
-        if limits is not None:
+        if limits := _numbers(request, key, 2):
             brushes.append(Brush(picture, min(limits), max(limits)))
     stop = threading.Event()
 
@@ -83,24 +79,23 @@ async def get_selection(request: Request) -> Response:
             await anyio.sleep(0.1)  # how often it is asked whether the page still waits
         stop.set()
 
-    def selected() -> Selected | PlanishError | None:
+    def selected() -> Selected | Exception:
         """Select the pixels; a fault is a value, which the group of tasks would wrap otherwise."""
         try:
             return select(tiles, a, b, region=region, brushes=brushes, stop=stop)
-        except Stopped:
-            return None
-        except PlanishError as error:
+        except (Stopped, PlanishError) as error:
             return error
 
-    answer: Selected | PlanishError | None = None
+    answer: Selected | Exception = Stopped()
     async with anyio.create_task_group() as group:
         group.start_soon(watch)
         answer = await run_sync(selected, limiter=_FULL)
         group.cancel_scope.cancel()
-    if isinstance(answer, PlanishError):
-        raise answer
-    text = "" if answer is None else answer.model_dump_json()
-    return Response(text, 204 if answer is None else 200, media_type="application/json")
+    if isinstance(answer, Selected):
+        return Response(answer.model_dump_json(), media_type="application/json")
+    if isinstance(answer, Stopped):
+        return Response("", 204, media_type="application/json")
+    raise answer
 
 
 async def _answer(make: Callable[[], BaseModel]) -> Response:
@@ -127,37 +122,38 @@ def _pair(request: Request) -> tuple[PlanePicture, PlanePicture]:
 
 def _region(request: Request) -> Rectangle | None:
     corners = _numbers(request, "region", 4)
-    return None if corners is None else Rectangle(*corners)
+    return Rectangle(*corners) if corners else None
 
 
-def _number(request: Request, key: str) -> float:
-    numbers = _numbers(request, key, 1)
-    if numbers is None:
-        raise InputError(f"{key} is missing: a number is needed.")
-    return numbers[0]
+def required_numbers(request: Request, key: str, count: int) -> list[float]:
+    """Finite numbers of a query, apart by commas; InputError where they are missing."""
+    numbers = _numbers(request, key, count)
+    if not numbers:
+        raise InputError(f"{key} is missing: {count} number{'s' * (count > 1)} needed.")
+    return numbers
 
 
-def _numbers(request: Request, key: str, count: int) -> list[float] | None:
-    """Finite numbers of a query, apart by commas; None where it is not given."""
+def _numbers(request: Request, key: str, count: int) -> list[float]:
+    """Finite numbers of a query, apart by commas; none where it is not given."""
     text = request.query_params.get(key)
     if text is None:
-        return None
+        return []
     try:
         numbers = [float(word) for word in text[:200].split(",")]
     except ValueError:
         numbers = []
     if len(numbers) != count or not all(map(math.isfinite, numbers)):
-        raise InputError(f"{key} is {text[:40]!r}: {count} number{'s' if count > 1 else ''} needed, apart by commas.")
+        raise InputError(f"{key} is {text[:40]!r}: {count} number{'s' * (count > 1)} needed, apart by commas.")
     return numbers
 
 
 _OPENING = threading.Lock()
-_MOST_TEXT = 4000  # of the points of a stretch that is not saved yet
 
 
 async def get_sheets(request: Request) -> Response:
     """The sheets whose slices can be seen; what is wrong with the others."""
-    return JSONResponse(await run_sync(_sheets, request))
+    reasons = {int(status): status.sentence for status in Status}
+    return JSONResponse({"sheets": await run_sync(_sheets, request), "status": reasons})
 
 
 async def get_slice(request: Request) -> Response:
@@ -167,9 +163,11 @@ async def get_slice(request: Request) -> Response:
         sheet, direction = _open_sheet(request, request.path_params["layer"]), request.path_params["direction"]
         if direction not in ("z", "y", "x", "straight"):
             raise InputError("Slices run across z, y or x, or are straight.")
-        near = _optional_number(request, "across"), _optional_number(request, "down")
+        across, down = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
         corrections = _shown_corrections(request, sheet.name)
-        return slice_message(sheet.cut(direction, request.path_params["index"], near_um=near, corrections=corrections))
+        return slice_message(
+            sheet.cut(direction, request.path_params["index"], near_um=(across, down), corrections=corrections)
+        )
 
     return Response(await run_sync(cut), media_type="application/octet-stream")
 
@@ -177,16 +175,14 @@ async def get_slice(request: Request) -> Response:
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
     """The sheet of a layer, opened when it is first asked for."""
     app, session = request.app, _session(request)
+    sheets: dict[str, SlicedSheet] = app.state.sheets
     with _OPENING:
-        sheets: dict[str, SlicedSheet] = app.state.sheets
         if layer not in sheets:
             available = sheets_of(session.folder, session.study)
             if layer not in available:
-                raise InputError(
-                    f"There are no slices of {layer!r}; there are some of {', '.join(available) or 'none'}."
-                )
-            params, store = available[layer]
-            sheets[layer] = SlicedSheet.open(layer, params, store)
+                names = ", ".join(available) or "none"
+                raise InputError(f"There are no slices of {layer!r}; there are some of {names}.")
+            sheets[layer] = SlicedSheet.open(layer, *available[layer])
         return sheets[layer]
 
 
@@ -194,7 +190,7 @@ def _session(request: Request) -> Session:
     return request.app.state.session
 
 
-def _sheets(request: Request) -> dict[str, Any]:
+def _sheets(request: Request) -> list[dict[str, Any]]:
     described: list[dict[str, Any]] = []
     session = _session(request)
     for name in sheets_of(session.folder, session.study):
@@ -203,25 +199,20 @@ def _sheets(request: Request) -> dict[str, Any]:
         except PlanishError as error:
             described.append({"layer": name, "error": error.text})
             continue
-        frame = sheet.frame
-        attrs = sheet.surfaces.attrs
+        frame, attrs = sheet.frame, sheet.surfaces.attrs
+        places = {axis: sheet.places(axis) for axis in "zyx"} | {"straight": sheet.surfaces["y"].values}
         axes = {
-            axis: {"count": sheet.count(axis), "first_um": float(places[0]), "step_um": float(places[1] - places[0])}
-            for axis in ("z", "y", "x")
-            if (places := sheet.places(axis)).size > 1
-        }
-        rows = sheet.surfaces["y"].values
-        axes["straight"] = {
-            "count": sheet.count("straight"), "first_um": float(rows[0]),
-            "step_um": float(rows[1] - rows[0]) if rows.size > 1 else 1.0,
+            axis: {
+                "count": um.size, "first_um": float(um[0]), "step_um": float(um[1] - um[0]) if um.size > 1 else 1.0,
+            }
+            for axis, um in places.items()
         }  # fmt: skip
         described.append({
             "layer": name, "through": frame.through, "top": frame.top, "rows": frame.rows, "cols": frame.cols,
             "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
             "correctable": "from_labels" not in attrs and attrs.get("method", "profile") == "profile",
         })  # fmt: skip
-    reasons = {int(status): status.sentence for status in Status}
-    return {"sheets": described, "status": reasons}
+    return described
 
 
 def _shown_corrections(request: Request, layer: str) -> Corrections | None:
@@ -232,25 +223,17 @@ def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     tried = request.query_params.get("points", "")
     if not tried:
         return None if now == stretches_of(session.first.corrections, layer, first) else now
-    if len(tried) > _MOST_TEXT:
+    if len(tried) > 4000:
         raise InputError("There are too many points for one stretch. Save it, and go on with another.")
     # What is missing in a point is empty, and refused with it.
     texts = ([*text.split(","), "", "", "", ""] for text in tried.split(";"))
     points = [dict(zip(("z", "y", "x", "face"), parts, strict=False)) for parts in texts]
+    (reach,) = _numbers(request, "reach", 1) or [0.0]
     try:
-        reach = _optional_number(request, "reach") or REACH_UM
-        more = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach})
+        more = Stretch.model_validate({"id": "tried", "points": points, "reach_um": reach or REACH_UM})
     except ValueError as error:
         raise InputError("These are no points of a face: z, y, x in um and top or bottom.") from error
     return now.model_copy(update={"stretches": (*now.stretches, more)})
-
-
-def _optional_number(request: Request, name: str) -> float | None:
-    try:
-        numbers = _numbers(request, name, 1)
-    except InputError as error:
-        raise InputError(f"{name} is no number.") from error
-    return None if numbers is None else numbers[0]
 
 
 def slice_message(slice_: SheetSlice) -> bytes:
