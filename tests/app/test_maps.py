@@ -63,21 +63,20 @@ def test_the_cursor_has_the_values_of_the_pixel_around_it(maps, tiles, pair, row
     # Anywhere within the pixel, up to its border.
     x, y = ORIGIN[0] + PIXEL[1] * (col + 0.49), ORIGIN[1] + PIXEL[0] * (row - 0.49)
     found = cursor(tiles, pair[0], x, y)
-    assert (found.row, found.col) == (row, col)
-    values = {one.name: one.value for one in found.values}
+    assert (found["row"], found["col"]) == (row, col)
+    values = {one["name"]: one["value"] for one in found["values"]}
     assert set(values) == set(maps.data_vars)
     for name, value in values.items():
         expected = float(maps[name].values[row, col])
         assert (value is None) if math.isnan(expected) else (value == expected)
-    assert found.volume is not None
-    assert [found.volume.x, found.volume.y, found.volume.z] == [
+    assert [found["volume"][axis] for axis in "xyz"] == [
         float(maps[f"volume_{axis}"].values[row, col]) for axis in "xyz"
     ]
 
 
 def test_the_cursor_beside_the_picture_has_no_values_and_corners_may_stand_in_any_order(tiles, pair):
     found = cursor(tiles, pair[0], ORIGIN[0] - PIXEL[1], ORIGIN[1])
-    assert (found.row, found.volume, {one.value for one in found.values}) == (None, None, {None})
+    assert (found["row"], found["volume"], {one["value"] for one in found["values"]}) == (None, None, {None})
     one, other = (select(tiles, *pair, region=Rectangle(*at)) for at in ((200, 100, 900, 400), (900, 400, 200, 100)))
     assert one == other
 
@@ -86,21 +85,21 @@ def test_a_profile_has_the_pixels_that_a_line_crosses(maps, tiles, pair):
     row = 120
     y = ORIGIN[1] + PIXEL[0] * row
     found = profile(tiles, [*pair], (ORIGIN[0] + PIXEL[1] * 250, y, ORIGIN[0] + PIXEL[1] * 450, y))
-    assert (found.pixel_um, found.at_um[-1]) == (2.0, pytest.approx(200 * PIXEL[1]))
-    cols = np.floor(250 + np.array(found.at_um) / PIXEL[1] + 0.5).astype(int)
-    for line in found.lines:
-        expected = maps[line.name].values[row, cols]
-        np.testing.assert_array_equal(np.array(line.values, float), expected)
-    assert None in found.lines[0].values
+    assert (found["pixel_um"], found["at_um"][-1]) == (2.0, pytest.approx(200 * PIXEL[1]))
+    cols = np.floor(250 + np.array(found["at_um"]) / PIXEL[1] + 0.5).astype(int)
+    for line in found["lines"]:
+        expected = maps[line["name"]].values[row, cols]
+        np.testing.assert_array_equal(np.array(line["values"], float), expected)
+    assert None in found["lines"][0]["values"]
 
 
 def test_a_long_profile_comes_from_a_coarser_level(maps, tiles, pair, monkeypatch):
     monkeypatch.setattr("planish.app.selection.MOST_SAMPLES", 300)
     y = ORIGIN[1] + PIXEL[0] * 20.5  # the middle of row 10 of the first overview
     found = profile(tiles, [pair[1]], (ORIGIN[0], y, ORIGIN[0] + PIXEL[1] * 400, y))
-    assert found.pixel_um == 4.0
-    coarse = halved(maps).image.values[10, (np.floor(np.array(found.at_um) / PIXEL[1] + 0.5).astype(int)) // 2]
-    np.testing.assert_array_equal(np.array(found.lines[0].values, float), coarse)
+    assert found["pixel_um"] == 4.0
+    coarse = halved(maps).image.values[10, (np.floor(np.array(found["at_um"]) / PIXEL[1] + 0.5).astype(int)) // 2]
+    np.testing.assert_array_equal(np.array(found["lines"][0]["values"], float), coarse)
 
 
 @pytest.mark.study
@@ -114,13 +113,13 @@ def test_both_ends_of_a_mark_show_one_place_of_the_volume(passes, request, tmp_p
     pairs = marks[["moving_x", "moving_y", "fixed_x", "fixed_y"]].to_dataframe().dropna()
     assert len(pairs) >= 4
     for _, one in pairs.iterrows():
-        on_sheet = cursor(tiles, by["moving", "thickness"], one.moving_x, one.moving_y).volume
-        on_image = cursor(tiles, by["fixed", "thickness"], one.fixed_x, one.fixed_y).volume
+        on_sheet = cursor(tiles, by["moving", "thickness"], one.moving_x, one.moving_y)["volume"]
+        on_image = cursor(tiles, by["fixed", "thickness"], one.fixed_x, one.fixed_y)["volume"]
         assert on_sheet is not None
         assert on_image is not None
         # A pixel of 4 um of either plane, and the residual of a mark of a few um.
         for axis in "xyz":
-            assert getattr(on_sheet, axis) == pytest.approx(getattr(on_image, axis), abs=12)
+            assert on_sheet[axis] == pytest.approx(on_image[axis], abs=12)
 
 
 # --- what is selected ----------------------------------------------------------------------------------------------
@@ -128,22 +127,20 @@ def test_both_ends_of_a_mark_show_one_place_of_the_volume(passes, request, tmp_p
 def test_n_and_r_of_a_region_are_those_of_its_pixels(maps, tiles, pair, region):
     a, b = known(maps, *region)
     found = select(tiles, *pair, region=Rectangle(*region))
-    assert (found.n, found.r) == (a.size, pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6))
-    assert found.interval is not None
-    assert found.interval[0] < found.r < found.interval[1]
+    assert (found["n"], found["r"]) == (a.size, pytest.approx(np.corrcoef(a, b)[0, 1], abs=1e-6))
+    assert found["interval"][0] < found["r"] < found["interval"][1]
     # Ten pixels a side vary together: about 1 of 100 is independent, not all, and not only a few.
-    assert found.n_eff is not None
-    assert a.size / 400 < found.n_eff < a.size / 10
+    assert a.size / 400 < found["n_eff"] < a.size / 10
 
 
 def test_brushed_pixels_are_counted_and_nothing_is_said_of_r(maps, tiles, pair):
     a, b = known(maps, -1e9, -1e9, 1e9, 1e9)
     brushes = [Brush(pair[0], 78.0, 82.5), Brush(pair[1], 95.0, 120.0)]
     found = select(tiles, *pair, brushes=brushes)
-    assert found.n == np.count_nonzero((a >= 78) & (a <= 82.5) & (b >= 95) & (b <= 120))
-    assert (found.r, found.interval) == (None, None)
+    assert found["n"] == np.count_nonzero((a >= 78) & (a <= 82.5) & (b >= 95) & (b <= 120))
+    assert (found["r"], found["interval"]) == (None, None)
     a, _ = known(maps, 200, 100, 900, 400)
-    assert select(tiles, *pair, brushes=brushes[:1], region=Rectangle(200, 100, 900, 400)).n == np.count_nonzero(
+    assert select(tiles, *pair, brushes=brushes[:1], region=Rectangle(200, 100, 900, 400))["n"] == np.count_nonzero(
         (a >= 78) & (a <= 82.5)
     )
 
@@ -165,16 +162,16 @@ def test_a_selection_that_is_not_wanted_any_more_ends(tiles, pair):
 
 # --- densities -----------------------------------------------------------------------------------------------------
 def counts_of(found):
-    return np.frombuffer(base64.b64decode(found.counts), "<u4").reshape(found.bins, found.bins)
+    return np.frombuffer(base64.b64decode(found["counts"]), "<u4").reshape(found["bins"], found["bins"])
 
 
 def test_the_density_counts_every_point(maps, tiles, pair):
     a, b = known(maps, -1e9, -1e9, 1e9, 1e9)
     found = density(tiles, *pair)
     counts = counts_of(found)
-    assert (found.n, found.pixel_um, counts.sum()) == (a.size, PIXEL, a.size - found.beyond)
-    assert found.beyond < 0.01 * a.size
-    edges = [np.linspace(low, high, 129) for low, high in ((found.b_low, found.b_high), (found.a_low, found.a_high))]
+    assert (found["n"], found["pixel_um"], counts.sum()) == (a.size, PIXEL, a.size - found["beyond"])
+    assert found["beyond"] < 0.01 * a.size
+    edges = [np.linspace(found[f"{which}_low"], found[f"{which}_high"], 129) for which in ("b", "a")]
     expected, _, _ = np.histogram2d(b, a, bins=edges)
     # A value on the border of two bins may be rounded into either.
     assert np.abs(counts - expected).sum() < 1e-4 * a.size
@@ -185,22 +182,22 @@ def test_a_large_map_is_drawn_from_an_overview_which_is_said(maps, tiles, pair, 
     found = density(tiles, *pair)
     smaller = halved(maps)
     both = smaller.valid.values & np.isfinite(smaller.coating.values) & np.isfinite(smaller.image.values)
-    assert (found.n, found.pixel_um) == (np.count_nonzero(both), (4.0, 5.0))
+    assert (found["n"], found["pixel_um"]) == (np.count_nonzero(both), (4.0, 5.0))
 
 
 def test_points_of_a_region_and_histograms_count_valid_values(maps, tiles, pair):
     region = (200.0, 100.0, 900.0, 400.0)
     a, _ = known(maps, *region)
     whole, part = density(tiles, *pair), density(tiles, *pair, Rectangle(*region))
-    assert part.n == a.size
+    assert part["n"] == a.size
     for limit in ("a_low", "a_high", "b_low", "b_high"):
-        assert getattr(part, limit) == getattr(whole, limit)
+        assert part[limit] == whole[limit]
     assert (counts_of(part) <= counts_of(whole)).all()
     a = maps.coating.values[maps.valid.values].astype(float)
     found = histogram(tiles, pair[0])
-    assert (found.n, sum(found.counts)) == (a.size, a.size - found.beyond)
-    np.testing.assert_allclose([found.mean, found.sd, found.median], [a.mean(), a.std(ddof=1), np.median(a)])
-    np.testing.assert_allclose(found.range, np.percentile(a, [2, 98]))
+    assert (found["n"], sum(found["counts"])) == (a.size, a.size - found["beyond"])
+    np.testing.assert_allclose([found["mean"], found["sd"], found["median"]], [a.mean(), a.std(ddof=1), np.median(a)])
+    np.testing.assert_allclose(found["range"], np.percentile(a, [2, 98]))
 
 
 def test_the_page_has_the_colour_scales_of_the_report():

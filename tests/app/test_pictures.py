@@ -1,6 +1,7 @@
 """Pictures of a session: tiles are the maps, only windows are read, smaller copies are made where there are none."""
 
 import os
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -84,7 +85,7 @@ def test_tiles_of_all_levels_are_the_maps_and_their_overviews(stored, maps):
         assert_quantised(mosaic(tiles, thickness, level), data["thickness"].values.astype(float), thickness)
         np.testing.assert_array_equal(mosaic(tiles, valid, level), data["valid"].values)
     assert thickness.codes.scale < 0.01  # um: far below the noise of a pixel
-    facts = thickness.facts
+    facts = SimpleNamespace(**thickness.described())
     assert (facts.name, facts.units, facts.plane, facts.shape) == ("thickness", "um", "fixed", SHAPE)
     assert (facts.pixel_um, facts.origin_um) == ((2.0, 2.5), (-30.0, 10.0))
     low, high = facts.range  # of means over 8 x 8 pixels, whose spread is an eighth of 6 um
@@ -214,14 +215,14 @@ def test_an_image_file_is_shown_as_it_is_read(tmp_path, linked_run, kind):
     np.testing.assert_allclose(
         picture.levels[2].values, [*overviews(expected.to_dataset(name="image"))][1]["image"].values
     )
-    assert picture.facts.pixel_um == (2.0, 2.0)
+    assert picture.described()["pixel_um"] == (2.0, 2.0)
 
 
 def test_of_an_image_that_lies_open_in_its_file_windows_are_read(tmp_path, monkeypatch):
     path = tmp_path / "image.tif"
     tifffile.imwrite(path, np.zeros((1400, 1400), np.uint16))
-    file = pictures.ImageFile(path=path, pixel_um=(1.0, 1.0))
-    picture = pictures.image_picture(file, plane="fixed", name="image")
+    params = ImageParams(path=str(path), pixel_um=(1.0, 1.0))
+    picture = pictures.image_picture(params, plane="fixed", layer="image", name="image")
     sizes = []
     taken = pictures.channel_of
     monkeypatch.setattr(
@@ -241,7 +242,7 @@ def test_pictures_of_a_linked_run(linked_run):
             assert {name for of, name in found if of == plane} - set(strain.STRAINS) == drawn
             data = tree[group]["coating_top"]
             rows, cols = data.dims
-            facts = found[plane, "coating_top"].facts
+            facts = SimpleNamespace(**found[plane, "coating_top"].described())
             assert (facts.origin_um, facts.shape) == ((float(data[cols][0]), float(data[rows][0])), data.shape)
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import hashlib
 import json
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
@@ -30,7 +30,6 @@ from planish.run.compute import Compute, Progress, silent
 
 _PACKAGE = "planish.app.exploring"
 _PARTS = ("unpack.js", "model.js", "mapview.js", "scatter.js", "sliceview.js", "start.js")
-_STILL = 640  # pixels along the longer side of the picture that needs no script
 
 
 def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: Sequence[str]) -> str:
@@ -43,91 +42,83 @@ def render(results: Results, maps: MapsOfPage, stacks: Sequence[Stack], notes: S
         f"default-src 'none'; style-src 'sha256-{hashes[0]}'; script-src 'sha256-{hashes[1]}'; img-src data: blob:; "
         "base-uri 'none'; form-action 'none'"
     )
-    data = json.dumps(_data(results, maps, stacks), allow_nan=False, separators=(",", ":"))
+    about, blocks = _data(results, maps, stacks)
+    data = json.dumps(about, allow_nan=False, separators=(",", ":"))
     for sign, code in (("<", "\\u003c"), (">", "\\u003e"), ("&", "\\u0026")):
         data = data.replace(sign, code)  # it cannot end the element that it stands in
-    # The map that leads as a picture for those without a script.
-    factor = max(1.0, max(maps.headline.shape) / _STILL)
+    # The map that leads as a picture of 640 pixels for those without a script.
+    factor = max(1.0, max(maps.headline.shape) / 640)
     still = area_mean(maps.headline, (factor, factor)) if factor > 1 else maps.headline
     page = template(_PACKAGE, "explore.html.j2").render(
         results=results, layers=results.layers, titles=maps.titles, summary=summary, maps=maps.maps, lead=maps.maps[0],
         still=image_uri(still, maps.maps[0].scale), notes=notes, stacks=stacks, style=style, script=script,
-        policy=policy, data=data, blocks=list(_blocks(maps, stacks)),
+        policy=policy, data=data, blocks=blocks,
     )  # fmt: skip
     return f"{page}\n"
 
 
-def _blocks(maps: MapsOfPage, stacks: Sequence[Stack]) -> Iterator[dict[str, str]]:
-    """All packed data, under names of the page's own."""
-    for k, shown in enumerate(maps.maps):
-        yield {"name": f"m{k}", "text": shown.packed.text}
+def _data(
+    results: Results, maps: MapsOfPage, stacks: Sequence[Stack]
+) -> tuple[dict[str, Any], list[dict[str, str]]]:  # fmt: skip
+    """Give what the script needs, and the blocks of packed data, under names of the page's own."""
+    blocks: list[dict[str, str]] = []
+
+    def block(name: str, packed: Packed) -> dict[str, Any]:
+        blocks.append({"name": name, "text": packed.text})
+        return packed.spec() | {"block": name}
+
+    described = [block(f"m{k}", shown.packed) | map_spec(shown) for k, shown in enumerate(maps.maps)]
+    groups: list[dict[str, Any]] = []
     for k, group in enumerate(maps.groups):
-        masks = {} if group.valid is None else {"valid": group.valid}
-        yield from ({"name": f"g{k}{key}", "text": pack.text} for key, pack in (group.places | masks).items())
+        places = {axis: block(f"g{k}{axis}", place) for axis, place in group.places.items()}
+        valid = None if group.valid is None else block(f"g{k}valid", group.valid)
+        groups.append({"sheet": group.sheet, "valid": valid, "places": places})
+    slices: list[dict[str, Any]] = []
     for k, stack in enumerate(stacks):
-        lines = stack.lines | {"used": stack.used}
-        yield from ({"name": f"s{k}{key}", "text": pack.text} for key, pack in lines.items())
-        yield {"name": f"s{k}pictures", "text": "".join(stack.pictures)}
-
-
-def _data(results: Results, maps: MapsOfPage, stacks: Sequence[Stack]) -> dict[str, Any]:
-    """Give what the script needs beside the blocks."""
+        slices.append({
+            "sheet": stack.sheet, "rows": stack.rows, "cols": stack.cols, "through": stack.through, "sign": stack.sign,
+            "at": stack.at_um, "top": stack.top_um, "start": stack.start_um, "size": stack.size_um,
+            "ends": np.cumsum([len(picture) for picture in stack.pictures]).tolist(), "kind": stack.kind,
+            "pictures": f"s{k}pictures", "points": stack.points_um,
+            "lines": {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()},
+            "used": block(f"s{k}used", stack.used),
+        })  # fmt: skip
+        blocks.append({"name": f"s{k}pictures", "text": "".join(stack.pictures)})
     grid = maps.grid
-    linked = results.is_link
-    return {
-        "maps": [_spec(f"m{k}", shown.packed) | map_spec(shown) for k, shown in enumerate(maps.maps)],
-        "groups": [
-            {
-                "sheet": group.sheet,
-                "valid": None if group.valid is None else _spec(f"g{k}valid", group.valid),
-                "places": {axis: _spec(f"g{k}{axis}", place) for axis, place in group.places.items()},
-            }
-            for k, group in enumerate(maps.groups)
-        ],
+    data = {
+        "maps": described,
+        "groups": groups,
         "grid": {
             "rows": grid.shape[0], "cols": grid.shape[1], "dy": grid.pixel_um[0], "dx": grid.pixel_um[1],
-            "x0": grid.origin_um[0], "y0": grid.origin_um[1], "names": ["x", "y"] if linked else ["u", "v"],
+            "x0": grid.origin_um[0], "y0": grid.origin_um[1], "names": ["x", "y"] if results.is_link else ["u", "v"],
         },
         "pairs": _pairs(results, maps),
         "halved": maps.halvings > 0,
         "several": len(results.layers) > 2 or len(stacks) > 1,
-        "stacks": [
-            {
-                "sheet": one.sheet, "rows": one.rows, "cols": one.cols, "through": one.through, "sign": one.sign,
-                "at": list(one.at_um), "top": list(one.top_um), "start": one.start_um, "size": list(one.size_um),
-                "ends": np.cumsum([len(picture) for picture in one.pictures]).tolist(), "kind": one.kind,
-                "pictures": f"s{k}pictures", "points": list(one.points_um),
-                "lines": {name: _spec(f"s{k}{name}", line) for name, line in one.lines.items()},
-                "used": _spec(f"s{k}used", one.used),
-            }
-            for k, one in enumerate(stacks)
-        ],
+        "stacks": slices,
         "lines": [dict(zip(("name", "title", "colour", "dash"), line, strict=True)) for line in LINES],
         "palettes": {
             name: base64.b64encode(colours_in_steps(name).tobytes()).decode("ascii")
-            for name in sorted({one.scale.colours for one in maps.maps})
+            for name in sorted({shown.scale.colours for shown in maps.maps})
         },
         "missing": MISSING,
     }  # fmt: skip
-
-
-def _spec(block: str, packed: Packed) -> dict[str, Any]:
-    return packed.spec() | {"block": block}
+    return data, blocks
 
 
 def _pairs(results: Results, maps: MapsOfPage) -> list[list[Any]]:
     """Pairs of maps whose relation the checks doubt or withhold: both, the word, and the checks."""
-    out: list[list[Any]] = []
+    pairs: list[list[Any]] = []
     for i, a in enumerate(maps.maps):
         for j, b in enumerate(maps.maps[:i]):
             layers = (a.layer, b.layer)
-            figures = (a.name, b.name, CORRELATION, *(() if a.layer == b.layer else (POSITION,)))
+            figures = a.name, b.name, CORRELATION, *([] if a.layer == b.layer else [POSITION])
             trust = trust_of(results.checks, layers, figures)
             if trust != "ok":
                 state = "fail" if trust == "withheld" else "look"
                 names = [c.name for c in concerned(results.checks, layers, figures) if c.state == state]
-                out.append([j, i, trust, names])
-    return out
+                pairs.append([j, i, trust, names])
+    return pairs
 
 
 LARGEST = 12_000_000
@@ -199,13 +190,12 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     size = f"{across:.4g} um" if abs(down - across) < 1e-6 * across else f"{across:.4g} x {down:.4g} um"
     rows, cols = maps.grid.shape
     pixels = f"{cols} x {rows} pixels of {size}"
-    if maps.halvings:
-        pixels += f": means of {2**maps.halvings} x {2**maps.halvings} pixels of the run, to keep the page small"
-    else:
-        pixels += ", as in the run"
-    notes = [f"Maps: {pixels}."]
-    several = len(stacks) > 1
-    notes += [f"{f'{stack.sheet}: ' if several else ''}{stack.note[:1].upper()}{stack.note[1:]}." for stack in stacks]
+    n = 2**maps.halvings
+    origin = f": means of {n} x {n} pixels of the run, to keep the page small" if n > 1 else ", as in the run"
+    notes = [f"Maps: {pixels}{origin}."]
+    for stack in stacks:
+        name = f"{stack.sheet}: " if len(stacks) > 1 else ""
+        notes.append(f"{name}{stack.note[:1].upper()}{stack.note[1:]}.")
     without = sorted({group.sheet for group in maps.groups if group.sheet} - {stack.sheet for stack in stacks})
     if without:
         notes.append(f"No slices of {' and '.join(without)}: its surfaces are not in this run.")

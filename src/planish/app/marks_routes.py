@@ -84,7 +84,7 @@ def _described(request: Request) -> dict[str, Any]:
         "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
         "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
         "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
-        "pictures": [picture.facts.model_dump() for picture in request.app.state.pictures],
+        "pictures": [picture.described() for picture in request.app.state.pictures],
     }  # fmt: skip
 
 

@@ -59,25 +59,6 @@ def layer_run(run: Path, layer: str) -> Path:
     return inner if is_run(inner) else run
 
 
-class PictureFacts(Answer):
-    """What a page has to know of a picture; see :class:`PlanePicture`."""
-
-    id: str
-    plane: Plane
-    layer: str
-    name: str
-    title: str
-    units: str
-    shape: tuple[int, int]
-    pixel_um: tuple[float, float]
-    origin_um: tuple[float, float]
-    levels: int
-    tile: int
-    scale: float
-    offset: float
-    range: tuple[float, float]
-
-
 @dataclass(frozen=True, slots=True)
 class Codes:
     """Values as whole numbers of 16 bits: 0 is missing, k from 1 on is ``offset + scale * (k - 1)``.
@@ -150,11 +131,6 @@ class PlanePicture:
         """Whether it holds truth values."""
         return self.full.dtype == np.bool_
 
-    def level_within(self, pixels: int) -> int:
-        """The finest level of at most so many pixels."""
-        fitting = (k for k, data in enumerate(self.levels) if data.size <= pixels)
-        return next(fitting, len(self.levels) - 1)
-
     @cached_property
     def codes(self) -> Codes:
         """How tiles hold its values: room for single pixels, which vary more than the parts that were looked at."""
@@ -172,10 +148,9 @@ class PlanePicture:
         values = self._coarse if self._coarse.size else self._sample
         if self.is_mask or values.size == 0:
             return 0.0, 1.0
-        low, high = (float(v) for v in np.percentile(values, [2, 98]))
+        low, high = map(float, np.percentile(values, [2, 98]))
         if self.around_zero:
-            high = max(abs(low), abs(high))
-            low = -high
+            low, high = -max(abs(low), abs(high)), max(abs(low), abs(high))
         return (low, high) if high > low else (low - 0.5, high + 0.5)
 
     @cached_property
@@ -196,15 +171,13 @@ class PlanePicture:
         )
         return _finite_values([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts])
 
-    @property
-    def facts(self) -> PictureFacts:
-        """What a page has to know."""
-        rows, cols = self.grid.shape
-        return PictureFacts(
-            id=self.id, plane=self.plane, layer=self.layer, name=self.name, title=self.title, units=self.units,
-            shape=(rows, cols), pixel_um=self.grid.pixel_um, origin_um=self.grid.origin_um, levels=len(self.levels),
-            tile=TILE, scale=self.codes.scale, offset=self.codes.offset, range=self.range,
-        )  # fmt: skip
+    def described(self) -> dict[str, Any]:
+        """Give what a page has to know."""
+        return {
+            **{name: getattr(self, name) for name in ("id", "plane", "layer", "name", "title", "units", "range")},
+            "shape": self.grid.shape, "pixel_um": self.grid.pixel_um, "origin_um": self.grid.origin_um,
+            "levels": len(self.levels), "tile": TILE, "scale": self.codes.scale, "offset": self.codes.offset,
+        }  # fmt: skip
 
 
 def _finite_values(parts: Sequence[NDArray[Any]]) -> Floats:
@@ -256,7 +229,7 @@ class ComputedLevels:
     """
 
     def __init__(self, values: NDArray[Any] | xr.DataArray | LazyArray, place: Path, *, keep_all: bool = False) -> None:
-        self._values, self._place = values, place
+        self._values, self._place, self.dtype = values, place, np.dtype(values.dtype)
         rows, cols = values.shape
         self._shapes = [(-(-rows >> k), -(-cols >> k)) for k in range(count_of((rows, cols)) + 1)]
         self._cached = {k for k in range(len(self._shapes)) if k > _LAST_ON_DEMAND or (k == 0 and keep_all)}
@@ -266,11 +239,6 @@ class ComputedLevels:
     def levels(self) -> list[LazyArray]:
         """One array a level; reading the first coarse one waits until all of them are made."""
         return [_Level(self, k, shape) for k, shape in enumerate(self._shapes)]
-
-    @property
-    def dtype(self) -> np.dtype[Any]:
-        """Type of the values of all levels."""
-        return np.dtype(self._values.dtype)
 
     def read(self, k: int, where: Where) -> NDArray[Any]:
         """A window of a level."""
@@ -319,12 +287,11 @@ class ComputedLevels:
         return partial
 
     def _write(self, folder: Path) -> None:
-        rows, cols = self._shapes[0]
         targets = {
             k: np.lib.format.open_memmap(folder / f"{k}.npy", mode="w+", dtype=self.dtype, shape=self._shapes[k])
             for k in self._cached
         }
-        for tile in map_tiles((rows, cols)):
+        for tile in map_tiles(self._shapes[0]):
             part = np.asarray(self._values[tile.rows, tile.cols])
             for k in range(len(self._shapes)):
                 part = halved_values(part) if k else part

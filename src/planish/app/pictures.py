@@ -6,7 +6,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import Future
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any, Self
 
@@ -33,35 +33,11 @@ from planish.run.study import read_study
 _PLACES = ("u", "v", "volume_x", "volume_y", "volume_z", "projected_u", "projected_v")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class ImageFile:
-    """An image that no store holds, as :func:`planish.read_image` reads it.
-
-    ``pixel_um`` is the pixel that was agreed upon, along y and x.
-    """
-
-    path: Path
-    pixel_um: tuple[float, float]
-    channel: str = "luminance"
-    layer: str = "image"
-
-    @classmethod
-    def of(cls, params: ImageParams, layer: str = "image") -> Self:
-        """As options ask for it; SizeError where the pixel size is not known."""
-        path = Path(params.path)
-        stated = across(load_picture(path, decode=False).stated)
-        size, _ = agreed_size(
-            stated, params.pixel_um, file_name=path.name, asked=PIXEL, override=params.override_size,
-            unusual=params.unusual_size,
-        )  # fmt: skip
-        return cls(path=path, pixel_um=(size[0], size[1]), channel=params.channel, layer=layer)
-
-
 class Pictures:
     """All pictures of a session, by their ids."""
 
     def __init__(self, pictures: Iterable[PlanePicture]) -> None:
-        self._by_id = {picture.id: picture for picture in (replace(p, id=f"p{k}") for k, p in enumerate(pictures))}
+        self._by_id = {f"p{k}": replace(picture, id=f"p{k}") for k, picture in enumerate(pictures)}
 
     @classmethod
     def of(cls, run: Path, image: ImageParams | None = None) -> Self:
@@ -74,7 +50,7 @@ class Pictures:
         """
         pictures = [*_of_run(run)]
         if image is not None:
-            pictures.append(image_picture(ImageFile.of(image), plane="fixed", name="image"))
+            pictures.append(image_picture(image, plane="fixed", layer="image", name="image"))
         return cls(pictures)
 
     def __iter__(self) -> Iterator[PlanePicture]:
@@ -116,7 +92,7 @@ def _of_run(run: Path) -> Iterator[PlanePicture]:
         if params.image is None:
             yield from _sheet(layer_run(run, facts.name), layer=facts.name, prefix=prefix)
         elif Path(params.image.path).is_file():
-            yield image_picture(ImageFile.of(params.image, facts.name), plane="moving", name=f"{prefix}image")
+            yield image_picture(params.image, plane="moving", layer=facts.name, name=f"{prefix}image")
     if together:
         yield from group_pictures(run, LINKED, plane="fixed", layer=results.reference.name)
         yield from group_pictures(run, "refined", plane="fixed", layer="refined", prefix="refined/")
@@ -168,39 +144,46 @@ def _order(data: xr.DataArray) -> tuple[int, str]:
 def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
     """Levels with the coordinates of their pixels."""
     arrays: list[xr.DataArray] = []
-    y, x = grid.y_um, grid.x_um
+    coords = {"y": grid.y_um, "x": grid.x_um}
     for level in levels.levels():
-        arrays.append(xr.DataArray(xr.Variable(("y", "x"), held(level)), coords={"y": y, "x": x}))
-        y, x = middles(y), middles(x)
+        arrays.append(xr.DataArray(xr.Variable(("y", "x"), held(level)), coords=coords))
+        coords = {axis: middles(um) for axis, um in coords.items()}
     return arrays
 
 
-def image_picture(file: ImageFile, *, plane: Plane, name: str) -> PlanePicture:
-    """The picture of an image file.
+def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -> PlanePicture:
+    """The picture of an image file that no store holds, as :func:`planish.read_image` reads it.
 
     Raises
     ------
     FileError
         If it is damaged or of another format.
+    SizeError
+        If the pixel size is not known.
     InputError
         If it has no such channel.
     """
-    head = load_picture(file.path, decode=False)
-    _, title = channel_of(head._replace(values=head.values[:1, :1]), file.channel, file_name=file.path.name)
+    path, channel = Path(params.path), params.channel
+    head = load_picture(path, decode=False)
+    pixel_um, _ = agreed_size(
+        across(head.stated), params.pixel_um, file_name=path.name, asked=PIXEL, override=params.override_size,
+        unusual=params.unusual_size,
+    )  # fmt: skip
+    _, title = channel_of(head._replace(values=head.values[:1, :1]), channel, file_name=path.name)
     rows, cols = head.values.shape[:2]
-    place = cache_place(file.path, "image", file.channel)
-    levels = ComputedLevels(_ImageValues(file, (rows, cols)), place, keep_all=not is_mapped(file.path))
+    values = _ImageValues(path, channel, (rows, cols))
+    levels = ComputedLevels(values, cache_place(path, "image", channel), keep_all=not is_mapped(path))
     return PlanePicture(
-        id="", plane=plane, layer=file.layer, name=name, title=title, units="1",
-        levels=_on_grids(levels, Grid.regular((rows, cols), file.pixel_um)),
+        id="", plane=plane, layer=layer, name=name, title=title, units="1",
+        levels=_on_grids(levels, Grid.regular((rows, cols), (pixel_um[0], pixel_um[1]))),
     )  # fmt: skip
 
 
 class _ImageValues(LazyArray):
     """One channel of an image file; decoded when a window is read for the first time, where the file is not mapped."""
 
-    def __init__(self, file: ImageFile, shape: tuple[int, int]) -> None:
-        self._file, self.shape, self.dtype = file, shape, np.dtype(np.float32)
+    def __init__(self, path: Path, channel: str, shape: tuple[int, int]) -> None:
+        self._path, self._channel, self.shape, self.dtype = path, channel, shape, np.dtype(np.float32)
         self._opening = threading.Lock()
         self._picture: DecodedPicture | None = None
 
@@ -208,9 +191,9 @@ class _ImageValues(LazyArray):
         """Read a window."""
         with self._opening:
             if self._picture is None:
-                self._picture = load_picture(self._file.path)
+                self._picture = load_picture(self._path)
         part = self._picture._replace(values=self._picture.values[where])
-        return channel_of(part, self._file.channel, file_name=self._file.path.name)[0]
+        return channel_of(part, self._channel, file_name=self._path.name)[0]
 
 
 BLOCKS_BYTES = 96 * 2**20

@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -14,10 +15,11 @@ from numpy.typing import NDArray
 
 from planish.analyze import correlate
 from planish.analyze.compare import CELLS
-from planish.app.picture import Answer, PlanePicture, finite_or_none
+from planish.app.picture import PlanePicture, finite_or_none
 from planish.app.pictures import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError
+from planish.core.facts import is_known
 from planish.core.lazy import LazyArray, Where, held
 from planish.core.typing import Bools, Floats
 
@@ -25,97 +27,51 @@ MOST_SAMPLES = 2000
 """Pixels along a profile; a longer line is read from a coarser level."""
 
 
-class ValueAt(Answer):
-    """Value of one picture at a point; None where it has none."""
+def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str, Any]:
+    """Values of all pictures on the pixels of one, at the pixel that holds a point, and its place in the volume in um.
 
-    id: str
-    layer: str
-    name: str
-    title: str
-    units: str
-    value: float | None
-
-
-class VolumePlace(Answer):
-    """Place of the centre surface in the volume, in um along its axes."""
-
-    layer: str
-    x: float
-    y: float
-    z: float
-
-
-class Cursor(Answer):
-    """All values at a point (x, y) of a plane, in um, and the place in the volume that it shows."""
-
-    x: float
-    y: float
-    row: int | None
-    col: int | None
-    values: tuple[ValueAt, ...]
-    volume: VolumePlace | None
-
-
-class ProfileOf(Answer):
-    """Values of one picture along a line."""
-
-    id: str
-    name: str
-    units: str
-    values: tuple[float | None, ...]
-
-
-class Profile(Answer):
-    """Values along a line at ``at_um`` from its beginning, of pixels that are ``pixel_um`` wide."""
-
-    pixel_um: float
-    at_um: tuple[float, ...]
-    lines: tuple[ProfileOf, ...]
-
-
-def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> Cursor:
-    """Values of all pictures on the pixels of one, at the pixel that holds a point."""
+    A value is None where there is none, and so is the place.
+    """
     rows, cols, (inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
     value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in pictures}
     volume, places = None, {(p.layer, p.name.split("/")[-1]): value_of[p.id] for p in pictures}
     for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):  # its own, or the first that has it
-        place = [places.get((layer, f"volume_{axis}")) for axis in "xyz"]
-        if None not in place:
-            volume = VolumePlace.model_validate({"layer": layer} | dict(zip("xyz", place, strict=True)))
+        place = {axis: places.get((layer, f"volume_{axis}")) for axis in "xyz"}
+        if None not in place.values():
+            volume = {"layer": layer} | place
             break
-    return Cursor(
-        x=x, y=y, row=int(rows[0]) if inside else None, col=int(cols[0]) if inside else None,
-        values=tuple(
-            ValueAt(id=p.id, layer=p.layer, name=p.name, title=p.title, units=p.units, value=value_of[p.id])
-            for p in pictures
-        ),
-        volume=volume,
-    )  # fmt: skip
+    names = ("id", "layer", "name", "title", "units")
+    return {
+        "x": x, "y": y, "row": int(rows[0]) if inside else None, "col": int(cols[0]) if inside else None,
+        "values": [{name: getattr(p, name) for name in names} | {"value": value_of[p.id]} for p in pictures],
+        "volume": volume,
+    }  # fmt: skip
 
 
-def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> Profile:
-    """Values of pictures on one grid along the line from (x0, y0) to (x1, y1) in um, each of the pixel it crosses."""
+def profile(tiles: Tiles, pictures: list[PlanePicture], line: tuple[float, float, float, float]) -> dict[str, Any]:
+    """Values of pictures on one grid along the line from (x0, y0) to (x1, y1) in um, each of the pixel it crosses.
+
+    They lie at ``at_um`` from its beginning; the pixels are ``pixel_um`` wide.
+    """
     x0, y0, x1, y1 = line
     length = math.hypot(x1 - x0, y1 - y0)
     if length == 0:
         raise InputError("The line has no length. Give two places: x0, y0, x1, y1 in um.")
     first = pictures[0]
     pixel = min(first.grid.pixel_um)
-    coarsest = len(first.levels) - 1
-    level = min(max(0, math.ceil(math.log2(length / pixel / MOST_SAMPLES))), coarsest)
+    level = min(max(0, math.ceil(math.log2(length / pixel / MOST_SAMPLES))), len(first.levels) - 1)
     step = pixel * 2**level
     distances_um = np.linspace(0, length, min(int(length / step), 4 * MOST_SAMPLES) + 1)
     points = np.array([x0, y0]) + (distances_um / length)[:, None] * np.array([x1 - x0, y1 - y0])
     rows, cols, inside = _pixels(first, points, level)
-    lines: list[ProfileOf] = []
+    lines: list[dict[str, Any]] = []
     for picture in pictures:
         values = np.full(distances_um.size, np.nan)
         values[inside] = tiles.values_at(picture, level, rows[inside], cols[inside])
-        lines.append(
-            ProfileOf(id=picture.id, name=picture.name, units=picture.units, values=tuple(map(finite_or_none, values)))
-        )
-    return Profile(pixel_um=step, at_um=tuple(distances_um.tolist()), lines=tuple(lines))
+        about = {"id": picture.id, "name": picture.name, "units": picture.units}
+        lines.append(about | {"values": [*map(finite_or_none, values)]})
+    return {"pixel_um": step, "at_um": distances_um.tolist(), "lines": lines}
 
 
 def _pixels(picture: PlanePicture, points: Floats, level: int) -> tuple[NDArray[np.intp], NDArray[np.intp], Bools]:
@@ -136,49 +92,6 @@ BASE_PIXELS = 4_000_000
 _BINS = 128
 
 Window = tuple[slice, slice]
-
-
-class Density(Answer):
-    """How many points lie where in the plane of two quantities, of pixels of the stated size.
-
-    ``counts`` are little-endian 32-bit numbers in base64, ``bins`` x ``bins``, rows of b from ``b_low`` up.
-    """
-
-    pixel_um: tuple[float, float]
-    n: int
-    beyond: int
-    bins: int
-    a_low: float
-    a_high: float
-    b_low: float
-    b_high: float
-    counts: str
-
-
-class Histogram(Answer):
-    """How the values of a picture are distributed, of pixels of the stated size; ``range``: 2nd to 98th percentile."""
-
-    pixel_um: tuple[float, float]
-    n: int
-    beyond: int
-    low: float
-    high: float
-    range: tuple[float, float]
-    counts: tuple[int, ...]
-    mean: float | None
-    sd: float | None
-    median: float | None
-
-
-class Selected(Answer):
-    """Pixels that were selected, at full resolution; what is said of r holds for a region, not for picked values."""
-
-    n: int
-    pixel_um: tuple[float, float]
-    r: float | None = None
-    n_eff: float | None = None
-    interval: tuple[float, float] | None = None
-    warnings: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,10 +126,11 @@ class Stopped(Exception):
     """The page does not want the answer any more."""
 
 
-def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, window: Rectangle | None = None) -> Density:
-    """Count the points of two pictures in the plane of their values.
+def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, window: Rectangle | None = None) -> dict[str, Any]:
+    """Count the points of two pictures in the plane of their values, of pixels of the stated size.
 
-    The limits are those of all points, also where only a region is counted.
+    The limits are those of all points, also where only a region is counted; ``beyond`` lie outside of them. ``counts``
+    are little-endian 32-bit numbers in base64, ``bins`` x ``bins``, rows of b from ``b_low`` up.
     """
     level, (x, y) = _overview(tiles, a, b)
     limits = [_limits(values[np.isfinite(x) & np.isfinite(y)]) for values in (x, y)]
@@ -228,32 +142,36 @@ def density(tiles: Tiles, a: PlanePicture, b: PlanePicture, window: Rectangle | 
         np.floor((values[is_valid] - low) * (_BINS / (high - low))).astype(np.int64)
         for values, (low, high) in zip((x, y), limits, strict=True)
     ]
-    shown = np.logical_and(*((at >= 0) & (at < _BINS) for at in places))
+    shown = np.logical_and(*((place >= 0) & (place < _BINS) for place in places))
     counts = np.bincount((places[1] * _BINS + places[0])[shown], minlength=_BINS**2).astype("<u4")
     n = int(np.count_nonzero(is_valid))
     (a_low, a_high), (b_low, b_high) = limits
-    return Density(
-        pixel_um=_pixel(a, level), n=n, beyond=n - int(np.count_nonzero(shown)), bins=_BINS, a_low=a_low, a_high=a_high,
-        b_low=b_low, b_high=b_high, counts=base64.b64encode(counts.tobytes()).decode("ascii"),
-    )  # fmt: skip
+    return {
+        "pixel_um": _pixel(a, level), "n": n, "beyond": n - int(np.count_nonzero(shown)), "bins": _BINS,
+        "a_low": a_low, "a_high": a_high, "b_low": b_low, "b_high": b_high,
+        "counts": base64.b64encode(counts.tobytes()).decode("ascii"),
+    }  # fmt: skip
 
 
-def histogram(tiles: Tiles, picture: PlanePicture, window: Rectangle | None = None) -> Histogram:
-    """Count the values of a picture where they are valid."""
+def histogram(tiles: Tiles, picture: PlanePicture, window: Rectangle | None = None) -> dict[str, Any]:
+    """Count the values of a picture where they are valid, of pixels of the stated size.
+
+    ``range`` is from the 2nd to the 98th percentile.
+    """
     level, (values,) = _overview(tiles, picture)
     every = values[np.isfinite(values)]
-    (low, high), usual = _limits(every), np.percentile(every, [2, 98]) if every.size else (0.0, 1.0)
+    (low, high), usual = _limits(every), np.percentile(every, [2, 98]) if every.size else np.array([0.0, 1.0])
     if window is not None:
         values = values[window.on(picture, level)]
     finite = values[np.isfinite(values)].astype(np.float64)
     counts, _ = np.histogram(finite, bins=_BINS, range=(low, high))
-    return Histogram(
-        pixel_um=_pixel(picture, level), n=finite.size, beyond=finite.size - int(counts.sum()), low=low, high=high,
-        range=(float(usual[0]), float(usual[1])), counts=tuple(counts.tolist()),
-        mean=float(finite.mean()) if finite.size else None,
-        sd=float(finite.std(ddof=1)) if finite.size > 1 else None,
-        median=float(np.median(finite)) if finite.size else None,
-    )  # fmt: skip
+    return {
+        "pixel_um": _pixel(picture, level), "n": finite.size, "beyond": finite.size - int(counts.sum()), "low": low,
+        "high": high, "range": usual.tolist(), "counts": counts.tolist(),
+        "mean": float(finite.mean()) if finite.size else None,
+        "sd": float(finite.std(ddof=1)) if finite.size > 1 else None,
+        "median": float(np.median(finite)) if finite.size else None,
+    }  # fmt: skip
 
 
 def _between(places: Floats, low: float, high: float, step: float) -> slice:
@@ -267,8 +185,10 @@ def _between(places: Floats, low: float, high: float, step: float) -> slice:
 def select(
     tiles: Tiles, a: PlanePicture, b: PlanePicture, *, region: Rectangle | None = None, brushes: Sequence[Brush] = (),
     stop: threading.Event | None = None,
-) -> Selected:  # fmt: skip
+) -> dict[str, Any]:  # fmt: skip
     """Count what is selected at full resolution; of a region also say how two pictures are correlated in it.
+
+    Of picked values nothing is said of r: ``r``, ``n_eff`` and ``interval`` are None.
 
     Raises
     ------
@@ -280,24 +200,23 @@ def select(
     x, y = (_lazy_array(_Stoppable(p.full[window], stop), p.full[window]) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes:
-        chosen = [(brush, brush.picture.full[window]) for brush in brushes]
+        brushed = [(brush, brush.picture.full[window]) for brush in brushes]
         n = 0
         for rows in bands(x.shape[0]):
             use = np.isfinite(band_of(x, rows)) & np.isfinite(band_of(y, rows))
             for mask in masks:
                 use &= band_of(mask, rows)
-            for brush, values in chosen:
+            for brush, values in brushed:
                 band = band_of(values, rows)
                 use &= (band >= brush.low) & (band <= brush.high)
             n += int(np.count_nonzero(use))
-        return Selected(n=n, pixel_um=pixel)
+        return {"n": n, "pixel_um": pixel, "r": None, "n_eff": None, "interval": None, "warnings": []}
     every = None if not masks else masks[0] if len(masks) == 1 else _lazy_array(_AllMasks(masks), masks[0])
     row = correlate(x, y, mask=every, pixel_um=pixel, most_cells=CELLS)  # as a run does: its whole map gives its n_eff
-    low, high = row.interval
-    return Selected(
-        n=row.n, pixel_um=pixel, r=finite_or_none(row.r), n_eff=finite_or_none(row.n_eff),
-        interval=(low, high) if math.isfinite(low) and math.isfinite(high) else None, warnings=row.warnings,
-    )  # fmt: skip
+    return {
+        "n": row.n, "pixel_um": pixel, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
+        "interval": row.interval if is_known(row.interval) else None, "warnings": row.warnings,
+    }  # fmt: skip
 
 
 class _AllMasks(LazyArray):
@@ -331,13 +250,12 @@ def _lazy_array(values: LazyArray, like: xr.DataArray) -> xr.DataArray:
 
 def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]:
     """A level of few pixels, and the values of pictures there; NaN where they do not count."""
-    level = pictures[0].level_within(BASE_PIXELS)
-    whole = tuple(slice(0, n) for n in pictures[0].levels[level].shape)
-    masks = [tiles.window(p, level, whole[0], whole[1]) for p in tiles.pictures.valid_of(*pictures)]
+    levels = pictures[0].levels
+    level = next((k for k, data in enumerate(levels) if data.size <= BASE_PIXELS), len(levels) - 1)
+    rows, cols = (slice(0, n) for n in levels[level].shape)
+    masks = [tiles.window(p, level, rows, cols) for p in tiles.pictures.valid_of(*pictures)]
     use = np.logical_and.reduce(masks) if masks else True
-    return level, [
-        np.where(use, tiles.window(p, level, whole[0], whole[1]).astype(np.float64), np.nan) for p in pictures
-    ]
+    return level, [np.where(use, tiles.window(p, level, rows, cols).astype(np.float64), np.nan) for p in pictures]
 
 
 def _limits(values: Floats) -> tuple[float, float]:
@@ -345,7 +263,7 @@ def _limits(values: Floats) -> tuple[float, float]:
     if values.size == 0:
         return 0.0, 1.0
     # Percentiles between which points are drawn; those beyond are counted.
-    low, high = (float(v) for v in np.percentile(values, (0.1, 99.9)))
+    low, high = map(float, np.percentile(values, (0.1, 99.9)))
     room = 0.02 * (high - low) or 0.5
     return low - room, high + room
 

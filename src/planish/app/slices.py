@@ -35,7 +35,6 @@ WIDEST = 2048
 """Voxels of a slice along either edge: a larger one is cut around the place that is asked for."""
 
 HEIGHTS = ("top", "interface_top", "centre", "interface_bottom", "bottom")
-_REACH = 1.5  # thicknesses that a straightened slice reaches to both sides of the centre surface
 _EXACT = np.dtype("u1"), np.dtype("u2")
 
 
@@ -126,7 +125,7 @@ class SlicedSheet:
         volume = read_volume(params.path, **params.model_dump(include=HOW_VOLUMES_ARE_READ), memory_bytes=LOOK_BYTES)
         codes = None
         if volume.dtype not in _EXACT:
-            plane = volume.isel({axis: slice(n // 2, n // 2 + 1) for axis, n in list(volume.sizes.items())[:1]}).values
+            plane = volume[volume.shape[0] // 2].values
             finite = plane[np.isfinite(plane)].astype(np.float64)
             low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
             codes = Codes.between(low - (high - low), high + (high - low))
@@ -150,12 +149,20 @@ class SlicedSheet:
         """Slices of a direction."""
         return self.surfaces.sizes["y"] if direction == "straight" else self.volume.sizes[direction]
 
-    def coded(self, values: NDArray[Any]) -> tuple[NDArray[np.uint16], float, float, int]:
-        """Values of 16 bits, what they stand for, and which of them is missing."""
-        if self.codes is None and values.dtype in _EXACT:
-            return values.astype(np.uint16), 1.0, 0.0, -1
-        codes = self.codes or Codes(-1.0, 1.0)
-        return codes.of(values), codes.scale, codes.offset - codes.scale, 0
+    def _coded(
+        self, direction: Direction, index: int, at_um: float, values: NDArray[Any], codes: Codes | None, **more: Any
+    ) -> tuple[SliceFacts, NDArray[np.uint16]]:  # fmt: skip
+        """Facts of a slice, and its values in 16 bits."""
+        if codes is None:
+            pixels, scale, offset = values.astype(np.uint16), 1.0, 0.0
+        else:
+            pixels, scale, offset = codes.of(values), codes.scale, codes.offset - codes.scale
+        normal = self.frame.rows if direction == "straight" else direction
+        facts = SliceFacts(
+            layer=self.name, direction=direction, normal=normal, index=index, at_um=at_um, scale=scale, offset=offset,
+            missing=-1 if codes is None else 0, **more,
+        )  # fmt: skip
+        return facts, pixels
 
     # --- slices -------------------------------------------------------------------------------------------------------
 
@@ -198,14 +205,12 @@ class SlicedSheet:
         depth = self.places(f.through)[down]
         if f.top == "high":
             values, depth = values[::-1], depth[::-1]
-        pixels, scale, offset, missing = self.coded(values)
         line = min(index // self.step, self._column_places(direction).size - 1)
         columns = slice(along.start // self.step, min(-(-along.stop // self.step), self._column_places(other).size))
         lines = self._lines(other, line, columns, corrections)
-        facts = SliceFacts(
-            layer=self.name, direction=direction, normal=direction, index=index,
-            at_um=float(self.places(direction)[index]), across=_axis(other, self.places(other)[along]),
-            down=_axis(f.through, depth), scale=scale, offset=offset, missing=missing, lines=tuple(lines),
+        facts, pixels = self._coded(
+            direction, index, float(self.places(direction)[index]), values, self.codes,
+            across=_axis(other, self.places(other)[along]), down=_axis(f.through, depth), lines=tuple(lines),
             columns=_axis(other, self._column_places(other)[columns]),
         )  # fmt: skip
         return SheetSlice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
@@ -215,7 +220,6 @@ class SlicedSheet:
         f = self.frame
         cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
         values = self._voxels({f.rows: rows, f.cols: cols, f.through: slice(index, index + 1)})
-        pixels, scale, offset, missing = self.coded(values)
         height = float(self.places(f.through)[index])
         window = {
             dim: slice(part.start // self.step, min(-(-part.stop // self.step), self.surfaces.sizes[dim]))
@@ -226,10 +230,10 @@ class SlicedSheet:
             name: contour(surfaces[name].values - height, surfaces["x"].values, surfaces["y"].values)
             for name in HEIGHTS
         }
-        facts = SliceFacts(
-            layer=self.name, direction=f.through, normal=f.through, index=index, at_um=height,
-            across=_axis(f.cols, self.places(f.cols)[cols]), down=_axis(f.rows, self.places(f.rows)[rows]),
-            scale=scale, offset=offset, missing=missing, segments={name: len(part) for name, part in contours.items()},
+        facts, pixels = self._coded(
+            f.through, index, height, values, self.codes, across=_axis(f.cols, self.places(f.cols)[cols]),
+            down=_axis(f.rows, self.places(f.rows)[rows]),
+            segments={name: len(part) for name, part in contours.items()},
         )  # fmt: skip
         return SheetSlice(facts=facts, pixels=pixels, contours=[part.astype(np.float32) for part in contours.values()])
 
@@ -241,7 +245,7 @@ class SlicedSheet:
         lines = self._lines(f.cols, index, window, corrections)
         thickness = float(self.surfaces.attrs["thickness_um"])
         size = abs(float(np.diff(self.places(f.through)[:2])[0]))
-        half = int(np.ceil(_REACH * thickness / size))
+        half = int(np.ceil(1.5 * thickness / size))  # it reaches so far to both sides of the centre surface
         s = size * np.arange(half, -half - 1, -1).astype(np.float64)
         values = self._sampled(index, window, lines, s)
         halo = int(np.ceil(1.5 * thickness / min(pitch(self.surfaces)))) + 2
@@ -249,19 +253,17 @@ class SlicedSheet:
         met = meet(self._read(slice(first, index + halo + 1), window, (*HEIGHTS, "status")), "normal")
         for name in HEIGHTS:
             lines[name] = np.zeros(places[window].size) if name == "centre" else met.faces[name][index - first]
-        for name in [name for name in lines if name.startswith(("preview", "found"))]:
-            del lines[name]
+        lines = {name: line for name, line in lines.items() if not name.startswith(("preview", "found"))}
         finite = values[np.isfinite(values)]
         codes = self.codes or Codes(-1.0, 1.0)
         if self.codes is None and finite.size:
             codes = Codes.between(float(finite.min()), float(finite.max()))
-        facts = SliceFacts(
-            layer=self.name, direction="straight", normal=f.rows, index=index,
-            at_um=float(self._column_places(f.rows)[index]), across=_axis(f.cols, places[window]),
-            down=_axis("height", s), scale=codes.scale, offset=codes.offset - codes.scale, missing=0,
-            lines=tuple(lines), columns=_axis(f.cols, places[window]),
+        columns = _axis(f.cols, places[window])
+        facts, pixels = self._coded(
+            "straight", index, float(self._column_places(f.rows)[index]), values, codes, across=columns,
+            down=_axis("height", s), lines=tuple(lines), columns=columns,
         )  # fmt: skip
-        return SheetSlice(facts=facts, pixels=codes.of(values), lines=[v.astype(np.float32) for v in lines.values()])
+        return SheetSlice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
 
     def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s: Floats) -> Floats:
         """Grey along the normals of one row, (s, columns)."""
@@ -312,11 +314,8 @@ class SlicedSheet:
         """Read one row, or column, of the surfaces, with its normals."""
         of_rows = along == self.frame.cols
         neighbours = slice(max(index - 1, 0), index + 2)
-        if neighbours.stop - neighbours.start < 2:
-            neighbours = slice(max(index - 2, 0), index + 1)
         near = self._read(*((neighbours, columns) if of_rows else (columns, neighbours)))
-        here = {"y" if of_rows else "x": index - neighbours.start}
-        profile = near.isel(here)
+        profile = near.isel({"y" if of_rows else "x": index - neighbours.start})
         lines = {name: profile[name].values.astype(np.float64) for name in HEIGHTS}
         centre = self.frame.sign * near["centre"].values.astype(np.float64)
         normal = directions(slopes_of(centre, pitch(self.surfaces)), "normal")
@@ -339,11 +338,12 @@ class SlicedSheet:
         window, drawn = preview
         whole = uncorrected(self._read(rows, cols))
         shared = [slice(max(a.start, b.start), min(a.stop, b.stop)) for a, b in zip((rows, cols), window, strict=True)]
+        target, source = (tuple(map(_within, shared, part)) for part in ((rows, cols), window))
         faces: dict[str, Floats] = {}
         for face in ("top", "bottom"):
             values = whole[face].values.astype(np.float64)
             if all(part.stop > part.start for part in shared):
-                values[tuple(map(_within, shared, (rows, cols)))] = drawn[face][tuple(map(_within, shared, window))]
+                values[target] = drawn[face][source]
             faces[f"preview_{face}"] = values.ravel()
         return faces
 
@@ -370,8 +370,8 @@ def contour(height: Floats, x: Floats, y: Floats) -> Floats:
     cells = np.flatnonzero((np.isfinite(corners).all(axis=0) & above.any(axis=0) & ~above.all(axis=0)).ravel())
     rows, cols = np.unravel_index(cells, corners.shape[1:]) if cells.size else (cells, cells)
     picked = corners[:, rows, cols]
-    at_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]]) if cells.size else np.empty((4, 0))
-    at_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]]) if cells.size else np.empty((4, 0))
+    at_x = np.stack([x[cols], x[cols + 1], x[cols + 1], x[cols]])
+    at_y = np.stack([y[rows], y[rows], y[rows + 1], y[rows + 1]])
     ends: list[Floats] = []
     for k in range(4):
         n = (k + 1) % 4

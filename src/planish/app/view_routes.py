@@ -6,13 +6,11 @@ import json
 import math
 import struct
 import threading
-from collections.abc import Callable
 from typing import Any
 
 import anyio
 import numpy as np
 from anyio.to_thread import run_sync
-from pydantic import BaseModel
 from starlette.requests import Request
 from starlette.responses import JSONResponse, Response
 from starlette.routing import Route
@@ -20,7 +18,7 @@ from starlette.routing import Route
 from planish.app.changes import stretches_of
 from planish.app.picture import PlanePicture
 from planish.app.pictures import Tiles
-from planish.app.selection import Brush, Rectangle, Selected, Stopped, cursor, density, histogram, profile, select
+from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
 from planish.app.session import Session
 from planish.app.slices import SheetSlice, SlicedSheet, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
@@ -43,26 +41,26 @@ async def get_cursor(request: Request) -> Response:
     """All values at a point."""
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
     picture = _picture(request, "id")
-    return await _answer(lambda: cursor(_tiles(request), picture, x, y))
+    return JSONResponse(await run_sync(cursor, _tiles(request), picture, x, y))
 
 
 async def get_profile(request: Request) -> Response:
     """Values along a line."""
     x0, y0, x1, y1 = required_numbers(request, "line", 4)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
-    return await _answer(lambda: profile(_tiles(request), pictures, (x0, y0, x1, y1)))
+    return JSONResponse(await run_sync(profile, _tiles(request), pictures, (x0, y0, x1, y1)))
 
 
 async def get_density(request: Request) -> Response:
     """Density of two pictures, or of a region of them."""
     (a, b), region = _pair(request), _region(request)
-    return await _answer(lambda: density(_tiles(request), a, b, region))
+    return JSONResponse(await run_sync(density, _tiles(request), a, b, region))
 
 
 async def get_histogram(request: Request) -> Response:
     """Histogram of a picture, or of a region of it."""
     picture, region = _picture(request, "id"), _region(request)
-    return await _answer(lambda: histogram(_tiles(request), picture, region))
+    return JSONResponse(await run_sync(histogram, _tiles(request), picture, region))
 
 
 async def get_selection(request: Request) -> Response:
@@ -79,29 +77,23 @@ async def get_selection(request: Request) -> Response:
             await anyio.sleep(0.1)  # how often it is asked whether the page still waits
         stop.set()
 
-    def selected() -> Selected | Exception:
+    def selected() -> dict[str, Any] | Exception:
         """Select the pixels; a fault is a value, which the group of tasks would wrap otherwise."""
         try:
             return select(tiles, a, b, region=region, brushes=brushes, stop=stop)
         except (Stopped, PlanishError) as error:
             return error
 
-    answer: Selected | Exception = Stopped()
+    answer: dict[str, Any] | Exception = Stopped()
     async with anyio.create_task_group() as group:
         group.start_soon(watch)
         answer = await run_sync(selected, limiter=_FULL)
         group.cancel_scope.cancel()
-    if isinstance(answer, Selected):
-        return Response(answer.model_dump_json(), media_type="application/json")
+    if isinstance(answer, dict):
+        return JSONResponse(answer)
     if isinstance(answer, Stopped):
         return Response("", 204, media_type="application/json")
     raise answer
-
-
-async def _answer(make: Callable[[], BaseModel]) -> Response:
-    """Compute an answer in a thread and send it as JSON."""
-    text = await run_sync(lambda: make().model_dump_json())
-    return Response(text, media_type="application/json")
 
 
 def _tiles(request: Request) -> Tiles:

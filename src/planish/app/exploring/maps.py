@@ -28,10 +28,7 @@ from planish.run.run import MAPS
 
 Codes = NDArray[np.unsignedinteger[Any]]
 
-_TYPES = {8: np.uint8, 16: np.uint16}
-_BEYOND = 0.05  # per cent of the values that may lie beyond either end, where single ones would take the digits
 _LEVEL = 6  # a higher one takes five times as long and saves 2 %
-_MUCH = 1.5  # times the range of the others: what single values may add to it
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -90,10 +87,9 @@ def packed(values: NDArray[Any], *, bits: int = 8) -> Packed:
     spacing = _spacing(finite, most - 3)
     step = spacing or (high - low) / (most - 3)
     low = float(finite.min()) if spacing else low
-    codes = np.zeros(data.shape, _TYPES[bits])
     step_counts = np.rint((np.where(np.isfinite(data), data, low) - low) / step)
     shown = np.clip(step_counts, -1, most - 2) + 2
-    codes[:] = np.where(np.isfinite(data), shown, 0)
+    codes = np.where(np.isfinite(data), shown, 0).astype(np.uint8 if bits == 8 else np.uint16)
     order, text = min(((k, _deflated(codes, k)) for k in (1, 2)), key=lambda candidate: len(candidate[1]))
     return Packed(
         text=base64.b64encode(text).decode("ascii"), shape=(data.shape[0], data.shape[1]), bits=bits, order=order,
@@ -105,8 +101,9 @@ def _range(finite: Floats) -> tuple[float, float]:
     if not finite.size:
         return 0.0, 1.0
     least, most = float(finite.min()), float(finite.max())
-    low, high = (float(v) for v in np.percentile(finite, [_BEYOND, 100 - _BEYOND]))
-    if high > low and most - least > _MUCH * (high - low):
+    # Single values far off would take the digits: of them 0.05 % may lie beyond either end.
+    low, high = map(float, np.percentile(finite, [0.05, 99.95]))
+    if high > low and most - least > 1.5 * (high - low):
         least, most = low, high
     tiny = 1e-9 * max(abs(least), abs(most), 1e-300)
     return (least, most) if most - least > tiny else (least - 0.5, least + 0.5)
@@ -144,8 +141,6 @@ BUDGET = 6_000_000
 """Letters that all maps may take."""
 
 _MOST_PIXELS = 1_500_000  # of a map: what a browser colours anew in some milliseconds
-_NOT_SHOWN = ("volume_", "projected_", "presence", "error_")  # beginnings of names
-_LEAST_STEPS = 100  # of the values between the limits of the colours
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -244,16 +239,17 @@ def _map_names(source: ExportSource) -> list[tuple[str, list[str]]]:
     names = [name for name in names if name in groups] or [name for name in ("maps",) if name in groups]
     if not names:
         raise InputError(f"The run holds no maps to show; it holds {', '.join(groups) or 'nothing'}.")
-    out: list[tuple[str, list[str]]] = []
+    wanted: list[tuple[str, list[str]]] = []
     for name in names:
         data = source.group(name)
         float_maps = [str(k) for k, v in data.data_vars.items() if v.ndim == 2 and v.dtype.kind == "f"]
-        maps = [k for k in float_maps if not k.startswith(_NOT_SHOWN) and k not in ("u", "v") and not k.endswith("_se")]
+        hidden = "volume_", "projected_", "presence", "error_"  # beginnings of names
+        maps = [k for k in float_maps if not k.startswith(hidden) and k not in ("u", "v") and not k.endswith("_se")]
         first = [layer.headline for layer in results.layers if name in ("linked", "maps", f"layers/{layer.name}")]
         listed = [k for layer in results.layers if layer.sheet for k in layer.sheet.properties]
         order = {k: rank for rank, k in reversed([*enumerate([*first, *listed])])}
-        out.append((name, sorted(maps, key=lambda k: (order.get(k, len(order)), k))))
-    return out
+        wanted.append((name, sorted(maps, key=lambda k: (order.get(k, len(order)), k))))
+    return wanted
 
 
 def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halvings: int) -> MapsOfPage:
@@ -268,9 +264,9 @@ def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halv
         extra_names = [*(places if placed else []), *(["valid"] if "valid" in stored else [])]
         data = _halved_maps(source, name, names + extra_names, halvings)
         grid = grid or Grid.of(data)
-        valid = data["valid"].values.astype(bool) if "valid" in data else None
+        valid = data["valid"].values.astype(bool) if "valid" in data else np.True_
         groups.append(Group(
-            valid=None if valid is None else packed(np.where(valid, 1.0, np.nan)),
+            valid=packed(np.where(valid, 1.0, np.nan)) if "valid" in data else None,
             places={axis: packed(data[f"volume_{axis}"].values, bits=16) for axis in "xyz"} if placed else {},
             sheet=_layer_of(results, name, "").name if placed else "",
         ))  # fmt: skip
@@ -278,9 +274,9 @@ def _packed_maps(source: ExportSource, wanted: list[tuple[str, list[str]]], halv
             layer = _layer_of(results, name, key)
             layer_map = data[key].rename(key)
             values = layer_map.values
-            counted = values[np.isfinite(values) & (True if valid is None else valid)].astype(np.float64)
+            counted = values[np.isfinite(values) & valid].astype(np.float64)
             if headline is None:
-                headline = np.where(True if valid is None else valid, values, np.nan).astype(np.float32)
+                headline = np.where(valid, values, np.nan).astype(np.float32)
             maps.append(_packed_map(layer_map, counted, layer, results, group))
     assert grid is not None
     assert headline is not None
@@ -294,13 +290,14 @@ def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results:
     checks = concerned(results.checks, (layer.name,), (figure,))
     scale = colours_of(data, counted)
     pack = packed(data.values)
-    if (scale.high - scale.low) / pack.step < _LEAST_STEPS:  # single values, such as holes, take most of them
+    # Single values, such as holes, may take most steps, with few between the limits of the colours.
+    if (scale.high - scale.low) / pack.step < 100:
         pack = packed(data.values, bits=16)
     # Per cent of the values that the scatter spans.
-    span = tuple(float(v) for v in np.percentile(counted, (0.05, 99.95))) if counted.size else (0.0, 1.0)
+    low, high = map(float, np.percentile(counted, (0.05, 99.95))) if counted.size else (0.0, 1.0)
     return PageMap(
         layer=layer.name, name=name, title=title_of(data), units=unit_of(data), packed=pack, scale=scale,
-        span=(span[0], span[-1]) if span[0] < span[-1] else (span[0] - 0.5, span[0] + 0.5),
+        span=(low, high) if low < high else (low - 0.5, low + 0.5),
         group=group, trust=trust_of(results.checks, (layer.name,), (figure,)),
         why=tuple(check.name for check in checks if check.state in ("fail", "look")),
     )  # fmt: skip

@@ -27,11 +27,8 @@ from planish.run.volume import read_whole
 BUDGET = 5_000_000
 """Letters that all slices may take."""
 
-_EVERY = 2  # rows from one slice to the next, where there is room
 _MOST, _WIDEST, _HIGHEST, _POINTS = 320, 1600, 300, 600  # slices; pixels of one along and across; points of a line
 _BLOCK = 2**24  # voxels that are read at a time
-_QUALITY = 38  # of the pictures: their grains are noise
-_LEAST_MARGIN_UM = 20.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -107,13 +104,14 @@ def stack_of(
         note = f"the {rows.size} that the run keeps, as {reason}"
     cuts = [take_slice(data, under, k) for k in range(data.sizes["slice"])]
     cuts = [cut for cut in cuts if any(np.isfinite(line).any() for line in cut.lines.values())]
-    if not cuts:
-        return None
-    stack = _stack(cuts, facts.name, Frame.of(surfaces), note)
-    while stack.letters() > budget and len(cuts) > 1:
-        cuts = cuts[::2]
-        stack = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}, thinned out to {len(cuts)}")
-    return stack if stack.letters() <= budget else None
+    thinned = ""
+    while cuts:
+        stack = _stack(cuts, facts.name, Frame.of(surfaces), f"{note}{thinned}")
+        if stack.letters() <= budget:
+            return stack
+        cuts = cuts[::2] if len(cuts) > 1 else []
+        thinned = f", thinned out to {len(cuts)}"
+    return None
 
 
 class _VolumeUnavailable(Exception):
@@ -136,7 +134,7 @@ def _from_volume(
     depth = volume.coords[frame.through].values
     wide = round(_pitch(surfaces["y"].values) / _pitch(volume.coords[frame.rows].values))
     rows = surfaces.sizes["y"]
-    step = max(math.ceil(_EVERY / wide), math.ceil(rows / _MOST))
+    step = max(math.ceil(2 / wide), math.ceil(rows / _MOST))  # every second row, where there is room
     chosen = np.arange(step // 2, rows, step) if rows > step else np.array([0])
     under = surfaces[_needed(surfaces)].isel(y=chosen).load()
     low, high = _span(under, depth)
@@ -170,7 +168,7 @@ def _span(surfaces: xr.Dataset, depth: NDArray[Any]) -> tuple[int, int]:
 
 def _margin(thickness_um: NDArray[Any]) -> float:
     finite = thickness_um[np.isfinite(thickness_um)]
-    return max(0.3 * float(np.median(finite)) if finite.size else 0.0, _LEAST_MARGIN_UM)
+    return max(0.3 * float(np.median(finite)) if finite.size else 0.0, 20.0)
 
 
 def _read(
@@ -232,7 +230,7 @@ def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
         int(np.clip(round((heights[0] - (low + high) / 2) / dz - (rows - 1) / 2), 0, heights.size - rows))
         for _, _, low, high in windows
     ]
-    kind, pictures = _pictures([cut.grey[at : at + rows] for cut, at in zip(cuts, first, strict=True)])
+    kind, pictures = _pictures([cut.grey[top : top + rows] for cut, top in zip(cuts, first, strict=True)])
     every = max(1, math.ceil(x.size / _POINTS))
     lines = {
         name: packed(np.round(np.stack([cut.lines[name][::every] for cut in cuts]) / (dz / 16)) * (dz / 16), bits=16)
@@ -240,7 +238,7 @@ def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
     }  # fmt: skip
     return Stack(
         sheet=sheet, rows=frame.rows, cols=frame.cols, through=frame.through, sign=frame.sign,
-        at_um=tuple(cut.place_um for cut in cuts), top_um=tuple(float(heights[at]) + dz / 2 for at in first),
+        at_um=tuple(cut.place_um for cut in cuts), top_um=tuple(float(heights[top]) + dz / 2 for top in first),
         start_um=float(x[0]) - dx / 2, size_um=(x.size * dx, rows * dz), pictures=pictures, kind=kind, lines=lines,
         used=packed(np.where(np.stack([cut.used[::every] for cut in cuts]), 1.0, np.nan)),
         points_um=(float(x[0]), every * dx),
@@ -253,12 +251,12 @@ def _pictures(greys: list[NDArray[Any]]) -> tuple[str, tuple[str, ...]]:
     from PIL import Image, features
 
     kind = "webp" if features.check("webp") else "jpeg"
-    out: list[str] = []
+    pictures: list[str] = []
     for grey in greys:
         image = Image.fromarray(grey.astype(np.uint8))
         if image.height > _HIGHEST:
             image = image.resize((image.width, _HIGHEST), Image.Resampling.BOX)
         data = io.BytesIO()
-        image.convert("RGB").save(data, format=kind.upper(), quality=_QUALITY)
-        out.append(base64.b64encode(data.getvalue()).decode("ascii"))
-    return kind, tuple(out)
+        image.convert("RGB").save(data, format=kind.upper(), quality=38)  # their grains are noise
+        pictures.append(base64.b64encode(data.getvalue()).decode("ascii"))
+    return kind, tuple(pictures)
