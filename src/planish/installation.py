@@ -16,7 +16,6 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from packaging.markers import default_environment
 from packaging.requirements import Requirement
 
 import planish
@@ -36,10 +35,6 @@ EXTRAS = {
 
 NO_CACHE = "No folder can be written in which compiled kernels could be kept."
 ANOTHER_CACHE = "Set the variable NUMBA_CACHE_DIR to a folder that you may write."
-
-_LEAST_MEMORY = 2 * 10**9
-_LEAST_DISK = 2 * 10**9
-_PYTHONS = ((3, 11), (3, 13))
 
 
 def is_no_cache(error: Exception) -> bool:
@@ -62,35 +57,33 @@ def check_installation() -> Iterator[Check]:
 
     Names of folders are not in it, but for a folder that cannot be written.
     """
-    yield _python()
+    version, bits = platform.python_version(), struct.calcsize("P") * 8
+    needed = "" if bits == 64 and (3, 11) <= sys.version_info[:2] <= (3, 13) else "3.11 to 3.13"
+    advice = f"Needed is a 64-bit Python from {needed}." if needed else ""
+    yield _check("Python", f"{version}, {bits} bit.", state="fail" if needed else "pass", advice=advice)
     yield _command()
     yield _libraries()
     yield _compile_cache()
-    yield _memory()
+    free = int(default_memory_limit() / 0.75)
+    sentence = f"{free / 1e9:.1f} GB are free; a run takes half of that where --memory is not given."
+    low = f"Close other programs; volumes of more than {free / 3e9:.1g} GB want 'planish import' first."
+    yield _check("memory", sentence, advice=low if free < 2e9 else "", value=free / 1e9, units="GB")
     yield _check("processors", f"{available()} may be used; {os.cpu_count()} are there.")
-    for name, folder in (("temporary folder", Path(tempfile.gettempdir())), ("this folder", Path.cwd())):
-        yield _disk(name, folder)
+    temporary = "Set TMPDIR (on Windows TMP) to a folder that you may write."
+    yield _disk("temporary folder", Path(tempfile.gettempdir()), temporary)
+    yield _disk("this folder", Path.cwd(), "Go to another folder, or give one with --out.")
     yield _console()
-    if os.name == "nt" and longest_path() is None:
-        yield _check("long paths", "Windows takes paths of more than 259 characters.")
-    elif os.name == "nt":
+    if os.name == "nt":
+        is_short = longest_path() is not None
         short = "Windows takes paths of up to 259 characters; runs in deep folders are refused."
-        yield _check("long paths", short, state="unknown")
+        text = short if is_short else "Windows takes paths of more than 259 characters."
+        yield _check("long paths", text, state="unknown" if is_short else "pass")
     for extra, gives in EXTRAS.items():
         yield _extra(extra, gives)
 
 
 def _check(name: str, sentence: str, *, advice: str = "", state: Any = None, **more: Any) -> Check:
     return Check(name=name, state=state or ("look" if advice else "pass"), sentence=sentence, advice=advice, **more)
-
-
-def _python() -> Check:
-    words, bits = platform.python_version(), struct.calcsize("P") * 8
-    if bits == 64 and _PYTHONS[0] <= sys.version_info[:2] <= _PYTHONS[1]:
-        return _check("Python", f"{words}, {bits} bit.")
-    low, high = (".".join(map(str, version)) for version in _PYTHONS)
-    needed = f"Needed is a 64-bit Python from {low} to {high}."
-    return _check("Python", f"{words}, {bits} bit.", state="fail", advice=needed)
 
 
 def _command() -> Check:
@@ -103,10 +96,8 @@ def _command() -> Check:
     # Tools that give a program an environment of its own put a link to it on the path.
     if Path(sys.executable).absolute().parent in (Path(program).absolute().parent, Path(program).resolve().parent):
         return _check("command", "planish in a terminal is this installation.")
-    sentence, advice = (
-        "planish in a terminal may be another installation.",
-        "Compare 'planish --version' with the first line.",
-    )
+    sentence = "planish in a terminal may be another installation."
+    advice = "Compare 'planish --version' with the first line."
     return _check("command", sentence, state="unknown", advice=advice)
 
 
@@ -117,10 +108,9 @@ def _libraries() -> Check:
         return _check("libraries", "planish runs from a folder and is not installed.", state="unknown")
     versions = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
     if wrong := [fault for _, _, fault in versions if fault]:
-        advice = (
-            "Install planish again, best into an environment of its own: pip install --upgrade, and the path of its "
-        )
-        return _check("libraries", f"{'; '.join(wrong)}.", state="fail", advice=f"{advice}wheel or folder.")
+        how = "pip install --upgrade, and the path of its wheel or folder."
+        advice = f"Install planish again, best into an environment of its own: {how}"
+        return _check("libraries", f"{'; '.join(wrong)}.", state="fail", advice=advice)
     return _check("libraries", f"{', '.join(f'{library} {version}' for library, version, _ in versions)}.")
 
 
@@ -160,11 +150,11 @@ def _requirements(extra: str | None) -> list[Requirement] | None:
         texts = metadata.requires("planish") or []
     except metadata.PackageNotFoundError:
         return None
-    environment = {k: str(v) for k, v in default_environment().items()} | {"extra": extra or ""}
     needed: list[Requirement] = []
     for requirement in map(Requirement, texts):
-        is_extra = requirement.marker is not None and "extra" in str(requirement.marker)
-        if is_extra == (extra is not None) and (requirement.marker is None or requirement.marker.evaluate(environment)):
+        marker = requirement.marker
+        is_extra = marker is not None and "extra" in str(marker)
+        if is_extra == (extra is not None) and (marker is None or marker.evaluate({"extra": extra or ""})):
             needed.append(requirement)
     return needed
 
@@ -180,14 +170,14 @@ def _compile_cache() -> Check:
         if not is_no_cache(error):
             raise
         return _check(name, NO_CACHE, state="fail", advice=ANOTHER_CACHE)
-    folders = {Path(kernel.stats.cache_path) for kernel in kernels}
+    folders, compiled = set[Path](), 0
+    for kernel in kernels:
+        folders.add(folder := Path(kernel.stats.cache_path))
+        index = f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
+        compiled += any(folder.glob(index))
     for folder in sorted(folders):
         if not _may_write(folder):
             return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=ANOTHER_CACHE)
-    compiled = 0
-    for kernel in kernels:  # of which the cache has an index
-        index = f"{kernel.py_func.__module__.rpartition('.')[2]}.{kernel.py_func.__qualname__}-*.nbi"
-        compiled += any(Path(kernel.stats.cache_path).glob(index))
     where = "beside the program" if all(f.name == "__pycache__" for f in folders) else "in the user's folder for caches"
     chosen = os.environ.get("NUMBA_CACHE_DIR")
     if chosen and all(folder.is_relative_to(chosen) for folder in folders):
@@ -224,34 +214,23 @@ def _may_write(folder: Path) -> bool:
         return False
 
 
-def _memory() -> Check:
-    free = int(default_memory_limit() / 0.75)
-    sentence = f"{free / 1e9:.1f} GB are free; a run takes half of that where --memory is not given."
-    low = f"Close other programs; volumes of more than {free / 3e9:.1g} GB want 'planish import' first."
-    return _check("memory", sentence, advice=low if free < _LEAST_MEMORY else "", value=free / 1e9, units="GB")
-
-
-def _disk(name: str, folder: Path) -> Check:
+def _disk(name: str, folder: Path, elsewhere: str) -> Check:
     free = shutil.disk_usage(folder).free
     if not _may_write(folder):
-        advice = "Go to another folder, or give one with --out."
-        if "temp" in name:
-            advice = "Set TMPDIR (on Windows TMP) to a folder that you may write."
-        return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=advice)
+        return _check(name, f"{_short(folder)} cannot be written.", state="fail", advice=elsewhere)
     sentence = f"{free / 1e9:.1f} GB are free, and it can be written."
     low = "Free some space: maps, working stores and tiles need it."
-    return _check(name, sentence, advice=low if free < _LEAST_DISK else "", value=free / 1e9, units="GB")
+    return _check(name, sentence, advice=low if free < 2e9 else "", value=free / 1e9, units="GB")
 
 
 def _console() -> Check:
     """Encodings and appearance of the terminal."""
     terminal = f"a terminal of {shutil.get_terminal_size().columns} columns" if sys.stdout.isatty() else "no terminal"
     streams = f"output {sys.stdout.encoding}, messages {sys.stderr.encoding}"
-    files, texts = sys.getfilesystemencoding(), locale.getpreferredencoding(do_setlocale=False)
-    utf = (
-        f"names of files {files}, texts of other programs {texts}; UTF-8 mode {'on' if sys.flags.utf8_mode else 'off'}"
-    )
-    return _check("console", f"{streams}; {utf}; {terminal}.")
+    files = f"names of files {sys.getfilesystemencoding()}"
+    texts = f"texts of other programs {locale.getpreferredencoding(do_setlocale=False)}"
+    utf8 = f"UTF-8 mode {'on' if sys.flags.utf8_mode else 'off'}"
+    return _check("console", f"{streams}; {files}, {texts}; {utf8}; {terminal}.")
 
 
 def _extra(extra: str, gives: str) -> Check:
@@ -260,11 +239,10 @@ def _extra(extra: str, gives: str) -> Check:
     if needed is None:
         return _check(name, f"{gives}.", state="unknown")
     faults = [(requirement.name, *_fault_of(requirement)) for requirement in needed]
-    missing = [library for library, version, _ in faults if version == "missing"]
     wrong = {library: fault for library, version, fault in faults if fault and version != "missing"}
     if wrong:
         again = " ".join(f'"{library.name}{library.specifier}"' for library in needed if library.name in wrong)
         return _check(name, f"{'; '.join(wrong.values())}.", advice=f"Run: pip install --upgrade {again}")
-    if missing:
+    if any(version == "missing" for _, version, _ in faults):
         return _check(name, f'not installed; pip install "planish[{extra}]" gives it: {gives}.')
     return _check(name, f"installed ({', '.join(f'{library} {v}' for library, v, _ in faults)}): {gives}.")

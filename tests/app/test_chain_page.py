@@ -43,7 +43,7 @@ def test_a_hole_is_searched_on_the_plane_of_the_next_layer(chained, monkeypatch)
         assert session.shown_by("b", "fixed") == ("fixed", "c")
         monkeypatch.setattr(Session, "holes", lambda *_: {"moving": None, "fixed": None})
         for mark in marks:
-            found = snap.hole_at(session, pictures, "a", "fixed", mark.fixed.xy)
+            found = snap.hole_at(session, "a", "fixed", mark.fixed.xy)
             assert found is not None
             np.testing.assert_allclose(found.xy, mark.fixed.xy, atol=2.0)
         pixel = pictures.on("moving", "b")[0].grid.pixel_um

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from planish.app import Pictures, changes, fits, snap
+from planish.app import changes, fits, snap
 from planish.app.live import Live
 from planish.register import RegistrationParams, fit_transform
 
@@ -187,13 +187,12 @@ def test_a_fit_that_follows_is_a_new_version(session):
 def test_rough_clicks_snap_to_the_holes_they_were_meant_for(session):
     """Clicks off by 1.5 pixels: after Snap both ends are those of detection, covariance and diameter with them."""
     layer, draw = session.layers[0], np.random.default_rng(1)
-    pictures = Pictures.of(session.folder)
     before = session.state.of(layer)
     for mark in before:
         rough = {p: [v + draw.normal(0, 4) for v in getattr(mark, p).xy] for p in ("moving", "fixed")}
         session.change(changes.change_of(json.dumps({"do": "move", "id": mark.id} | rough)))
     for mark in session.state.of(layer):
-        session.change(snap.snapped(session, pictures, layer, mark))
+        session.change(snap.snapped(session, layer, mark))
     for old, new in zip(before, session.state.of(layer), strict=True):
         assert (new.moving, new.fixed) == (old.moving, old.fixed)
 
@@ -202,11 +201,11 @@ def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_
     session, monkeypatch
 ):
     """Holes of a laser that was not perpendicular: a single hole does not show its angle, the link's holes did."""
-    layer, pictures = session.layers[0], Pictures.of(session.folder)
+    layer = session.layers[0]
     none = {plane: holes.isel(mark=slice(0, 0)) for plane, holes in session.holes(layer).items()}
     monkeypatch.setattr(session, "holes", lambda _layer: none)
     marks = session.state.of(layer)
-    straight = [snap.snapped(session, pictures, layer, mark) for mark in marks]
+    straight = [snap.snapped(session, layer, mark) for mark in marks]
     for mark, move in zip(marks, straight, strict=True):
         for end, old in ((move.moving, mark.moving), (move.fixed, mark.fixed)):
             assert np.hypot(end.x - old.x, end.y - old.y) < 2.0  # um: less than a pixel of either
@@ -214,7 +213,7 @@ def test_a_hole_that_is_searched_around_its_mark_is_precise_and_is_moved_to_the_
     facts = session.results.layer(layer).registration
     oblique = facts.model_copy(update={"tilt": facts.tilt.model_copy(update={"to_face_um": (3.0, -2.0)})})
     monkeypatch.setattr(type(session.results), "layer", lambda _self, _name: SimpleNamespace(registration=oblique))
-    moved = snap.snapped(session, pictures, layer, marks[0])
+    moved = snap.snapped(session, layer, marks[0])
     assert moved.moving.xy == pytest.approx((straight[0].moving.x + 3.0, straight[0].moving.y - 2.0))
     assert moved.fixed == straight[0].fixed
 

@@ -14,8 +14,8 @@ import shutil
 import signal
 import sys
 import threading
-from collections.abc import Generator, Mapping
-from contextlib import contextmanager, suppress
+from collections.abc import Mapping
+from contextlib import suppress
 from importlib import import_module
 from pathlib import Path
 from typing import Any, TextIO
@@ -81,31 +81,19 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
     def progress(stage: str, detail: str) -> None:
         send({"state": "working", "stage": stage, "message": f"{stage}: {detail}"})
 
-    out = Path(order["out"])
+    out, staged = Path(order["out"]), Path(order["staged"])
+    answer, ignored = {"state": "done"}, () if order["files"] else (PlanishError,)
     try:
-        with _staged(Path(order["staged"]), order["files"], out):
-            run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
-        send({"state": "done"})
+        with suppress(*ignored), writing(staged):
+            staged.mkdir(parents=True, exist_ok=True)
+            for name, text in {TARGET: str(out), **order["files"]}.items():
+                (staged / name).write_text(text, encoding="utf-8", newline="\n")
+        run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
     except Exception as error:  # noqa: BLE001  the page gets a sentence
-        planish_error = _as_planish_error(error)
-        send({"state": "failed", "message": in_study_words(planish_error.text)})
-
-
-@contextmanager
-def _staged(folder: Path, files: Mapping[str, str], out: Path) -> Generator[None]:
-    """Files of an order in a folder of the old run, while the new one is made."""
-    try:
-        with writing(folder):
-            folder.mkdir(parents=True, exist_ok=True)
-            for name, text in {TARGET: str(out), **files}.items():
-                (folder / name).write_text(text, encoding="utf-8", newline="\n")
-    except PlanishError:
-        if files:
-            raise
-    try:
-        yield
+        answer = {"state": "failed", "message": in_study_words(_as_planish_error(error).text)}
     finally:
-        shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(staged, ignore_errors=True)
+    send(answer)
 
 
 def _as_planish_error(error: Exception) -> PlanishError:

@@ -56,11 +56,9 @@ class End(_Part):
         return self.x, self.y
 
 
-def _as_end(value: Any) -> Any:
+def _as_end(end: Any) -> Any:
     """A place ``[x, y]`` is an end that was clicked."""
-    if isinstance(value, list | tuple) and len(value) == 2:  # pyright: ignore[reportUnknownArgumentType]
-        return {"x": value[0], "y": value[1]}
-    return value  # pyright: ignore[reportUnknownVariableType]
+    return {"x": end[0], "y": end[1]} if isinstance(end, list | tuple) and len(end) == 2 else end  # pyright: ignore
 
 
 OneEnd = Annotated[End, BeforeValidator(_as_end)]
@@ -150,10 +148,10 @@ class Relabel(_Change):
     label: Label
 
 
-class Delete(_Change):
-    """A mark less."""
+class Remove(_Change):
+    """A mark, a correction or a region less."""
 
-    do: Literal["delete"] = "delete"
+    do: Literal["delete", "uncorrect", "unregion"]
     id: Id
 
 
@@ -181,13 +179,6 @@ class Correct(_Change):
     note: Text = ""
 
 
-class Uncorrect(_Change):
-    """A correction less."""
-
-    do: Literal["uncorrect"] = "uncorrect"
-    id: Id
-
-
 class DeclareRegion(_Change):
     """A region that is an artefact."""
 
@@ -199,19 +190,11 @@ class DeclareRegion(_Change):
     polygon: Polygon
 
 
-class Unregion(_Change):
-    """A region less."""
-
-    do: Literal["unregion"] = "unregion"
-    id: Id
-
-
 Change = Annotated[
-    Add | Move | Use | Relabel | Delete | Import | ChooseModel | Correct | Uncorrect | DeclareRegion | Unregion,
+    Add | Move | Use | Relabel | Remove | Import | ChooseModel | Correct | DeclareRegion,
     Field(discriminator="do"),
 ]
 _CHANGE: TypeAdapter[Change] = TypeAdapter(Change)
-_NEW = {"add": "m", "correct": "c", "region": "r"}
 
 
 def change_of(data: bytes | str) -> Change:
@@ -239,7 +222,7 @@ def numbered(change: Change, line: int) -> Change:
     if isinstance(change, Import):
         marks = (mark.model_copy(update={"id": f"m{line}-{k}"}) for k, mark in enumerate(change.marks, 1))
         return change.model_copy(update={"marks": tuple(marks)})
-    letter = _NEW.get(change.do)
+    letter = {"add": "m", "correct": "c", "region": "r"}.get(change.do)
     return change if letter is None else change.model_copy(update={"id": f"{letter}{line}"})
 
 
@@ -291,19 +274,19 @@ def applied(state: State, change: Change) -> State:
             return replace(state, model=change.model)
         case Correct():
             return replace(state, corrections=(*state.corrections, change))
-        case Uncorrect():
+        case Remove(do="uncorrect"):
             return replace(state, corrections=_without(state.corrections, change.id))
         case DeclareRegion():
             region = DrawnRegion.model_validate(change.model_dump(exclude={"do", "layer"}))
             return replace(state, regions=(*state.regions, region))
-        case Unregion():
+        case Remove(do="unregion"):
             return replace(state, regions=_without(state.regions, change.id))
         case _:
             marks = _marks_after(state.of(change.layer), change)
             return replace(state, marks={**state.marks, change.layer or state.first: marks})
 
 
-def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Delete | Import) -> tuple[Mark, ...]:
+def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | Remove | Import) -> tuple[Mark, ...]:
     if isinstance(change, Add | Relabel) and any(m.label == change.label and m.id != change.id for m in marks):
         raise ChangeError(f"Another mark is called {change.label!r}. Choose another label.")
     match change:
@@ -325,7 +308,7 @@ def _marks_after(marks: tuple[Mark, ...], change: Add | Move | Use | Relabel | D
             return _with_fields(marks, change.id, used=change.used)
         case Relabel():
             return _with_fields(marks, change.id, label=checked_label(change.label))
-        case Delete():
+        case Remove():
             return _without(marks, change.id)
         case Import():
             return change.marks

@@ -6,7 +6,7 @@ import base64
 import io
 import tempfile
 import zipfile
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 from typing import Annotated
 
 import numpy as np
@@ -15,7 +15,6 @@ from pydantic import BaseModel, ConfigDict, Field
 from planish.app.changes import ChangeError, Import, checked_label
 from planish.app.fits import Fitted
 from planish.app.picture import PLANES, Plane, layer_run
-from planish.app.pictures import Pictures
 from planish.app.session import Session, pairs_of, places_of
 from planish.core.errors import MarkError
 from planish.io.run_folder import read_group
@@ -25,7 +24,6 @@ from planish.run.layers import Layer
 from planish.run.registration import volume_to_map
 from planish.run.run import MAPS
 
-_SUFFIXES = (".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat")
 _ENDS = {"json": ".json", "slicer": ".mrk.json", "elastix": ".txt", "matlab": ".mat"}
 
 
@@ -40,8 +38,8 @@ class MarkFile(BaseModel):
     @property
     def suffix(self) -> str:
         """Suffix of its name that says the format; nothing else of the name is used."""
-        name = PurePosixPath(self.name).name.lower()
-        return next((suffix for suffix in _SUFFIXES if name.endswith(suffix)), ".csv")
+        suffixes = ".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat"
+        return next((suffix for suffix in suffixes if self.name.lower().endswith(suffix)), ".csv")
 
     def content(self) -> bytes:
         """Its bytes; ChangeError where there are none."""
@@ -55,9 +53,7 @@ class MarkFile(BaseModel):
             raise ChangeError(f"This is no base64: {error}.") from error
 
 
-def imported(
-    session: Session, pictures: Pictures, layer: str, first: MarkFile, second: MarkFile | None = None
-) -> Import:  # fmt: skip
+def imported(session: Session, layer: str, first: MarkFile, second: MarkFile | None = None) -> Import:
     """The marks of a file, in the planes of a registration, as a change.
 
     Parameters
@@ -76,8 +72,7 @@ def imported(
             if upload is not None:
                 paths.append(Path(folder) / f"{name}{upload.suffix}")
                 paths[-1].write_bytes(upload.content())
-        about = {plane: _pixels(session, pictures, layer, plane) for plane in PLANES}
-        marks = read_any(*paths, moving=about["moving"], fixed=about["fixed"])
+        marks = read_any(*paths, **{plane: _pixels(session, layer, plane) for plane in PLANES})
     moving, fixed = pair_of_layers(marks, name=first.name)
     if moving == "volume":
         marks, moving = volume_to_map(marks, _sheet(session, layer)), "moving"
@@ -85,7 +80,7 @@ def imported(
     return Import(layer=layer, marks=pairs)
 
 
-def exported(session: Session, pictures: Pictures, layer: str, to: str, fitted: Fitted) -> tuple[str, bytes]:
+def exported(session: Session, layer: str, to: str, fitted: Fitted) -> tuple[str, bytes]:
     """Name and bytes of a file with the marks; a ZIP where the format has a file for each layer.
 
     Raises
@@ -104,7 +99,7 @@ def exported(session: Session, pictures: Pictures, layer: str, to: str, fitted: 
         [mark.label for mark in marks],
         {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
         used=[mark.used for mark in marks],
-        about={plane: _pixels(session, pictures, layer, plane).about() for plane in PLANES},
+        about={plane: _pixels(session, layer, plane).about() for plane in PLANES},
         results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},  # what the shown fit leaves
     )
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
@@ -119,9 +114,9 @@ def exported(session: Session, pictures: Pictures, layer: str, to: str, fitted: 
         return "marks.zip", packed.getvalue()
 
 
-def _pixels(session: Session, pictures: Pictures, layer: str, plane: Plane) -> LayerPixels:
+def _pixels(session: Session, layer: str, plane: Plane) -> LayerPixels:
     """Pixels of a plane, for files that count in them."""
-    on_plane = pictures.on(*session.shown_by(layer, plane))
+    on_plane = session.pictures.on(*session.shown_by(layer, plane))
     if not on_plane:
         return LayerPixels()
     grid = on_plane[0].grid

@@ -11,8 +11,6 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from planish.app.exploring.maps import MapsOfPage, Packed, map_spec, maps_of
 from planish.app.exploring.slices import BUDGET, Stack, stack_of
 from planish.core.area import area_mean
@@ -75,11 +73,8 @@ def _data(
         groups.append({"sheet": group.sheet, "valid": valid, "places": places})
     slices: list[dict[str, Any]] = []
     for k, stack in enumerate(stacks):
-        slices.append({
-            "sheet": stack.sheet, "rows": stack.rows, "cols": stack.cols, "through": stack.through, "sign": stack.sign,
-            "at": stack.at_um, "top": stack.top_um, "start": stack.start_um, "size": stack.size_um,
-            "ends": np.cumsum([len(picture) for picture in stack.pictures]).tolist(), "kind": stack.kind,
-            "pictures": f"s{k}pictures", "points": stack.points_um,
+        slices.append(stack.about | {
+            "pictures": f"s{k}pictures",
             "lines": {name: block(f"s{k}{name}", line) for name, line in stack.lines.items()},
             "used": block(f"s{k}used", stack.used),
         })  # fmt: skip
@@ -180,7 +175,7 @@ def explore(
     assert len(page) <= LARGEST
     write_whole(out, page)
     return Explored(
-        path=out, bytes=len(page), maps=len(maps.maps), slices=sum(len(stack.at_um) for stack in stacks), notes=notes
+        path=out, bytes=len(page), maps=len(maps.maps), slices=sum(len(stack.pictures) for stack in stacks), notes=notes
     )
 
 
@@ -194,9 +189,9 @@ def _notes(maps: MapsOfPage, stacks: list[Stack]) -> tuple[str, ...]:
     origin = f": means of {n} x {n} pixels of the run, to keep the page small" if n > 1 else ", as in the run"
     notes = [f"Maps: {pixels}{origin}."]
     for stack in stacks:
-        name = f"{stack.sheet}: " if len(stacks) > 1 else ""
+        name = f"{stack.about['sheet']}: " if len(stacks) > 1 else ""
         notes.append(f"{name}{stack.note[:1].upper()}{stack.note[1:]}.")
-    without = sorted({group.sheet for group in maps.groups if group.sheet} - {stack.sheet for stack in stacks})
+    without = sorted({group.sheet for group in maps.groups if group.sheet} - {stack.about["sheet"] for stack in stacks})
     if without:
         notes.append(f"No slices of {' and '.join(without)}: its surfaces are not in this run.")
     elif not stacks:

@@ -21,9 +21,9 @@ from planish.app.exchange import MarkFile, exported, imported
 from planish.app.fits import Fitted
 from planish.app.live import Live
 from planish.app.picture import PLANES
-from planish.app.session import Session, Stale
+from planish.app.session import Stale
 from planish.app.snap import not_snapped, snapped
-from planish.app.view_routes import required_numbers
+from planish.app.view_routes import required_numbers, session_of
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.find import USUAL_UM
@@ -51,10 +51,6 @@ class _ImportBody(MarkFile, _Body):
     second: MarkFile | None = None
 
 
-def _session(request: Request) -> Session:
-    return request.app.state.session
-
-
 # --- what there is ---------------------------------------------------------------------------------------------------
 
 
@@ -64,7 +60,7 @@ async def get_session(request: Request) -> Response:
 
 
 def _described(request: Request) -> dict[str, Any]:
-    session = _session(request)
+    session = session_of(request)
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
         circles: dict[str, list[list[float]]] = {}
@@ -84,7 +80,7 @@ def _described(request: Request) -> dict[str, Any]:
         "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
         "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
         "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
-        "pictures": [picture.described() for picture in request.app.state.pictures],
+        "pictures": [picture.described() for picture in session.pictures],
     }  # fmt: skip
 
 
@@ -95,7 +91,7 @@ async def get_state(request: Request) -> Response:
 
 def _layer(request: Request) -> str:
     """The registration that is asked for; the first where none is."""
-    return request.query_params.get("layer") or _session(request).state.first
+    return request.query_params.get("layer") or session_of(request).state.first
 
 
 def _state_of(request: Request) -> dict[str, Any]:
@@ -105,7 +101,7 @@ def _state_of(request: Request) -> dict[str, Any]:
 
 async def get_events(request: Request) -> Response:
     """One line of JSON for each new version, and one each half second, by which a lost server is noticed."""
-    session = _session(request)
+    session = session_of(request)
     news, loop = anyio.Event(), asyncio.get_running_loop()
 
     async def lines() -> AsyncIterator[bytes]:
@@ -150,18 +146,18 @@ def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> C
 
 def _snap(request: Request, body: _SnapBody) -> str:
     """Move both ends of a mark into the holes that they lie in."""
-    session = _session(request)
+    session = session_of(request)
     layer = body.layer or session.state.first
     mark = session.state.mark(layer, body.id)
-    move = snapped(session, request.app.state.pictures, layer, mark)
+    move = snapped(session, layer, mark)
     session.change(move, version=body.version)
     return not_snapped(mark, move)
 
 
 def _import(request: Request, body: _ImportBody) -> str:
     """Take the marks of a file in place of all that are there."""
-    session = _session(request)
-    change = imported(session, request.app.state.pictures, body.layer or session.state.first, body, body.second)
+    session = session_of(request)
+    change = imported(session, body.layer or session.state.first, body, body.second)
     session.change(change, version=body.version)
     return f"{len(change.marks)} pairs of marks imported."
 
@@ -189,7 +185,7 @@ async def get_export(request: Request) -> Response:
     """The marks as a file."""
     layer, to = _layer(request), request.query_params.get("format", "json")
     fit: Callable[[str], Fitted] = request.app.state.live.fit
-    name, data = await run_sync(lambda: exported(_session(request), request.app.state.pictures, layer, to, fit(layer)))
+    name, data = await run_sync(lambda: exported(session_of(request), layer, to, fit(layer)))
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(data, headers=headers, media_type="application/octet-stream")
 
@@ -243,9 +239,11 @@ ROUTES = [
     Route("/api/session", get_session),
     Route("/api/state", get_state),
     Route("/api/events", get_events),
-    _post("/api/change", _changing(_ChangeBody, lambda r, body: _session(r).change(body.change, version=body.version))),
-    _post("/api/undo", _changing(_Body, lambda r, body: _session(r).undo(version=body.version))),
-    _post("/api/redo", _changing(_Body, lambda r, body: _session(r).redo(version=body.version))),
+    _post(
+        "/api/change", _changing(_ChangeBody, lambda r, body: session_of(r).change(body.change, version=body.version))
+    ),
+    _post("/api/undo", _changing(_Body, lambda r, body: session_of(r).undo(version=body.version))),
+    _post("/api/redo", _changing(_Body, lambda r, body: session_of(r).redo(version=body.version))),
     _post("/api/snap", _changing(_SnapBody, _snap)),
     Route("/api/predict", get_predict),
     _post("/api/marks/import", _changing(_ImportBody, _import)),

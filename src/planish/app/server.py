@@ -23,7 +23,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from planish.app import marks_routes, view_routes
 from planish.app.applying import Applying
 from planish.app.live import Live
-from planish.app.pictures import Pictures, Tiles
+from planish.app.pictures import Tiles
 from planish.app.session import Session, Stale
 from planish.core.errors import FileError, PlanishError, ResourceError
 
@@ -153,8 +153,7 @@ def create_app(session: Session, *, token: str, hosts: Sequence[str]) -> Starlet
     )
     app.state.session = session
     app.state.live = Live(session)
-    app.state.pictures = Pictures.of(session.folder, session.image_params)
-    app.state.tiles = Tiles(app.state.pictures)
+    app.state.tiles = Tiles(session.pictures)
     app.state.sheets = {}
     app.state.applying = Applying(session)
     return app

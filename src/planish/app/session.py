@@ -28,6 +28,7 @@ from planish.app.changes import (
 )
 from planish.app.journal import InUse, Journal
 from planish.app.picture import PLANES, Plane
+from planish.app.pictures import Pictures
 from planish.core.errors import FileError, InputError, PlanishError
 from planish.core.facts import Side
 from planish.core.typing import Floats
@@ -170,6 +171,11 @@ class Session:
         images = {params.name: params.image for params in self.study.layers}
         image = self.image_params if self.image_params is not None and layer == "image" else images.get(layer)
         return "top" if image is None else image.side or "top"
+
+    @cached_property
+    def pictures(self) -> Pictures:
+        """All pictures of the run, and of the image that it shall be linked to."""
+        return Pictures.of(self.folder, self.image_params)
 
     @cached_property
     def image(self) -> xr.DataArray | None:

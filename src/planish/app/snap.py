@@ -7,7 +7,6 @@ import xarray as xr
 
 from planish.app.changes import ChangeError, End, Mark, Move
 from planish.app.picture import PLANES, Plane
-from planish.app.pictures import Pictures
 from planish.app.session import Session
 from planish.core.grid import Grid
 from planish.marks.exchange.model import EXTRAS
@@ -18,7 +17,7 @@ REACH = 0.75
 _WHERE = {"moving": "on the volume side", "fixed": "in the image"}
 
 
-def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Move:
+def snapped(session: Session, layer: str, mark: Mark) -> Move:
     """Give the move of a mark's ends into the holes that they lie in; an end where no hole is stays.
 
     Raises
@@ -26,12 +25,10 @@ def snapped(session: Session, pictures: Pictures, layer: str, mark: Mark) -> Mov
     ChangeError
         If neither end lies in a hole.
     """
-    hole_of = {
-        plane: hole_at(session, pictures, layer, plane, end.xy) for plane in PLANES if (end := getattr(mark, plane))
-    }
-    ends = {plane: end for plane, end in hole_of.items() if end is not None}
+    marked = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
+    ends = {plane: hole for plane, end in marked.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not ends:
-        where = " or ".join(_WHERE[plane] for plane in hole_of)
+        where = " or ".join(_WHERE[plane] for plane in marked)
         low, high = session.study.holes.hole_um
         raise ChangeError(
             f"No hole of {low:g} to {high:g} um was found around {mark.label} {where}. Move the mark closer to the "
@@ -46,12 +43,10 @@ def not_snapped(mark: Mark, move: Move) -> str:
     return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
 
 
-def hole_at(
-    session: Session, pictures: Pictures, layer: str, plane: Plane, point_um: tuple[float, float]
-) -> End | None:  # fmt: skip
+def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> End | None:
     """The hole around a point, with what is known of it; None where there is none."""
     return _nearest_hole(session.holes(layer)[plane], point_um) or _nearest_hole(
-        _search_holes(session, pictures, layer, plane, point_um), point_um
+        _search_holes(session, layer, plane, point_um), point_um
     )
 
 
@@ -66,42 +61,39 @@ def _nearest_hole(holes: xr.Dataset | None, point_um: tuple[float, float]) -> En
     return End(x=float(holes["x"].values[k]), y=float(holes["y"].values[k]), source="detected", **extras)
 
 
-def _search_holes(
-    session: Session, pictures: Pictures, layer: str, plane: Plane, point_um: tuple[float, float]
-) -> xr.Dataset | None:  # fmt: skip
+def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> xr.Dataset | None:
     """Holes in a window around a point, in um of the plane; None where nothing shows holes."""
     params = session.study.holes
     reach = 2.0 * params.hole_um[1]  # half a window, over the largest diameter: holes at its border are left out
-    shown = _hole_layers(session, pictures, layer, plane)
-    if not shown:
-        return None
+    shown = _hole_layers(session, layer, plane)
     windows = {name: window for name, data in shown.items() if (window := _window(data, point_um, reach)) is not None}
-    if len(windows) < len(shown):
+    if not windows or len(windows) < len(shown):
         return None
     if "image" in windows:
         image = windows["image"]
         grid = Grid.of(image)
         holes = find_holes(image.assign_attrs(pixel_um=list(grid.pixel_um)), params=params)
-        x, y = grid.origin_um
-        return holes.assign(x=holes["x"] + x, y=holes["y"] + y)
-    holes = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
-    right, down = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
+        right, down = grid.origin_um
+    else:
+        holes = find_holes(xr.Dataset(windows), params=params, side=session.side_of(session.target(layer)))
+        right, down = session.to_face_um(layer) if plane == "moving" else (0.0, 0.0)
     return holes.assign(x=holes["x"] + right, y=holes["y"] + down)
 
 
-def _hole_layers(session: Session, pictures: Pictures, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
+def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.DataArray]:
     """Give what shows the holes of a plane: an image, or the layers of material of a sheet."""
     if plane == "fixed" and session.image is not None:
         return {"image": session.image}
     shown, owner = session.shown_by(layer, plane)
-    on_plane = pictures.on(shown, owner)
+    on_plane = session.pictures.on(shown, owner)
     layer_maps = {p.name.split("/")[-1]: p.full for p in on_plane if p.layer == owner}
     if "image" in layer_maps:
         return {"image": layer_maps["image"]}
-    if shown == "fixed" and not any(name.startswith("presence") for name in layer_maps):
-        image = next((p.full for p in on_plane if p.name.split("/")[-1] == "image"), None)
-        return {} if image is None else {"image": image}
-    return {name: data for name, data in layer_maps.items() if name.startswith("presence")}
+    material = {name: data for name, data in layer_maps.items() if name.startswith("presence")}
+    if material or shown == "moving":
+        return material
+    images = [p.full for p in on_plane if p.name.split("/")[-1] == "image"]
+    return {"image": images[0]} if images else {}
 
 
 def _window(data: xr.DataArray, point_um: tuple[float, float], reach_um: float) -> xr.DataArray | None:

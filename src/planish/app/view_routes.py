@@ -166,7 +166,7 @@ async def get_slice(request: Request) -> Response:
 
 def _open_sheet(request: Request, layer: str) -> SlicedSheet:
     """The sheet of a layer, opened when it is first asked for."""
-    app, session = request.app, _session(request)
+    app, session = request.app, session_of(request)
     sheets: dict[str, SlicedSheet] = app.state.sheets
     with _OPENING:
         if layer not in sheets:
@@ -178,13 +178,14 @@ def _open_sheet(request: Request, layer: str) -> SlicedSheet:
         return sheets[layer]
 
 
-def _session(request: Request) -> Session:
+def session_of(request: Request) -> Session:
+    """Give the session that is served."""
     return request.app.state.session
 
 
 def _sheets(request: Request) -> list[dict[str, Any]]:
     described: list[dict[str, Any]] = []
-    session = _session(request)
+    session = session_of(request)
     for name in sheets_of(session.folder, session.study):
         try:
             sheet = _open_sheet(request, name)
@@ -209,7 +210,7 @@ def _sheets(request: Request) -> list[dict[str, Any]]:
 
 def _shown_corrections(request: Request, layer: str) -> Corrections | None:
     """The corrections of a layer that are saved, and one more that is only tried; None where the run has just these."""
-    session = _session(request)
+    session = session_of(request)
     first = next(params.name for params in session.study.layers if params.volume is not None)
     now = stretches_of(session.state.corrections, layer, first)
     tried = request.query_params.get("points", "")
@@ -240,16 +241,15 @@ def slice_message(slice_: SheetSlice) -> bytes:
 
 async def flattening(request: Request) -> Response:
     """Pictures of the strain, of the places of the sheet in space, and of what it may be coloured by; null for none."""
-    state, layer = request.app.state, request.query_params.get("layer", "")
-    if sheet_run(state.session.folder, layer) is None:
+    session, layer = session_of(request), request.query_params.get("layer", "")
+    if sheet_run(session.folder, layer) is None:
         return JSONResponse(None)
-    headline = state.session.results.layer(layer).headline
 
     def picture_ids() -> dict[str, Any]:
-        ids = {p.name.rpartition("/")[2]: p.id for p in state.pictures.on("moving", layer)}
+        ids = {p.name.rpartition("/")[2]: p.id for p in session.pictures.on("moving", layer)}
         no_colours = {*SPACE, *STRAINS, "valid"}
         names = [n for n in ids if n not in no_colours and not n.startswith(("volume_", "presence"))]
-        first = [name for name in (headline, "thickness", "warp") if name in names]
+        first = [name for name in (session.results.layer(layer).headline, "thickness", "warp") if name in names]
         return {
             "strain": [ids[name] for name in STRAINS if name in ids],
             "space": [ids[name] for name in SPACE],
@@ -261,7 +261,7 @@ async def flattening(request: Request) -> Response:
 
 async def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
-    run = sheet_run(request.app.state.session.folder, request.query_params.get("layer", ""))
+    run = sheet_run(session_of(request).folder, request.query_params.get("layer", ""))
     lines, every = ([], 1) if run is None else await run_sync(mesh_lines, run)
     return JSONResponse({"lines": lines, "every": every})
 

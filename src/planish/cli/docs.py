@@ -14,15 +14,11 @@ from planish.exports import formats_table
 from planish.measure.params import MeasureParams
 from planish.results import Results
 
-_HEAD = """# Commands
-
-This page is written by `python3 run.py docs` from the program's own help.
-"""
-
 
 def page() -> str:
     """Return the text of docs/cli.md."""
-    parts = [_HEAD, _section("planish", planish)]
+    head = "# Commands\n\nThis page is written by `python3 run.py docs` from the program's own help.\n"
+    parts = [head, _section("planish", planish)]
     context = click.Context(planish)
     for name in planish.list_commands(context):
         command = planish.get_command(context, name)
@@ -41,20 +37,19 @@ def _section(name: str, command: click.Command) -> str:
 
 def with_options(text: str) -> str:
     """Return the text of docs/properties.md with the table of the options as the program has them."""
-    head, rest = text.split("## Options\n", 1)
-    rows = ["", "| `[properties]` | Default | |", "|---|---|---|"]
+    rows = ["| `[properties]` | Default | |", "|---|---|---|"]
     for name, field in MeasureParams.model_fields.items():
-        default = (
-            "" if field.default in (None, ()) else f"{field.default:g}" if field.annotation is float else field.default
-        )
+        default = "" if field.default in (None, ()) else field.default
+        if field.annotation is float:
+            default = f"{field.default:g}"
         rows.append(f"| `{name}` | {default} | {field.description} |")
-    return head + "## Options\n" + "\n".join(rows) + "\n\n## " + rest.split("\n## ", 1)[1]
+    return _with_section(text, "Options", "\n".join(rows) + "\n")
 
 
-def with_formats(text: str) -> str:
-    """Return the text of docs/export.md with the table of the formats as the program has them."""
-    head, rest = text.split("## All formats\n", 1)
-    return head + "## All formats\n\n" + formats_table() + "\n## " + rest.split("\n## ", 1)[1]
+def _with_section(text: str, title: str, content: str) -> str:
+    """Put a section of a page in the place of the old one."""
+    head, rest = text.split(f"## {title}\n", 1)
+    return f"{head}## {title}\n\n{content}\n## " + rest.split("\n## ", 1)[1]
 
 
 def schema(results: type[BaseModel]) -> str:
@@ -70,7 +65,7 @@ def main() -> None:
     for path, text in (
         (docs / "cli.md", page()),
         (docs / "properties.md", with_options(properties)),
-        (docs / "export.md", with_formats(formats)),
+        (docs / "export.md", _with_section(formats, "All formats", formats_table())),
         (docs / "results.schema.json", schema(Results)),
         (docs / "series.schema.json", schema(SeriesResults)),
         (package / "core" / "results.schema.json", schema(Results)),

@@ -22,7 +22,6 @@ from planish.run.compute import Compute
     "planish export run --to csv --point-um 100 --out points.csv",
     "planish export run --to ply --map top --map coating_top --out top.ply",
     "planish export run --to ome-zarr --group straightened --out flat.ome.zarr",
-    name="export",
 )
 @existing("run")
 @out_option("Folder to make, or a file where it ends as those of the format do; it must not exist.")
@@ -40,18 +39,17 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     from planish.exports import export as export_run
 
     chosen = given_options(values, "export")
-    build_params(ExportParams, values, "export")
+    to = build_params(ExportParams, values, "export").to
+    compute = build_params(Compute, values, "compute")
     with stages(20) as progress:
         try:
-            files = export_run(run, out, compute=build_params(Compute, values, "compute"), progress=progress, **chosen)
+            files = export_run(run, out, compute=compute, progress=progress, **chosen)
         except StudyError as error:
             raise click.UsageError(error.text) from error
-    form = FORMATS[chosen["to"]]
     if as_json:
-        click.echo(
-            json.dumps({"out": str(out), "format": chosen["to"], "files": [str(path) for path in files]}, indent=2)
-        )
+        click.echo(json.dumps({"out": str(out), "format": to, "files": [str(path) for path in files]}, indent=2))
         return
+    form = FORMATS[to]
     count = "1 file" if len(files) == 1 else f"{len(files)} files"
     missing = "" if form.missing == "–" else f"; missing values: {form.missing.replace('`', '')}"
     click.echo(f"{out}: {form.title}, {count}{missing}")
@@ -59,7 +57,7 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
         click.echo(form.note, err=True)
 
 
-@verb("planish explore run --out sheet.html", name="explore")
+@verb("planish explore run --out sheet.html")
 @existing("run")
 @out_option("HTML file to write; it must not exist.")
 @options(Compute, "compute", "Resources", only=("memory_bytes", "threads"))
@@ -84,16 +82,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
         sentence(note)
 
 
-LOCAL = "127.0.0.1"
-
-_image_options = options(ImageParams, "image", "Image", only=("pixel_um", "channel", "side"))
-
-
-@verb(
-    "planish view run",
-    "planish view run-map image.tif --pixel-um 2.6",
-    name="view",
-)
+@verb("planish view run", "planish view run-map image.tif --pixel-um 2.6")
 @existing("run")
 @click.argument("image", type=click.Path(path_type=Path), required=False)
 @click.option(
@@ -102,10 +91,13 @@ _image_options = options(ImageParams, "image", "Image", only=("pixel_um", "chann
 @click.option("--no-browser", is_flag=True, help="Print the address only, and open no browser.")
 @click.option("--read-only", is_flag=True, help="Look only: nothing can be changed.")
 @click.option(
-    "--host", default=LOCAL, metavar="ADDRESS", help="Address to serve on; others than this machine need --expose."
+    "--host",
+    default="127.0.0.1",
+    metavar="ADDRESS",
+    help="Address to serve on; others than this machine need --expose.",
 )
 @click.option("--expose", is_flag=True, help="Serve to other machines, over a connection that is not encrypted.")
-@_image_options
+@options(ImageParams, "image", "Image", only=("pixel_um", "channel", "side"))
 @json_option
 def view(
     run: Path, image: Path | None, port: int, no_browser: bool, read_only: bool, host: str, expose: bool, as_json: bool,
@@ -118,9 +110,9 @@ def view(
     """
     from planish.app.server import serve
     from planish.app.session import Session
-    from planish.cli.options import build_params
 
-    if host not in (LOCAL, "localhost") and not expose:
+    is_local = host in ("127.0.0.1", "localhost")
+    if not is_local and not expose:
         raise click.UsageError(
             f"--host {host} lets other machines on the network see and change this run, over a connection that is not "
             "encrypted. Give --expose as well if you mean it; for one other machine, an ssh tunnel is safer."
@@ -129,17 +121,13 @@ def view(
     session = Session.open(run, shown, read_only=read_only)
 
     def started(url: str) -> None:
-        if as_json:
-            click.echo(json.dumps({"url": url, "run": str(run), "read_only": session.read_only}))
-        else:
-            click.echo(url)
+        about = {"url": url, "run": str(run), "read_only": session.read_only}
+        click.echo(json.dumps(about) if as_json else url)
         if session.reason:
             click.echo(f"planish: read only. {session.reason}", err=True)
-        if host not in (LOCAL, "localhost"):
-            click.echo(
-                f"planish: exposed on {host}: whoever gets this address, token included, sees this run's maps and "
-                "marks and can change them; nothing is encrypted.", err=True,
-            )  # fmt: skip
+        if not is_local:
+            who = "whoever gets this address, token included, sees this run's maps and marks and can change them"
+            click.echo(f"planish: exposed on {host}: {who}; nothing is encrypted.", err=True)
         if not no_browser:
             click.launch(url)
 

@@ -16,10 +16,8 @@ from planish.correct.params import CorrectParams
 from planish.io.params import VolumeParams
 from planish.run.compute import Compute, engine
 
-_OF_IMPORT = ("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols")
 
-
-@verb("planish info volume.tif", "planish info volume.tif --picture look.png", "planish info run --json", name="info")
+@verb("planish info volume.tif", "planish info volume.tif --picture look.png", "planish info run --json")
 @existing("path")
 @click.option(
     "--picture", type=click.Path(path_type=Path), metavar="PNG", help="Draw the middle sections into this file."
@@ -32,6 +30,7 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
     it. --picture draws three sections: x and y across with z down, and x across with y down.
     """
     from planish.cli.show import fact_lines, run_facts, run_lines
+    from planish.io import describe, find_place
     from planish.io.inspection import Section, as_text, best_section, middle_sections, write_picture
 
     run = run_facts(path)
@@ -42,8 +41,6 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
     sections: list[Section] = []
     drawn = not as_json and sys.stdout.isatty() and (sys.stdout.encoding or "").lower().startswith("utf")
     if run is None:
-        from planish.io import describe
-
         wanted = picture is not None or drawn
         facts = describe(path, look=(lambda values: sections.extend(middle_sections(values))) if wanted else None)
         lines = fact_lines(facts)
@@ -53,8 +50,6 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
         facts, lines = run, run_lines(run)
     if picture is not None:
         if not sections:
-            from planish.io import find_place
-
             raise FileError(
                 f"There is nothing of {find_place(path).name} to draw: give a volume or an image that can be looked at."
             )
@@ -69,7 +64,10 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
 )
 @existing("volume")
 @out_option("Store to make, such as sheet.zarr; it must not exist.")
-@options(VolumeParams, "volume", "Volume", only=_OF_IMPORT)
+@options(
+    VolumeParams, "volume", "Volume",
+    only=("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols"),
+)  # fmt: skip
 @options(CorrectParams, "correct", "Corrections")
 @options(Compute, "compute", "Resources", only=("memory_bytes", "scheduler"))
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
@@ -126,7 +124,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     click.echo(f"{out}: {' x '.join(map(str, data.shape))} voxels")
 
 
-@verb("planish properties", "planish map volume.tif --out run --property porosity --solid-grey 180", name="properties")
+@verb("planish properties", "planish map volume.tif --out run --property porosity --solid-grey 180")
 def properties() -> None:
     """List the maps that --property takes: name, unit and what they show."""
     from planish.cli.console import table

@@ -113,8 +113,7 @@ def _as_planish_error(error: Exception) -> PlanishError:
     if isinstance(error, PlanishError):
         return error
     if isinstance(error, MemoryError):
-        text = "The memory is used up. Use a smaller or coarser volume, or a machine with more memory."
-        return ResourceError(text)
+        return ResourceError("The memory is used up. Use a smaller or coarser volume, or a machine with more memory.")
     if isinstance(error, OSError):
         from planish.core.files import as_planish
 

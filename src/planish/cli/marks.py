@@ -26,7 +26,6 @@ _ORIGIN = Value(_TWO, "X,Y")
 _BY_NAME = ", ".join(
     f"{' or '.join(FORMATS[name].suffixes)} {FORMATS[name].title}" for name in TARGETS if FORMATS[name].suffixes
 )
-_PICTURES = ("png", "svg", "pdf")
 
 
 @click.group()
@@ -127,7 +126,7 @@ def simulate(
 
     stage = build_params(StageParams, values, "stage")
     if out is not None:
-        if out.suffix.lower().lstrip(".") not in _PICTURES:
+        if out.suffix.lower() not in (".png", ".svg", ".pdf"):
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")
         refuse_existing(out)
     run = dry_run(read_text(program, what="stage program"), stage, pulse_s=pulse_most_s)
@@ -157,16 +156,17 @@ def simulate(
         click.echo(f"{program}: {run.sentence()}" + ("" if out is None else f"; {out}"))
         if pattern is not None and difference is None:
             click.echo(f"the shots are those of {pattern}")
-    if difference is not None:
-        click.echo(f"planish: {difference}", err=True)
-    return 0 if difference is None else 4
+    if difference is None:
+        return 0
+    click.echo(f"planish: {difference}", err=True)
+    return 4
 
 
 def _show(pattern: Pattern, rules: tuple[Rule, ...]) -> None:
-    rows = [
-        (r.name, f"{r.value:.4g} {r.unit}".strip(), f"{r.sense} {r.limit:g}", "kept" if r.passed else "BROKEN")
-        for r in rules
-    ]
+    rows: list[tuple[str, ...]] = []
+    for r in rules:
+        measured = f"{r.value:.4g} {r.unit}".strip()
+        rows.append((r.name, measured, f"{r.sense} {r.limit:g}", "kept" if r.passed else "BROKEN"))
     title = f"{pattern.name}: {len(pattern.holes)} holes of {pattern.diameter_um:g} um"
     table(title, ("rule", "measured", "limit", ""), rows)
 
@@ -213,22 +213,21 @@ def convert(
     marks = read_any(*sources, **facts, unit=unit, swap=swap)
     written = write_any(marks, out, to=kind, **facts, unit=out_unit, swap=swap_out)
     layers, read = layer_names(marks), marks.attrs["read_from"]
-    used = int(marks["used"].values.sum())
+    used, paths = int(marks["used"].values.sum()), [str(path) for path in written]
     if as_json:
-        counts = {"read": read, "marks": marks.sizes["mark"], "used": used}
-        listed = {"layers": layers, "format": kind, "files": [str(path) for path in written]}
-        click.echo(json.dumps(counts | listed, indent=2))
+        data = {
+            "read": read, "marks": marks.sizes["mark"], "used": used, "layers": layers, "format": kind, "files": paths,
+        }  # fmt: skip
+        click.echo(json.dumps(data, indent=2))
         return
-    names = ", ".join(str(path) for path in written)
-    click.echo(f"{names}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
+    click.echo(f"{', '.join(paths)}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
     if not read["stated"] and unit is None:
         title = FORMATS[read["format"]].title
         click.echo(f"{title} states no unit; the positions were taken as {read['unit']} (--unit).", err=True)
     for layer in layers if FORMATS[kind].unit is not None else ():
         origin = about_layer(marks, layer).get("origin_um", {"x": 0.0, "y": 0.0})
         if any(origin.values()):
-            place = f"{origin['x']:g},{origin['y']:g} um"
-            advice = "give that as its origin when they are read again."
-            click.echo(f"{layer}: positions count from its first pixel, at {place}; {advice}", err=True)
+            place = f"{origin['x']:g},{origin['y']:g} um; give that as its origin when they are read again."
+            click.echo(f"{layer}: positions count from its first pixel, at {place}", err=True)
     if kind == "elastix":
         click.echo("elastix: -mp the moving, -fp the fixed points; its transforms take fixed to moving.", err=True)

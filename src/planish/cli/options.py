@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
 
@@ -32,7 +33,7 @@ class Verb(click.Command):
             record = param.get_help_record(ctx) if isinstance(param, click.Option) else None
             if record is not None:
                 groups.setdefault(getattr(param, "group", "Options"), []).append(record)
-        for name in [*(g for g in groups if g != "Options"), *(["Options"] if "Options" in groups else [])]:
+        for name in sorted(groups, key=lambda name: name == "Options"):  # which come last
             with formatter.section(name):
                 formatter.write_dl(groups[name])
         if self.examples:
@@ -115,21 +116,24 @@ def options(
     for name, field, shown in options_of(model):
         if name not in without and (not only or name in only):
             decorators.append(_option(f"{section}__{name}", field, shown, group))
-            if (inner := _inner(field)) is not None:
+            if _is_model(inner := kinds_of(field.annotation)[0]):
                 decorators.append(options(inner, f"{section}__{name}", group))
     return stack(*decorators)
 
 
-def _inner(field: FieldInfo) -> type[Params] | None:
-    """The model inside a model, which its own flag switches on."""
-    kinds = kinds_of(field.annotation)
-    return kinds[0] if len(kinds) == 1 and isinstance(kinds[0], type) and issubclass(kinds[0], Params) else None
+def _is_model(kind: Any) -> bool:
+    """Tell whether a field is a model inside a model, which its own flag switches on."""
+    return isinstance(kind, type) and issubclass(kind, Params)
+
+
+def _or_none(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
+    return values or None  # not given is other than an empty choice
 
 
 def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     kinds = kinds_of(field.annotation)
     how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "required": field.is_required()}
-    if kinds == [bool] or _inner(field) is not None:
+    if kinds == [bool] or _is_model(kinds[0]):
         return click.option(*shown.flags, name, is_flag=True, default=None, **how)
     default = field.get_default()
     if default not in (None, (), ...) and default is not PydanticUndefined:
@@ -137,11 +141,7 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
         texts = (f"{value:.7g}" if isinstance(value, float) else str(value) for value in values)
         how["help"] += f"  [default: {','.join(texts)}]"
     if kinds == [tuple[str, ...]]:
-
-        def callback(_context: Any, _option: Any, values: tuple[str, ...]) -> tuple[str, ...] | None:
-            return values or None  # not given is other than an empty choice
-
-        how["callback"] = callback
+        how["callback"] = _or_none
         return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
         return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
@@ -170,11 +170,10 @@ def build_params(model: type[P], values: dict[str, Any], section: str, **more: A
     try:
         return model.model_validate(given_options(values, section) | more)
     except ValidationError as error:
-        faults = [
-            "".join(f"{flags.get(str(place), place)}: " for place in e["loc"][:1])
-            + e["msg"].removeprefix("Value error, ")
-            for e in error.errors()
-        ]
+        faults: list[str] = []
+        for fault in error.errors():
+            flag = "".join(f"{flags.get(str(place), place)}: " for place in fault["loc"][:1])
+            faults.append(flag + fault["msg"].removeprefix("Value error, "))
         raise click.UsageError("; ".join(faults)) from error
 
 
@@ -182,9 +181,7 @@ def stack(*parts: Command) -> Command:
     """Make one decorator of several."""
 
     def decorate(function: Command) -> Command:
-        for part in reversed(parts):
-            function = part(function)
-        return function
+        return reduce(lambda command, part: part(command), reversed(parts), function)
 
     return decorate
 
@@ -208,6 +205,6 @@ def existing(name: str) -> Command:
     return click.argument(name, type=click.Path(path_type=Path))
 
 
-def verb(*examples: str, name: str) -> Command:
-    """Make a command of a function, with examples at the end of its help."""
+def verb(*examples: str, name: str | None = None) -> Command:
+    """Make a command of a function, by whose name it is called, with examples at the end of its help."""
     return click.command(name, cls=Verb, examples=examples)

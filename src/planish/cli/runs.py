@@ -44,14 +44,10 @@ image_options = options(ImageParams, "image", "Image")
 surface_options = options(SurfaceParams, "surface", "Surface search")
 property_options = options(MeasureParams, "properties", "Properties")
 hole_options = options(HoleParams, "holes", "Marks and registration")
-correlate_options = options(CorrelateParams, "correlate", "Correlation")
 compute_options = options(Compute, "compute", "Resources")
-sheet_options = stack(
-    volume_options, surface_options, property_options, options(FlattenParams, "flatten", "Flattening")
-)  # fmt: skip
-link_options = stack(
-    image_options, hole_options, options(RegistrationParams, "registration", "Marks and registration"),
-    correlate_options,
+_run_options = stack(
+    volume_options, surface_options, property_options, options(FlattenParams, "flatten", "Flattening"),
+    compute_options, figures_option, strict_option, json_option,
 )  # fmt: skip
 _folder_option = out_option("Folder to make; a new one where not given.", required=False)
 
@@ -60,24 +56,19 @@ def _set_option(text: str) -> Command:
     return click.option("--set", "changes", multiple=True, metavar="[LAYER.]SECTION.NAME=VALUE", help=text)
 
 
-_SECTIONS = ("volume", "image", "surface", "properties", "flatten", "holes", "registration", "correlate")
-
-
-def study_from(
-    layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False, changes: tuple[str, ...] = ()
-) -> Study:
+def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
     from planish.run.build import study_of
 
-    sections = {name: fields for name in _SECTIONS if (fields := given_options(values, name))}
+    names = "volume", "image", "surface", "properties", "flatten", "holes", "registration", "correlate"
+    sections = {name: fields for name in names if (fields := given_options(values, name))}
     for section, name in (("registration", "marks"), ("registration", "design"), ("correlate", "regions")):
         if path := sections.get(section, {}).get(name):
             sections[section][name] = str(Path(path).absolute())
     try:
-        study = study_of(layers, sections, chain=chain)
+        return study_of(layers, sections, chain=chain)
     except StudyError as error:
         raise click.UsageError(error.text) from error
-    return _changed(study, changes)
 
 
 def _changed(study: Study, changes: tuple[str, ...]) -> Study:
@@ -89,28 +80,26 @@ def _changed(study: Study, changes: tuple[str, ...]) -> Study:
         raise click.UsageError(f"--set: {error.text}") from error
 
 
-def _run_and_show(
-    study: Study, out: Path, values: dict[str, Any], *, as_json: bool, strict: bool, old: Path | None = None,
-    figures: bool = False,
-) -> int:  # fmt: skip
+def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, old: Path | None = None) -> int:
     """Do what a study says, show it, and return the exit code."""
     from planish.run import run_study
 
     with stages(8 + 3 * len(study.layers)) as progress:
-        run = run_study(
-            study, out, progress=progress, compute=build_params(Compute, values, "compute"), old=old, figures=figures
-        )
-    return finish(run, out, as_json=as_json, strict=strict)
+        compute, figures = build_params(Compute, values, "compute"), values.get("figures", False)
+        run = run_study(study, out, progress=progress, compute=compute, old=old, figures=figures)
+    return finish(run, out, as_json=values["as_json"], strict=values["strict"])
 
 
 @verb(
     "planish link volume.tif image.tif --out run",
     "planish link run bottom.tif --out run-bottom --image-side bottom --pixel-um 2.6",
-    name="link",
 )
 @click.argument("layers", nargs=-1, required=True, metavar="LAYER... REFERENCE")
 @out_option(OUT)
-@link_options
+@image_options
+@hole_options
+@options(RegistrationParams, "registration", "Marks and registration")
+@options(CorrelateParams, "correlate", "Correlation")
 @click.option(
     "--chain", is_flag=True, cls=Option, group="Marks and registration",
     help="Register each layer to the next one, and carry it on from there.",
@@ -118,15 +107,8 @@ def _run_and_show(
 @_set_option(
     "Set a parameter of one layer, such as large.image.pixel_um=5.3,5.3 for the layer large=PATH; may be given again."
 )
-@sheet_options
-@compute_options
-@figures_option
-@strict_option
-@json_option
-def link(
-    layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], figures: bool, strict: bool,
-    as_json: bool, **values: Any,
-) -> int:  # fmt: skip
+@_run_options
+def link(layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ...], **values: Any) -> int:
     """Link layers of one specimen to the last of them: all maps on its pixels, correlation, report.
 
     A layer is a volume (TIFF stack, folder of slices or sections, store), the folder of a run that planish made of one,
@@ -139,8 +121,7 @@ def link(
     """
     if len(layers) < 2:
         raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
-    study = study_from(layers, values, chain=chain, changes=changes)
-    return _run_and_show(study, out, values, as_json=as_json, strict=strict, figures=figures)
+    return _run_and_show(_changed(study_from(layers, values, chain=chain), changes), out, values)
 
 
 @verb(
@@ -150,22 +131,16 @@ def link(
 )
 @existing("volume")
 @out_option(OUT)
-@sheet_options
-@compute_options
-@figures_option
-@strict_option
-@json_option
-def map_(volume: Path, out: Path, figures: bool, strict: bool, as_json: bool, **values: Any) -> int:
+@_run_options
+def map_(volume: Path, out: Path, **values: Any) -> int:
     """Map VOLUME: flattened maps of all properties, without an image."""
-    study = study_from((volume,), values)
-    return _run_and_show(study, out, values, as_json=as_json, strict=strict, figures=figures)
+    return _run_and_show(study_from((volume,), values), out, values)
 
 
 @verb(
     "planish run study.toml --out run",
     "planish run run/run.toml --out again --threads 2",
     "planish run run/run.toml --set correlate.point_um=50 --out run-50",
-    name="run",
 )
 @existing("study")
 @_folder_option
@@ -176,7 +151,7 @@ def map_(volume: Path, out: Path, figures: bool, strict: bool, as_json: bool, **
 @compute_options
 @strict_option
 @json_option
-def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, as_json: bool, **values: Any) -> int:
+def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) -> int:
     """Do what STUDY says: a file of 'planish new', or the run.toml of a run, which is then repeated.
 
     Mistakes in STUDY are named with line, key and the word that was probably meant. A run that is repeated without
@@ -187,18 +162,15 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
 
     if study.is_dir():
         study = study / RUN_TOML
-    checked = read_study(study)
-    old = study.absolute().parent if study.name == RUN_TOML else None  # the run that STUDY is of
-    figures = old is not None and (old / FIGURES).is_dir()
-    checked = _changed(checked, changes)
-    if old is None:
-        target = out or free_path(study.with_suffix(""))
-    else:
-        target = out or free_path(old.with_name(f"{old.name}-{'2' if changes else 'again'}"))
+    checked = _changed(read_study(study), changes)
+    old, usual = None, study.with_suffix("")
+    if study.name == RUN_TOML:
+        old = study.absolute().parent  # the run that STUDY is of
+        usual = old.with_name(f"{old.name}-{'2' if changes else 'again'}")
+        values["figures"] = (old / FIGURES).is_dir()
+    target = out or free_path(usual)
     try:
-        code = _run_and_show(
-            checked, target, values, as_json=as_json, strict=strict, old=old if changes else None, figures=figures
-        )
+        code = _run_and_show(checked, target, values, old=old if changes else None)
     except PlanishError as error:
         raise type(error)(in_study_words(error.text)) from error
     if old is not None and not changes:
@@ -208,42 +180,41 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], strict: bool, a
 
 def _compare(old: Path, target: Path) -> None:
     """Say whether a run that was repeated has the same bytes."""
+    from planish.run.run import MAPS
+
     before = run_facts(old)
     if before is not None and before["warning"]:
         click.echo(f"{old.name} was {before['warning']}", err=True)
-    elif (old / "results.json").is_file():
-        # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what
-        # was changed since in the browser.
-        paths = [p.relative_to(root) for root in (old, target) for p in root.rglob("*") if p.is_file()]
-        compared = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
-        _, other, missing = filecmp.cmpfiles(old, target, {p.as_posix() for p in compared}, shallow=False)
-        different = sorted([*other, *missing])
-        verb = "differs" if len(different) == 1 else "differ"
-        text = f"{_listed(different)} {verb} from" if different else "same bytes as"
-        is_other_code = before is not None and not is_this_code(before["planish"], before["code"])
-        origin = f", which was made by other code (planish {before['planish']})" if before and is_other_code else ""
-        click.echo(f"{target}: {text} {old}{origin}", err=True)
-
-
-def _listed(files: list[str]) -> str:
-    """Files in words; those of the store, of which a map has many, as a count and their groups."""
-    from planish.run.run import MAPS
-
-    stored = [Path(name).parts for name in files if name.startswith(f"{MAPS}/")]
-    phrases = [name for name in files if not name.startswith(f"{MAPS}/")]
+        return
+    if not (old / "results.json").is_file():
+        return
+    # Not the hidden note of maps that outlived a refused link: it says what was asked, not what came out. Nor what was
+    # changed since in the browser.
+    paths = [p.relative_to(root) for root in (old, target) for p in root.rglob("*") if p.is_file()]
+    compared = [p for p in paths if not p.name.startswith(".") and (p.parts[0] != EDITS or p.name in EDITS_APPLIED)]
+    _, other, missing = filecmp.cmpfiles(old, target, {p.as_posix() for p in compared}, shallow=False)
+    different = sorted([*other, *missing])
+    # Files of the store, of which a map has many, as a count and their groups.
+    stored = [Path(name).parts for name in different if name.startswith(f"{MAPS}/")]
+    phrases = [name for name in different if not name.startswith(f"{MAPS}/")]
     if stored:
-        groups = sorted({parts[1] for parts in stored if len(parts) > 2})
-        where = f"{MAPS} ({', '.join(groups)})" if groups else MAPS
-        phrases.insert(0, f"{len(stored)} {'file' if len(stored) == 1 else 'files'} of {where}")
-    return ", ".join(phrases)
+        groups = ", ".join(sorted({parts[1] for parts in stored if len(parts) > 2}))
+        where = f"{MAPS} ({groups})" if groups else MAPS
+        phrases.insert(0, f"{len(stored)} file{'s' * (len(stored) > 1)} of {where}")
+    verb = "differs" if len(different) == 1 else "differ"
+    text = f"{', '.join(phrases)} {verb} from" if different else "same bytes as"
+    origin = ""
+    if before is not None and not is_this_code(before["planish"], before["code"]):
+        origin = f", which was made by other code (planish {before['planish']})"
+    click.echo(f"{target}: {text} {old}{origin}", err=True)
 
 
-@verb("planish demo", "planish demo --out try --seed 2", name="demo")
+@verb("planish demo", "planish demo --out try --seed 2")
 @_folder_option
 @click.option("--seed", default=1, show_default=True, help="Another number gives another specimen.")
 @strict_option
 @json_option
-def demo(out: Path | None, seed: int, strict: bool, as_json: bool) -> int:
+def demo(out: Path | None, seed: int, **values: Any) -> int:
     """Make a synthetic specimen with laser holes, link it, and show what comes out."""
     from dataclasses import replace
 
@@ -256,14 +227,10 @@ def demo(out: Path | None, seed: int, strict: bool, as_json: bool) -> int:
     click.echo(f"specimen: a warped sheet of {width:g} x {height:g} mm, seed {seed}", err=True)
     files = write_instruments(make_specimen(replace(DEMO, seed=seed)), folder / "specimen")
     assert files.image is not None
-    return _run_and_show(
-        study_from((files.volume, files.image), {}), folder / "run", {}, as_json=as_json, strict=strict
-    )
+    return _run_and_show(study_from((files.volume, files.image), {}), folder / "run", values)
 
 
-@verb(
-    "planish new study.toml volume.tif image.tif", "planish new study.toml scan/", "planish run study.toml", name="new"
-)
+@verb("planish new study.toml volume.tif image.tif", "planish new study.toml scan/", "planish run study.toml")
 @existing("study")
 @existing("volume")
 @click.argument("image", required=False, type=click.Path(path_type=Path))

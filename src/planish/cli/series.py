@@ -27,7 +27,6 @@ _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused",
     "planish study series.toml --out series --jobs 2",
     "planish study specimens.csv --out series --dry-run",
     "planish study series.toml --out series --watch scans/",
-    name="study",
 )
 @existing("specimens")
 @out_option("Folder of the series; one that 'planish study' made goes on where it stood.")
@@ -94,10 +93,8 @@ def study(
     if as_json:
         click.echo(results.to_json(), nl=False)
     counts = Counter(member.state for member in finished)
-    click.echo(
-        f"{len(finished)} specimens: " + ", ".join(f"{counts[k]} {words}" for k, words in _WORDS.items() if counts[k])
-        + f"; {time.monotonic() - begin:.0f} s", err=True,
-    )  # fmt: skip
+    states = ", ".join(f"{counts[state]} {words}" for state, words in _WORDS.items() if counts[state])
+    click.echo(f"{len(finished)} specimens: {states}; {time.monotonic() - begin:.0f} s", err=True)
     for member in finished:
         if member.state not in ("whole", "open"):
             sentence(f"planish: {member.name}: {_WORDS[member.state]}: {member.message}", err=True)
@@ -141,22 +138,20 @@ class _ProgressLines:
 def _dry_run(state: SeriesState, specimens: Sequence[PlannedSpecimen], compute: Compute, jobs: int) -> int:
     """A table of what would be done; nothing is written."""
     estimates = [(specimen, state.estimate(specimen, compute)) for specimen in specimens]
-    rows = [
-        (specimen.name, need.words, *(("-",) * 3 if need.seconds is None else (
-            _time(need.seconds), f"{need.memory_bytes / 1e9:.1f} GB", f"{need.disk_bytes / 1e9:.2f} GB"
-        )))
-        for specimen, need in estimates
-    ]  # fmt: skip
+    rows: list[tuple[str, ...]] = []
+    for specimen, need in estimates:
+        figures = "-", "-", "-"
+        if need.seconds is not None:
+            figures = _time(need.seconds), f"{need.memory_bytes / 1e9:.1f} GB", f"{need.disk_bytes / 1e9:.2f} GB"
+        rows.append((specimen.name, need.words, *figures))
     table("What would be done", ("specimen", "", "time", "memory", "disk"), rows)
-    open_ = [each for _, each in estimates if each.seconds is not None]
-    seconds = sum(each.seconds or 0.0 for each in open_) / jobs
-    memory = jobs * max((each.memory_bytes for each in open_), default=0.0)
-    disk = sum(each.disk_bytes for each in open_)
-    click.echo(
-        f"{len(open_)} of {len(estimates)} to do: about {_time(seconds)}, {memory / 1e9:.1f} GB of memory, "
-        f"{disk / 1e9:.2f} GB of disk. Nothing was written."
-    )
-    return 0 if open_ or any(each.words.startswith("kept") for _, each in estimates) else 3
+    needs = [need for _, need in estimates if need.seconds is not None]
+    time_ = _time(sum(need.seconds or 0.0 for need in needs) / jobs)
+    memory = jobs * max((need.memory_bytes for need in needs), default=0.0)
+    disk = sum(need.disk_bytes for need in needs)
+    figures = f"about {time_}, {memory / 1e9:.1f} GB of memory, {disk / 1e9:.2f} GB of disk"
+    click.echo(f"{len(needs)} of {len(estimates)} to do: {figures}. Nothing was written.")
+    return 0 if needs or any(need.words.startswith("kept") for _, need in estimates) else 3
 
 
 def _time(seconds: float) -> str:
@@ -172,15 +167,16 @@ def _margin(_context: click.Context, _parameter: click.Parameter, assignments: t
     """Margins of ``MAP=UM``."""
     margins: dict[str, float] = {}
     for assignment in assignments:
-        name, sign, number = assignment.partition("=")
+        name, _, number = assignment.partition("=")
         try:
-            margins[name.strip()] = float(number)
+            margin = float(number)
         except ValueError:
-            sign = ""
-        if not sign or not name.strip() or not 0 < margins[name.strip()] < float("inf"):
+            margin = 0.0
+        if not name.strip() or not 0 < margin < float("inf"):
             raise click.BadParameter(
                 f"{assignment!r} is no margin. Write MAP=UM, MAP.sd=UM, MAP.thin_share=SHARE or r=NUMBER, above 0."
             )
+        margins[name.strip()] = margin
     return margins
 
 
@@ -188,7 +184,6 @@ def _margin(_context: click.Context, _parameter: click.Parameter, assignments: t
     "planish compare run-1 run-2 run-3",
     "planish compare runs/* --table specimens.csv --by treatment --out compared",
     "planish compare --table specimens.csv --margin coating_top=0.5 --margin r=0.1 --out compared",
-    name="compare",
 )
 @click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
 @click.option(
@@ -210,7 +205,6 @@ def compare(
     Without --table each run counts as a sheet of its own, and nothing but its figures and their mean is stated. Without
     RUNS, all those of the table are taken. Figures that a check doubts or refutes are marked and take part in nothing.
     """
-    from planish.cli.options import build_params
     from planish.core.errors import InputError
     from planish.io.run_folder import new_folder
     from planish.series.gather import gather
@@ -251,8 +245,10 @@ def _show(results: SeriesResults) -> None:
     from planish.report import series_words as words
 
     quantities = results.quantities
-    shorts = {"thin_share": "thin"}
-    names = [" ".join(filter(None, (q.layer, q.map, shorts.get(q.what, q.what), q.other_layer))) for q in quantities]
+    names: list[str] = []
+    for q in quantities:
+        what = "thin" if q.what == "thin_share" else q.what
+        names.append(" ".join(filter(None, (q.layer, q.map, what, q.other_layer))))
     columns = ["", *results.factors, "checks", *names]
     rows = [
         [row.member.name, *(row.member.factors.get(f, "") for f in results.factors), row.light or row.member.state,

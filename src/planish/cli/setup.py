@@ -24,7 +24,7 @@ from planish.core.errors import FileError
 _WORDS = {"pass": "ok", "unknown": "note", "look": "look", "fail": "PROBLEM"}
 
 
-@verb("planish doctor", "planish doctor --json > doctor.json", name="doctor")
+@verb("planish doctor", "planish doctor --json > doctor.json")
 @click.option("--json", "as_json", is_flag=True, help="Print the checks as JSON.")
 def doctor(as_json: bool) -> int:
     """Check the installation: versions, compile cache, memory, disks, console, extras.
@@ -50,7 +50,6 @@ def doctor(as_json: bool) -> int:
     return 4 if wrong else 0
 
 
-VARIABLE = "_PLANISH_COMPLETE"  # by which a shell asks the program; its name is click's rule
 SHELLS = ("bash", "zsh", "fish", "powershell")
 
 _POWERSHELL = """\
@@ -103,12 +102,10 @@ def script_of(shell: str) -> str:
     kind = get_completion_class(shell)
     assert kind is not None
     # Not the method of the class for bash, which starts bash to look at its version.
-    return ShellComplete.source(kind(planish, {}, "planish", VARIABLE))
+    return ShellComplete.source(kind(planish, {}, "planish", "_PLANISH_COMPLETE"))  # the name is click's rule
 
 
-@verb(
-    "planish completion bash --install", "planish completion powershell >> $PROFILE", name="completion",
-)  # fmt: skip
+@verb("planish completion bash --install", "planish completion powershell >> $PROFILE")
 @click.argument("shell", type=click.Choice(SHELLS))
 @click.option("--install", is_flag=True, help="Write it into your own place for SHELL, and say where.")
 def completion(shell: str, install: bool) -> None:

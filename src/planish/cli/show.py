@@ -38,11 +38,7 @@ def stages(total: int) -> Generator[Tell]:
     )
     with Progress(*columns, console=console(err=True), transient=True) as bar:
         task = bar.add_task("start", total=total)
-
-        def tell(stage: str, detail: str) -> None:
-            bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
-
-        yield tell
+        yield lambda stage, detail: bar.update(task, advance=1, description=f"{stage}: {printable(detail)}")
 
 
 def number(value: float | None, digits: int = 3) -> str:
@@ -77,8 +73,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
     for state in states:
         for check in results.checks_in(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
-            text = f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip()
-            sentence(text, err=True)
+            sentence(f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip(), err=True)
     return exit_code(results, strict=strict)
 
 
@@ -104,24 +99,25 @@ def _registration(layer: LayerFacts) -> None:
     r = layer.registration
     if r is None:
         return
-    e = r.expected_error
-    trust = "" if e is None or e.trust == "ok" else f", {e.trust}"
-    error = "" if e is None else f", expected error {number(e.median_um, 2)} um (median{trust})"
+    shares, error, e = [], "", r.expected_error
+    if e is not None:
+        trust = "" if e.trust == "ok" else f", {e.trust}"
+        error = f", expected error {number(e.median_um, 2)} um (median{trust})"
+        shares = [] if e.shares is None else [e.shares.sentence]
     sentence(
         f"{layer.name} to {r.to}: {r.matched} marks used, residual {r.rms_um:.2f} um rms, leave-one-out "
         f"{number(r.leave_one_out_rms_um, 2)} um{error}; {r.model}, scale {r.scale:.4f}, rotation {r.rotation_deg:.2f} "
         f"deg{', mirrored' if r.mirrored else ''}"
     )
-    shares = () if e is None or e.shares is None else (e.shares.sentence,)
     for text in (*r.warnings, *shares, r.orientation.sentence):
         sentence(f"  {text}")
 
 
 def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | ComparisonRow]]) -> None:
     """Print correlations, each under its name."""
-    marks = [getattr(r, "marks_rms_um", None) for _, r in rows]
     cells: list[tuple[str, ...]] = []
-    for (name, r), rms_um in zip(rows, marks, strict=True):
+    for name, r in rows:
+        rms_um = getattr(r, "marks_rms_um", None)
         label = name if getattr(r, "trust", "ok") == "ok" else f"{name} ({r.trust})"
         low, high = r.interval
         digits = 2 if high - low >= 0.02 else 4  # of a narrow one more: two decimals hide it
@@ -130,7 +126,7 @@ def correlations(title: str, rows: Sequence[tuple[str, CorrelationRow | Comparis
         figures = number(r.n_eff, 0), number(r.r), interval, number(r.r2), slope, number(rms_um, 1)
         cells.append((label, f"{r.point_um:g}", str(r.n), *figures))
     names = ("", "point um", "n", "n_eff", "r", "95 %", "r2", "slope", "marks um")
-    shown = len(names) if any(marks) else len(names) - 1
+    shown = len(names) if any(getattr(r, "marks_rms_um", None) for _, r in rows) else len(names) - 1
     table(title, names[:shown], [row[:shown] for row in cells])
 
 
@@ -140,7 +136,8 @@ def run_facts(path: Path) -> dict[str, Any] | None:
         return None
     try:
         results: dict[str, Any] = json.loads((path / "results.json").read_text(encoding="utf-8"))
-        old = str(results["planish"]).startswith("0.1.")
+        version = str(results["planish"])
+        old, again = version.startswith("0.1."), "'planish run' repeats it with this version."
         name = next(key for key in ("checks", "gates", "quality") if key in results)
         checks: list[dict[str, Any]] = results[name]
         states = {state: [str(c["name"]) for c in checks if c.get("state") == state] for state in ("fail", "look")}
@@ -149,21 +146,18 @@ def run_facts(path: Path) -> dict[str, Any] | None:
             inputs = {str(layer["name"]): str(layer["source"]["name"]) for layer in results["layers"]}
         else:
             inputs = {str(k): str(v["name"]) for k, v in results["inputs"].items()}
+        warning = None
+        if old:
+            warning = f"made by planish 0.1.0: the errors stated in it are about 1.5 times too small; {again}"
+        elif name == "gates":
+            warning = f"made by planish {version}: its results have an older format; {again}"
         return {
             "kind": "run of " + ("one volume" if len(inputs) == 1 else f"{len(inputs)} layers"),
             "file_name": path.absolute().name, "inputs": inputs, "checks": len(checks), **states,
-            "planish": str(results["planish"]), "code": str(results.get("code", "")),
-            "warning": _OLD if old else _OLDER_FORMAT.format(results["planish"]) if name == "gates" else None,
+            "planish": version, "code": str(results.get("code", "")), "warning": warning,
         }  # fmt: skip
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, StopIteration):
         return None
-
-
-_OLD = (
-    "made by planish 0.1.0: the errors stated in it are about 1.5 times too small; 'planish run' repeats it with this "
-    "version."
-)
-_OLDER_FORMAT = "made by planish {}: its results have an older format; 'planish run' repeats it with this version."
 
 
 def run_lines(facts: dict[str, Any]) -> list[str]:
@@ -180,9 +174,8 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
     """Write the facts of ``planish info`` for a reader."""
     axes = ", ".join(facts["dims"])
     shape = " x ".join(map(str, facts["shape"]))
-    lines = [
-        f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {facts['bytes'] / 1e6:.1f} MB"
-    ]
+    size = f"{facts['bytes'] / 1e6:.1f} MB"
+    lines = [f"{facts['file_name']}: {facts['kind']}, {shape} ({axes}), {facts['dtype']}, {size}"]
     if "stored" in facts:
         lines.append(f"format: {facts['format']}, {facts['stored']}")
     element = "pixel" if facts["kind"] == "image" else "voxel"
@@ -191,31 +184,25 @@ def fact_lines(facts: dict[str, Any]) -> list[str]:
         lines += [f"{element} size: {size} um ({axes}), from {facts['size_source']}", f"extent: {extent} um"]
     else:
         lines.append(f"{element} size: not stated")
-    levels = facts["percentiles"]
     if facts["min"] is not None:
-        middle = ", ".join(f"{levels[k]:.5g} ({k} %)" for k in levels)
+        middle = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
         lines.append(f"grey: {facts['min']:.5g} to {facts['max']:.5g}; percentiles {middle}")
     if facts["nan_share"]:
         lines.append(f"missing: {100 * facts['nan_share']:.2f} % of the values are NaN or infinite")
     if facts["saturated_share"]:
-        lines.append(
-            f"saturated: {100 * facts['saturated_share']:.2f} % of the values are the largest the type can store"
-        )
+        share = f"{100 * facts['saturated_share']:.2f} %"
+        lines.append(f"saturated: {share} of the values are the largest the type can store")
     if facts.get("sampled"):
         lines.append(f"grey values: of {facts['sampled']}")
     if facts.get("through"):
         option = "" if facts["through"] == "z" else f": --through {facts['through']}"
         lines.append(f"sheet: across {facts['through']}, along which the grey changes most{option}")
     if "link_bytes" in facts:
-        lines.append(
-            f"planish link: about {enough_gb(facts['link_bytes'])} GB of memory, and {duration(facts['link_seconds'])} "
-            "after the volume was mapped"
-        )
+        memory, time = f"{enough_gb(facts['link_bytes'])} GB", duration(facts["link_seconds"])
+        lines.append(f"planish link: about {memory} of memory, and {time} after the volume was mapped")
     if "run_bytes" in facts:
-        lines.append(
-            f"planish map: {enough_gb(facts['run_bytes'])} GB of memory and about {duration(facts['run_seconds'])}, or "
-            "less memory with wider columns"
-        )
+        memory, time = f"{enough_gb(facts['run_bytes'])} GB", duration(facts["run_seconds"])
+        lines.append(f"planish map: {memory} of memory and about {time}, or less memory with wider columns")
     for name, value in (facts.get("metadata") or {}).items():
         text = ", ".join(f"{k} {v}" for k, v in value.items()) if isinstance(value, dict) else value  # type: ignore[reportUnknownVariableType]
         lines.append(f"{name}: {text}")

@@ -94,8 +94,7 @@ def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
     return read_image(path, **{k: v for k, v in chosen.items() if k in HOW_IMAGES_ARE_READ})
 
 
-@verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37",
-      name="surface")  # fmt: skip
+@verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37")
 @existing("volume")
 @out_option(_STORE)
 @volume_options
@@ -117,9 +116,10 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
     _write(out, {"surfaces": surfaces}, summary)
 
 
-@verb("planish measure surfaces.zarr -o measured.zarr",
-      "planish measure surfaces.zarr -o measured.zarr --property porosity --solid-grey 180",
-      name="measure")  # fmt: skip
+@verb(
+    "planish measure surfaces.zarr -o measured.zarr",
+    "planish measure surfaces.zarr -o measured.zarr --property porosity --solid-grey 180",
+)
 @existing("surfaces")
 @out_option(_STORE)
 @click.option("--volume", "path", help="Volume of the surfaces, where it lies elsewhere now.", **_ONE_FILE)
@@ -148,8 +148,7 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     _write(out, {"surfaces": measured}, f"mean thickness {mean:.2f} um along the normals")
 
 
-@verb("planish flatten surfaces.zarr -o flat.zarr", "planish flatten surfaces.zarr -o flat.zarr --method relaxation",
-      name="flatten")  # fmt: skip
+@verb("planish flatten surfaces.zarr -o flat.zarr", "planish flatten surfaces.zarr -o flat.zarr --method relaxation")
 @existing("surfaces")
 @out_option(_STORE)
 @options(FlattenParams, "flatten", "Flattening", without=("map_um",))
@@ -166,9 +165,10 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
     return 4 if q.folded_cells else 0
 
 
-@verb("planish resample measured.zarr flat.zarr -o maps.zarr",
-      "planish resample measured.zarr flat.zarr -o linked.zarr --onto image.tif --registration marks.json",
-      name="resample")  # fmt: skip
+@verb(
+    "planish resample measured.zarr flat.zarr -o maps.zarr",
+    "planish resample measured.zarr flat.zarr -o linked.zarr --onto image.tif --registration marks.json",
+)
 @existing("measured")
 @existing("flat")
 @out_option(_STORE)
@@ -201,8 +201,7 @@ def resample(
     _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
 
 
-@verb("planish holes image.tif -o image-holes.json", "planish holes maps.zarr -o sheet-holes.json --image-side bottom",
-      name="holes")  # fmt: skip
+@verb("planish holes image.tif -o image-holes.json", "planish holes maps.zarr -o sheet-holes.json --image-side bottom")
 @existing("image")
 @out_option("JSON file to make; a table for reading, .csv, is made beside it.")
 @options(ImageParams, "image", "Image", without=("dark_grey", "white_grey", "screen_um"))
@@ -223,8 +222,10 @@ def holes(image: Path, out: Path, **values: Any) -> None:
     click.echo(f"{out}: {check_holes(detected).sentence}")
 
 
-@verb("planish register sheet-holes.json image-holes.json -o marks.json",
-      "planish register sheet-holes.json image-holes.json -o marks.json --model affine", name="register")  # fmt: skip
+@verb(
+    "planish register sheet-holes.json image-holes.json -o marks.json",
+    "planish register sheet-holes.json image-holes.json -o marks.json --model affine",
+)
 @existing("moving")
 @existing("fixed")
 @out_option("JSON file to make; a table of the pairs, .csv, is made beside it.")
@@ -248,7 +249,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     click.echo(f"{out}: {len(fit.moving)} pairs, residual {fit.rms_um:.2f} um rms, scale {fit.transform.scale:.4f}")
 
 
-@verb("planish correlate linked.zarr", "planish correlate run --property base_thickness --json", name="correlate")
+@verb("planish correlate linked.zarr", "planish correlate run --property base_thickness --json")
 @existing("linked")
 @click.option("--property", "names", multiple=True, metavar="NAME", help="Maps to compare; all where not given.")
 @options(CorrelateParams, "correlate", "Correlation", only=("point_um", "regions"))
@@ -281,7 +282,7 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
     return code
 
 
-@verb("planish report run --out page.html", "planish report run --out pages/page.html --figures", name="report")
+@verb("planish report run --out page.html", "planish report run --out pages/page.html --figures")
 @existing("run")
 @out_option("HTML file to make; it must not exist.")
 @figures_option

@@ -22,7 +22,6 @@ _DEFAULT = "small"
 @verb(
     "planish specimen --preset wfc135 --size T0 --seed 7 --out sheet",
     "planish specimen --instrument stack --instrument image --nuisance none --out plain",
-    name="specimen",
 )
 @options(SpecimenOptions, "specimen", "Specimen")
 @out_option("Folder to make; it must not exist.", required=False)
@@ -119,9 +118,9 @@ def validate(
     compute = build_params(Compute, values, "compute")
     for scenario in chosen:
         certificate = replace(run_scenario(scenario, seeds, progress=report, compute=compute), notes=notes)
-        grown = (
-            sensitivity(scenario, 1, progress=report, compute=compute) if alone and scenario.kind == "line" else None
-        )
+        grown = None
+        if alone and scenario.kind == "line":
+            grown = sensitivity(scenario, 1, progress=report, compute=compute)
         results.append((certificate, grown))
         if not as_json:
             _show(certificate, grown)

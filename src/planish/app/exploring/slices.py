@@ -37,43 +37,26 @@ class Stack:
 
     Attributes
     ----------
-    sheet : str
-    rows, cols, through : str
-        Axes of the volume: across the slices, along them, and through the sheet.
-    sign : float
-        Factor on heights that makes the top the larger one.
-    at_um : tuple of float
-        Places of the slices along ``rows``.
-    top_um : tuple of float
-        Height of the upper edge of each picture, turned by ``sign``.
-    size_um : (float, float)
-        Width and height of a picture; ``start_um`` is the place of its left edge along ``cols``.
+    about : dict
+        What the script has to know: ``sheet``; the axes ``rows`` across the slices, ``cols`` along them and ``through``
+        the sheet; ``sign``, which makes the top the larger height; where each slice lies along ``rows`` (``at``), the
+        height of its upper edge (``top``), turned by ``sign``, and its start along ``cols``; width and height of a
+        picture (``size``), where each ends in all of them, their format (``kind``), first point and pitch of the lines.
+        All in um.
     pictures : tuple of str
         In base64.
-    kind : str
-        Format of the pictures.
     lines : dict of Packed
-        Heights of the surfaces (slices, points), turned by ``sign``, at ``points_um``: first point and pitch.
+        Heights of the surfaces (slices, points), turned by ``sign``.
     used : Packed
         Where the columns were measured.
     note : str
         Which slices there are, in words.
     """
 
-    sheet: str
-    rows: str
-    cols: str
-    through: str
-    sign: float
-    at_um: tuple[float, ...]
-    top_um: tuple[float, ...]
-    start_um: float
-    size_um: tuple[float, float]
+    about: dict[str, Any]
     pictures: tuple[str, ...]
-    kind: str
     lines: dict[str, Packed]
     used: Packed
-    points_um: tuple[float, float]
     note: str
 
     def letters(self) -> int:
@@ -236,12 +219,16 @@ def _stack(cuts: list[Slice], sheet: str, frame: Frame, note: str) -> Stack:
         name: packed(np.round(np.stack([cut.lines[name][::every] for cut in cuts]) / (dz / 16)) * (dz / 16), bits=16)
         for name, *_ in LINES if any(np.isfinite(cut.lines[name]).any() for cut in cuts)
     }  # fmt: skip
+    about = {
+        "sheet": sheet, "rows": frame.rows, "cols": frame.cols, "through": frame.through, "sign": frame.sign,
+        "at": [cut.place_um for cut in cuts], "top": [float(heights[top]) + dz / 2 for top in first],
+        "start": float(x[0]) - dx / 2, "size": (x.size * dx, rows * dz),
+        "ends": np.cumsum([len(picture) for picture in pictures]).tolist(), "kind": kind, "pictures": "",
+        "points": (float(x[0]), every * dx),
+    }  # fmt: skip
     return Stack(
-        sheet=sheet, rows=frame.rows, cols=frame.cols, through=frame.through, sign=frame.sign,
-        at_um=tuple(cut.place_um for cut in cuts), top_um=tuple(float(heights[top]) + dz / 2 for top in first),
-        start_um=float(x[0]) - dx / 2, size_um=(x.size * dx, rows * dz), pictures=pictures, kind=kind, lines=lines,
+        about=about, pictures=pictures, lines=lines,
         used=packed(np.where(np.stack([cut.used[::every] for cut in cuts]), 1.0, np.nan)),
-        points_um=(float(x[0]), every * dx),
         note=f"{len(cuts)} slices across {frame.rows}: {note}; pixels of {dx:.4g} um, lossy pictures",
     )  # fmt: skip
 
