@@ -92,7 +92,7 @@ def exported(session: Session, layer: str, to: str, fitted: Fitted) -> tuple[str
     """
     if to not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")
-    marks, row_of = session.state.of(layer), {name: k for k, name in enumerate(fitted.ids)}
+    marks, row_of = session.state.of(layer), {mark.id: k for k, mark in enumerate(fitted.pairs)}
     rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
     errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
     content = make_marks(

@@ -133,13 +133,12 @@ class Fitted:
     ----------
     fit : FittedTransform or None
         To the pairs in use; of a quick model while another one follows.
-    ids : tuple of str
-        Of all pairs, in use or not.
+    pairs : tuple of Mark
+        In use or not.
     residual_um, leave_one_out_um : ndarray, shape (n,)
         Of all pairs. Marks that stand out are left out of the fits to all others.
-    used, outliers : ndarray of bool, shape (n,)
-        Pairs in use, and those that stand out.
-    labels : tuple of str
+    outliers : ndarray of bool, shape (n,)
+        Pairs that stand out.
     error : str
         Why there is no fit of the model; a similarity stands for it where there is one.
     pending : bool
@@ -149,11 +148,7 @@ class Fitted:
     """
 
     fit: FittedTransform | None
-    ids: tuple[str, ...]
-    labels: tuple[str, ...]
-    moving: Floats
-    fixed: Floats
-    used: Bools
+    pairs: tuple[Mark, ...]
     outliers: Bools
     residual_um: Floats
     leave_one_out_um: Floats
@@ -168,7 +163,7 @@ class Fitted:
         out = np.flatnonzero(self.outliers)
         if out.size and np.isfinite(self.leave_one_out_um[out]).all():  # else there is no fit, and the error says why
             far = np.argsort(-self.leave_one_out_um[out], kind="stable")
-            names = _enumerated([self.labels[int(k)] for k in out[far]])
+            names = _enumerated([self.pairs[k].label for k in out[far]])
             off = _enumerated([f"{self.leave_one_out_um[k]:.0f}" for k in out[far]])
             stand, they_are, them = ("stand", "they are", "them") if out.size > 1 else ("stands", "it is", "it")
             return (
@@ -176,17 +171,18 @@ class Fitted:
             )
         if self.error:
             return self.error
-        return "" if self.fit is None else self.fit.agreement([self.labels[k] for k in np.flatnonzero(self.used)])
+        return "" if self.fit is None else self.fit.agreement([mark.label for mark in self.pairs if mark.used])
 
     def predicted(
         self, side: Plane, point_um: tuple[float, float]
     ) -> tuple[tuple[float, float], float | None, str] | None:
         """Place in the other plane of a point of ``side``, its expected error in um where known, and both in words."""
-        if self.fit is not None and int(self.used.sum()) >= 3:
+        used = [mark for mark in self.pairs if mark.used]
+        if self.fit is not None and len(used) >= 3:
             transform, error, words = self.fit, self.fit.expected_error_um, "its error is not known"
         else:
             error = None
-            transform, words = _from_few_pairs(self.moving[self.used], self.fixed[self.used], self.mirrored)
+            transform, words = _from_few_pairs(*(_points(used, plane) for plane in PLANES), self.mirrored)
         if transform is None:
             return None
         point = np.array(point_um)
@@ -218,9 +214,8 @@ def fitted(
     quick : bool
         Whether only what takes some milliseconds is done: of another model than `QUICK`, a similarity instead.
     """
-    rows = [mark for mark in marks if mark.paired]
-    ends = ([getattr(mark, plane).xy for mark in rows] for plane in PLANES)
-    moving, fixed = (np.array(places, dtype=np.float64).reshape(-1, 2) for places in ends)
+    rows = tuple(mark for mark in marks if mark.paired)
+    moving, fixed = (_points(rows, plane) for plane in PLANES)
     used = np.array([mark.used for mark in rows], dtype=np.bool_)
     is_mirrored = bool(mirrored)
     if mirrored is None:
@@ -234,8 +229,7 @@ def fitted(
         few = f"{count} pair{'s' * (count != 1)} of marks in use: a registration needs 3, far apart, and more to say"
         warnings.append(FitWarning(text=f"{few} how good it is."))
     unfitted = Fitted(
-        fit=None, ids=tuple(m.id for m in rows), labels=tuple(m.label for m in rows), moving=moving, fixed=fixed,
-        used=used, outliers=is_outlier, residual_um=nans, leave_one_out_um=nans, warnings=tuple(warnings),
+        fit=None, pairs=rows, outliers=is_outlier, residual_um=nans, leave_one_out_um=nans, warnings=tuple(warnings),
         pending=quick and len(rows) > 1, mirrored=mirrored,
     )  # fmt: skip
     try:
@@ -267,6 +261,10 @@ def fitted(
         unfitted, fit=fit, residual_um=residual, leave_one_out_um=leave_one_out_um, error=error,
         warnings=tuple(warnings),
     )  # fmt: skip
+
+
+def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
+    return np.array([getattr(mark, plane).xy for mark in marks], dtype=np.float64).reshape(-1, 2)
 
 
 def _fit_as_applied(rows: Sequence[Mark], mirrored: bool | None, params: RegistrationParams) -> FittedTransform:

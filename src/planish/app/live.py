@@ -96,7 +96,7 @@ class Live:
         session = self.session
         version, state = session.version, session.state
         marks_fit = self.fit(layer)
-        row_of = {name: k for k, name in enumerate(marks_fit.ids)}
+        row_of = {mark.id: k for k, mark in enumerate(marks_fit.pairs)}
         fit, transform = marks_fit.fit, None
         if fit is not None:  # the closest similarity, by which the page lays one picture onto the other
             t = fit.transform

@@ -269,8 +269,8 @@ class Tiles:
         if future is not mine:
             return future.result()
         try:
-            data = picture.levels[level]
-            block = data[i * CHUNK : (i + 1) * CHUNK, j * CHUNK : (j + 1) * CHUNK].values
+            window = (slice(k * CHUNK, (k + 1) * CHUNK) for k in (i, j))
+            block = picture.levels[level][tuple(window)].values
         except BaseException as error:
             with self._lock:
                 self._blocks.pop(key, None)
@@ -281,10 +281,10 @@ class Tiles:
             self.read_bytes += block.nbytes
             self._held += block.nbytes
             while self._held > self._most_bytes and (old := next(iter(self._blocks))) != key:
-                if not self._blocks[old].done():
+                if self._blocks[old].done():
+                    self._held -= self._blocks.pop(old).result().nbytes
+                else:
                     self._blocks.move_to_end(old)
-                    continue
-                self._held -= self._blocks.pop(old).result().nbytes
         return block
 
 

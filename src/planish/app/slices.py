@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import threading
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Literal, Self
@@ -93,8 +93,8 @@ class SheetSlice:
 
     facts: SliceFacts
     pixels: NDArray[np.uint16]
-    lines: Sequence[NDArray[np.float32]] = ()
-    contours: Sequence[NDArray[np.float32]] = ()
+    lines: Sequence[NDArray[np.float32]]
+    contours: Sequence[NDArray[np.float32]]
 
 
 @dataclass(eq=False, kw_only=True)
@@ -149,20 +149,26 @@ class SlicedSheet:
         """Slices of a direction."""
         return self.surfaces.sizes["y"] if direction == "straight" else self.volume.sizes[direction]
 
-    def _coded(
-        self, direction: Direction, index: int, at_um: float, values: NDArray[Any], codes: Codes | None, **more: Any
-    ) -> tuple[SliceFacts, NDArray[np.uint16]]:  # fmt: skip
-        """Facts of a slice, and its values in 16 bits."""
+    def _slice(
+        self, direction: Direction, index: int, values: NDArray[Any], codes: Codes | None,
+        lines: Mapping[str, Floats] | None = None, contours: Mapping[str, Floats] | None = None,
+        **axes: AxisFacts,
+    ) -> SheetSlice:  # fmt: skip
+        """Put a slice together, its values in 16 bits."""
+        lines, contours = lines or {}, contours or {}
         if codes is None:
             pixels, scale, offset = values.astype(np.uint16), 1.0, 0.0
         else:
             pixels, scale, offset = codes.of(values), codes.scale, codes.offset - codes.scale
         normal = self.frame.rows if direction == "straight" else direction
+        places = self._column_places(normal) if direction == "straight" else self.places(normal)
         facts = SliceFacts(
-            layer=self.name, direction=direction, normal=normal, index=index, at_um=at_um, scale=scale, offset=offset,
-            missing=-1 if codes is None else 0, **more,
+            layer=self.name, direction=direction, normal=normal, index=index, at_um=float(places[index]), scale=scale,
+            offset=offset, missing=-1 if codes is None else 0, lines=tuple(lines),
+            segments={name: len(part) for name, part in contours.items()}, **axes,
         )  # fmt: skip
-        return facts, pixels
+        floats, segments = ([part.astype(np.float32) for part in parts.values()] for parts in (lines, contours))
+        return SheetSlice(facts=facts, pixels=pixels, lines=floats, contours=segments)
 
     # --- slices -------------------------------------------------------------------------------------------------------
 
@@ -206,14 +212,12 @@ class SlicedSheet:
         if f.top == "high":
             values, depth = values[::-1], depth[::-1]
         line = min(index // self.step, self._column_places(direction).size - 1)
-        columns = slice(along.start // self.step, min(-(-along.stop // self.step), self._column_places(other).size))
+        columns = self._columns(other, along)
         lines = self._lines(other, line, columns, corrections)
-        facts, pixels = self._coded(
-            direction, index, float(self.places(direction)[index]), values, self.codes,
-            across=_axis(other, self.places(other)[along]), down=_axis(f.through, depth), lines=tuple(lines),
-            columns=_axis(other, self._column_places(other)[columns]),
+        return self._slice(
+            direction, index, values, self.codes, lines, across=_axis(other, self.places(other)[along]),
+            down=_axis(f.through, depth), columns=_axis(other, self._column_places(other)[columns]),
         )  # fmt: skip
-        return SheetSlice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
 
     def _along(self, index: int, near_um: Near) -> SheetSlice:
         """A slice along the sheet, with the contours of its surfaces."""
@@ -221,21 +225,13 @@ class SlicedSheet:
         cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
         values = self._voxels({f.rows: rows, f.cols: cols, f.through: slice(index, index + 1)})
         height = float(self.places(f.through)[index])
-        window = {
-            dim: slice(part.start // self.step, min(-(-part.stop // self.step), self.surfaces.sizes[dim]))
-            for dim, part in (("y", rows), ("x", cols))
-        }
-        surfaces = self.surfaces.isel(window)
-        contours = {
-            name: contour(surfaces[name].values - height, surfaces["x"].values, surfaces["y"].values)
-            for name in HEIGHTS
-        }
-        facts, pixels = self._coded(
-            f.through, index, height, values, self.codes, across=_axis(f.cols, self.places(f.cols)[cols]),
+        surfaces = self.surfaces.isel(y=self._columns(f.rows, rows), x=self._columns(f.cols, cols))
+        x, y = surfaces["x"].values, surfaces["y"].values
+        contours = {name: contour(surfaces[name].values - height, x, y) for name in HEIGHTS}
+        return self._slice(
+            f.through, index, values, self.codes, contours=contours, across=_axis(f.cols, self.places(f.cols)[cols]),
             down=_axis(f.rows, self.places(f.rows)[rows]),
-            segments={name: len(part) for name, part in contours.items()},
         )  # fmt: skip
-        return SheetSlice(facts=facts, pixels=pixels, contours=[part.astype(np.float32) for part in contours.values()])
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
         """One row of columns, straightened along the normals."""
@@ -259,11 +255,9 @@ class SlicedSheet:
         if self.codes is None and finite.size:
             codes = Codes.between(float(finite.min()), float(finite.max()))
         columns = _axis(f.cols, places[window])
-        facts, pixels = self._coded(
-            "straight", index, float(self._column_places(f.rows)[index]), values, codes, across=columns,
-            down=_axis("height", s), lines=tuple(lines), columns=columns,
-        )  # fmt: skip
-        return SheetSlice(facts=facts, pixels=pixels, lines=[v.astype(np.float32) for v in lines.values()])
+        return self._slice(
+            "straight", index, values, codes, lines, across=columns, down=_axis("height", s), columns=columns
+        )
 
     def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s: Floats) -> Floats:
         """Grey along the normals of one row, (s, columns)."""
@@ -271,11 +265,9 @@ class SlicedSheet:
 
         f = self.frame
         centre = lines["place"]
-        normal = {f.rows: lines["normal_rows"], f.cols: lines["normal_cols"], f.through: lines["normal_through"]}
-        places = {
-            f.rows: np.full(centre.shape, self._column_places(f.rows)[index]),
-            f.cols: self._column_places(f.cols)[window], f.through: centre,
-        }  # fmt: skip
+        normal = {getattr(f, part): lines[f"normal_{part}"] for part in ("rows", "cols", "through")}
+        row_um, cols_um = self._column_places(f.rows)[index], self._column_places(f.cols)[window]
+        places = {f.rows: np.full(centre.shape, row_um), f.cols: cols_um, f.through: centre}
         is_sheet = np.isfinite(centre) & np.isfinite(normal[f.through])
         values = np.full((s.size, centre.size), np.nan)
         if not is_sheet.any():
@@ -290,9 +282,7 @@ class SlicedSheet:
             box[axis] = slice(start, int(np.clip(np.ceil(index_of.max()) + 1, start + 1, coords.size)))
             where.append(index_of - start)
         block = self.volume.isel(box).values.astype(np.float32)
-        values[:, is_sheet] = ndimage.map_coordinates(
-            block, where, order=1, mode="constant", cval=np.nan, prefilter=False
-        )
+        values[:, is_sheet] = ndimage.map_coordinates(block, where, order=1, cval=np.nan, prefilter=False)
         return values
 
     def _voxels(self, window: dict[Axis, slice]) -> NDArray[Any]:
@@ -304,6 +294,10 @@ class SlicedSheet:
 
     def _column_places(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
+
+    def _columns(self, axis: str, voxels: slice) -> slice:
+        """The columns of the surfaces in which voxels lie."""
+        return slice(voxels.start // self.step, min(-(-voxels.stop // self.step), self._column_places(axis).size))
 
     def _read(self, rows: slice, cols: slice, names: Sequence[str] | None = None) -> xr.Dataset:
         """A window of the surfaces, in memory."""

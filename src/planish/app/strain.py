@@ -107,9 +107,9 @@ def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:
     Lines end where there is no sheet.
     """
     flat, strain = stored_group(run / MAPS, "flat"), read_group(run / MAPS, "strain")
-    cells = tuple(strain.sizes[d] for d in ("row", "col"))
+    rows, cols = strain.sizes["row"], strain.sizes["col"]
     every = 1
-    while 2 * (cells[0] // every + 1) * (cells[1] // every + 1) > MOST_POINTS:
+    while 2 * (rows // every + 1) * (cols // every + 1) > MOST_POINTS:
         every += 1
     # Columns of the sheet that are nodes of the mesh, or nearest to them; a cell's place is its middle.
     nodes: list[NDArray[np.intp]] = []
