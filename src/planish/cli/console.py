@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import json
 import os
 import re
 import sys
 import textwrap
 from collections.abc import Sequence
 from io import TextIOWrapper
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import click
 
@@ -72,6 +73,16 @@ def sentence(text: str, *, err: bool = False) -> None:
     """Print a sentence; on a terminal no line ends between a number and its unit."""
     across = width(err=err)
     click.echo(printable(text) if across is None else wrapped(printable(text), across), err=err)
+
+
+def warn(text: str) -> None:
+    """Print a sentence on standard error, under the name of the program."""
+    sentence(f"planish: {text}", err=True)
+
+
+def print_json(data: Any) -> None:
+    """Print what a command gives as JSON."""
+    click.echo(json.dumps(data, indent=2, allow_nan=False))
 
 
 def wrapped(text: str, width: int) -> str:

@@ -8,8 +8,8 @@ from typing import Any
 
 import click
 
-from planish.cli.console import sentence
-from planish.cli.options import build_params, existing, given_options, json_option, options, out_option, verb
+from planish.cli.console import print_json, sentence, warn
+from planish.cli.options import PATH, build_params, existing, given_options, json_option, options, out_option, verb
 from planish.core.errors import StudyError
 from planish.exports import FORMATS, ExportParams
 from planish.io.params import ImageParams
@@ -47,7 +47,7 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
         except StudyError as error:
             raise click.UsageError(error.text) from error
     if as_json:
-        click.echo(json.dumps({"out": str(out), "format": to, "files": [str(path) for path in files]}, indent=2))
+        print_json({"out": str(out), "format": to, "files": [str(path) for path in files]})
         return
     form = FORMATS[to]
     count = "1 file" if len(files) == 1 else f"{len(files)} files"
@@ -75,7 +75,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
         page = write(run, out, compute=build_params(Compute, values, "compute"), progress=progress)
     if as_json:
         facts = {"out": str(out), "bytes": page.bytes, "maps": page.maps, "slices": page.slices}
-        click.echo(json.dumps(facts | {"notes": list(page.notes)}, indent=2))
+        print_json(facts | {"notes": list(page.notes)})
         return
     click.echo(f"{out}: {page.bytes / 1e6:.1f} MB, {page.maps} maps, {page.slices} slices")
     for note in page.notes:
@@ -84,7 +84,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
 
 @verb("planish view run", "planish view run-map image.tif --pixel-um 2.6")
 @existing("run")
-@click.argument("image", type=click.Path(path_type=Path), required=False)
+@click.argument("image", type=PATH, required=False)
 @click.option(
     "--port", type=click.IntRange(0, 65535), default=0, help="Port to serve on; a free one where 0.  [default: 0]"
 )
@@ -124,10 +124,10 @@ def view(
         about = {"url": url, "run": str(run), "read_only": session.read_only}
         click.echo(json.dumps(about) if as_json else url)
         if session.reason:
-            click.echo(f"planish: read only. {session.reason}", err=True)
+            warn(f"read only. {session.reason}")
         if not is_local:
             who = "whoever gets this address, token included, sees this run's maps and marks and can change them"
-            click.echo(f"planish: exposed on {host}: {who}; nothing is encrypted.", err=True)
+            warn(f"exposed on {host}: {who}; nothing is encrypted.")
         if not no_browser:
             click.launch(url)
 

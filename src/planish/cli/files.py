@@ -9,7 +9,8 @@ from typing import Any, Literal
 
 import click
 
-from planish.cli.options import build_params, existing, json_option, options, out_option, verb
+from planish.cli.console import print_json
+from planish.cli.options import PATH, build_params, existing, json_option, options, out_option, verb
 from planish.core.errors import FileError
 from planish.core.text import printable
 from planish.correct.params import CorrectParams
@@ -19,9 +20,7 @@ from planish.run.compute import Compute, engine
 
 @verb("planish info volume.tif", "planish info volume.tif --picture look.png", "planish info run --json")
 @existing("path")
-@click.option(
-    "--picture", type=click.Path(path_type=Path), metavar="PNG", help="Draw the middle sections into this file."
-)
+@click.option("--picture", type=PATH, metavar="PNG", help="Draw the middle sections into this file.")
 @json_option
 def info(path: Path, picture: Path | None, as_json: bool) -> None:
     """Say what PATH holds: shape, type, voxel or pixel size and its source, grey values, what looks wrong.
@@ -54,7 +53,10 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
                 f"There is nothing of {find_place(path).name} to draw: give a volume or an image that can be looked at."
             )
         write_picture(sections, picture)
-    click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else printable("\n".join(lines)))
+    if as_json:
+        print_json(facts)
+    else:
+        click.echo(printable("\n".join(lines)))
 
 
 @verb(

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import click
 from pydantic import Field
 
-from planish.cli.console import table
-from planish.cli.options import Option, Value, Verb, build_params, existing, json_option, options, out_option
+from planish.cli.console import print_json, table, warn
+from planish.cli.options import PATH, Option, Value, Verb, build_params, existing, json_option, options, out_option
 from planish.core.files import write_whole
 from planish.design.params import DesignParams, ImagingParams, StageParams
 from planish.marks.exchange.formats import FORMATS, TARGETS, target_of
@@ -69,7 +68,7 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
             "fle_um": predicted.fle_um, "error_centre_um": predicted.centre_um, "error_corner_um": predicted.corner_um,
             "time_s": run.time_s, "path_um": run.length_um,
         }  # fmt: skip
-        click.echo(json.dumps(data, indent=2, allow_nan=False))
+        print_json(data)
         return
     _show(pattern, rules)
     click.echo(predicted.sentence())
@@ -95,13 +94,13 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
     rules, predicted = check_pattern(read), predict(read)
     if as_json:
         data = {"holes": len(read.holes), **_rules_data(rules), "error_corner_um": predicted.corner_um}
-        click.echo(json.dumps(data, indent=2, allow_nan=False))
+        print_json(data)
     else:
         _show(read, rules)
         click.echo(predicted.sentence())
     for rule in rules:
         if not rule.passed:
-            click.echo(f"planish: {rule.sentence()}: {rule.remedy}.", err=True)
+            warn(f"{rule.sentence()}: {rule.remedy}.")
     return 0 if all(rule.passed for rule in rules) else 4
 
 
@@ -109,7 +108,7 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 @existing("program")
 @options(StageParams, "stage", "Options", only=("range_um",))
 @click.option("--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed.")
-@click.option("--pattern", type=click.Path(path_type=Path), help="Compare the shots with this pattern.json or table.")
+@click.option("--pattern", type=PATH, help="Compare the shots with this pattern.json or table.")
 @out_option("Picture of the path to make: .png, .svg or .pdf.", required=False)
 @json_option
 def simulate(
@@ -151,14 +150,14 @@ def simulate(
             "shots": len(run.fired_um), "pulse_s": sorted(set(run.pulse_s.tolist())), "time_s": run.time_s,
             "path_um": run.length_um, "fired_um": run.fired_um.tolist(), "difference": difference,
         }  # fmt: skip
-        click.echo(json.dumps(data, indent=2, allow_nan=False))
+        print_json(data)
     else:
         click.echo(f"{program}: {run.sentence()}" + ("" if out is None else f"; {out}"))
         if pattern is not None and difference is None:
             click.echo(f"the shots are those of {pattern}")
     if difference is None:
         return 0
-    click.echo(f"planish: {difference}", err=True)
+    warn(difference)
     return 4
 
 
@@ -177,7 +176,7 @@ def _rules_data(rules: tuple[Rule, ...]) -> dict[str, list[dict[str, Any]]]:
 
 
 @marks.command()
-@click.argument("files", nargs=-1, required=True, type=click.Path(path_type=Path), metavar="IN [IN2] OUT")
+@click.argument("files", nargs=-1, required=True, type=PATH, metavar="IN [IN2] OUT")
 @click.option("--to", type=click.Choice(TARGETS), help=f"Format of OUT; where not given, by its name: {_BY_NAME}.")
 @click.option("--moving-pixel-um", type=_SIZES, help="Pixel size of the moving layer, where a file counts in pixels.")
 @click.option("--fixed-pixel-um", type=_SIZES, help="The same for the fixed layer.")
@@ -218,7 +217,7 @@ def convert(
         data = {
             "read": read, "marks": marks.sizes["mark"], "used": used, "layers": layers, "format": kind, "files": paths,
         }  # fmt: skip
-        click.echo(json.dumps(data, indent=2))
+        print_json(data)
         return
     click.echo(f"{', '.join(paths)}: {marks.sizes['mark']} marks ({used} used) in {', '.join(layers)}")
     if not read["stated"] and unit is None:

@@ -17,6 +17,7 @@ from planish.core.options import Params, Shown, kinds_of, options_of, unit_of
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
+PATH = click.Path(path_type=Path)
 
 
 class Verb(click.Command):
@@ -197,12 +198,12 @@ json_option = click.option("--json", "as_json", is_flag=True, help="Print the re
 
 def out_option(help: str, *, required: bool = True) -> Command:
     """Add the option of the place for the results, where nothing is overwritten."""
-    return click.option("--out", "-o", required=required, type=click.Path(path_type=Path), help=help)
+    return click.option("--out", "-o", required=required, type=PATH, help=help)
 
 
 def existing(name: str) -> Command:
     """Take a file or folder that is read; its own reader says what is wrong with it."""
-    return click.argument(name, type=click.Path(path_type=Path))
+    return click.argument(name, type=PATH)
 
 
 def verb(*examples: str, name: str | None = None) -> Command:

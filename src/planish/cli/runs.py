@@ -11,6 +11,7 @@ import click
 from planish.analyze.params import CorrelateParams
 from planish.cli.console import sentence
 from planish.cli.options import (
+    PATH,
     Command,
     Option,
     build_params,
@@ -233,7 +234,7 @@ def demo(out: Path | None, seed: int, **values: Any) -> int:
 @verb("planish new study.toml volume.tif image.tif", "planish new study.toml scan/", "planish run study.toml")
 @existing("study")
 @existing("volume")
-@click.argument("image", required=False, type=click.Path(path_type=Path))
+@click.argument("image", required=False, type=PATH)
 def new(study: Path, volume: Path, image: Path | None) -> None:
     """Write STUDY, a commented file with all options, for VOLUME and IMAGE; 'planish run STUDY' then does it.
 

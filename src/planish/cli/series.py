@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.cli.console import sentence, table
-from planish.cli.options import Option, build_params, existing, json_option, options, out_option, verb
+from planish.cli.console import sentence, table, warn
+from planish.cli.options import PATH, Option, build_params, existing, json_option, options, out_option, verb
 from planish.run.compute import Compute
 from planish.series.declared import Declared
 
@@ -81,9 +81,9 @@ def study(
     members: dict[str, Member] = {}
     report, begin, interrupted = _ProgressLines(len(plan.specimens)), time.monotonic(), False
     with series_folder(out):
-        coming = None if watch is None else watched(
-            plan, watch, settle_s=settle, idle_s=idle, tell=lambda text: sentence(f"planish: {text}", err=True)
-        )  # fmt: skip
+        coming = None
+        if watch is not None:
+            coming = watched(plan, watch, settle_s=settle, idle_s=idle, tell=warn)
         try:
             run_series(plan, out, compute=compute, jobs=jobs, tell=report, members=members, coming=coming)
         except KeyboardInterrupt:
@@ -97,9 +97,9 @@ def study(
     click.echo(f"{len(finished)} specimens: {states}; {time.monotonic() - begin:.0f} s", err=True)
     for member in finished:
         if member.state not in ("whole", "open"):
-            sentence(f"planish: {member.name}: {_WORDS[member.state]}: {member.message}", err=True)
+            warn(f"{member.name}: {_WORDS[member.state]}: {member.message}")
     if interrupted:
-        sentence("planish: interrupted; what is done is kept, and the same command goes on from there.", err=True)
+        warn("interrupted; what is done is kept, and the same command goes on from there.")
         return 130
     click.echo(f"report: {out / 'report.html'}", err=as_json)
     return code_of(finished)
@@ -185,9 +185,9 @@ def _margin(_context: click.Context, _parameter: click.Parameter, assignments: t
     "planish compare runs/* --table specimens.csv --by treatment --out compared",
     "planish compare --table specimens.csv --margin coating_top=0.5 --margin r=0.1 --out compared",
 )
-@click.argument("runs", nargs=-1, type=click.Path(path_type=Path))
+@click.argument("runs", nargs=-1, type=PATH)
 @click.option(
-    "--table", "file", type=click.Path(path_type=Path), metavar="CSV",
+    "--table", "file", type=PATH, metavar="CSV",
     help="Factors of the runs: a column run (or name) and paper, sheet, field, treatment, side or any other.",
 )  # fmt: skip
 @options(Declared, "declared", "What is compared")
@@ -232,9 +232,9 @@ def compare(
         _show(results)
     for member in results.members:
         if member.message:
-            sentence(f"planish: {member.name}: {member.state}: {member.message}", err=True)
+            warn(f"{member.name}: {member.state}: {member.message}")
     for caution in results.cautions:
-        sentence(f"planish: {caution}", err=True)
+        warn(caution)
     if out is not None:
         click.echo(f"report: {out / 'report.html'}", err=as_json)
     return 0 if all(member.state == "whole" for member in results.members) else 4
@@ -250,28 +250,31 @@ def _show(results: SeriesResults) -> None:
         what = "thin" if q.what == "thin_share" else q.what
         names.append(" ".join(filter(None, (q.layer, q.map, what, q.other_layer))))
     columns = ["", *results.factors, "checks", *names]
-    rows = [
-        [row.member.name, *(row.member.factors.get(f, "") for f in results.factors), row.light or row.member.state,
-         *(_cell(row.cells[k], q.what) if row.cells else "-" for k, q in enumerate(quantities))]
-        for row in results.specimens
-    ]  # fmt: skip
+    rows: list[list[str]] = []
+    for row in results.specimens:
+        cells = ["-"] * len(quantities)
+        if row.cells:
+            cells = [_cell(row.cells[k], q.what) for k, q in enumerate(quantities)]
+        factors = [row.member.factors.get(factor, "") for factor in results.factors]
+        rows.append([row.member.name, *factors, row.light or row.member.state, *cells])
     table("Specimens (sd: standard deviation; *: takes part in no mean)", columns, rows)
-    means = [
-        [words.plain_words(q.title), words.label(g.group), str(g.sheets), str(g.fields), _number(g.mean, q.what),
-         _ends(g.interval, q.what) if g.interval else g.reason or "-"]
-        for k, q in enumerate(quantities) for g in results.groups if g.quantity == k
-    ]  # fmt: skip
+    means: list[list[str]] = []
+    for g in sorted(results.groups, key=lambda g: g.quantity):
+        q = quantities[g.quantity]
+        interval = _ends(g.interval, q.what) if g.interval else g.reason or "-"
+        counts = str(g.sheets), str(g.fields)
+        means.append([words.plain_words(q.title), words.label(g.group), *counts, _number(g.mean, q.what), interval])
     if means:
         table("Means over sheets", ("", "group", "sheets", "fields", "mean", "95 %"), means)
     if results.differences:
-        lines = [
-            [words.plain_words(quantities[d.quantity].title),
-             f"{words.label(d.within) + ': ' if d.within else ''}{d.levels[1]} - {d.levels[0]}",
-             _number(d.difference, quantities[d.quantity].what),
-             _ends(d.interval, quantities[d.quantity].what) if d.interval else "-",
-             "-" if d.p_of_table is None else f"{d.p_of_table:.2g}", words.verdict(d)]
-            for d in results.differences
-        ]  # fmt: skip
+        lines: list[list[str]] = []
+        for d in results.differences:
+            q = quantities[d.quantity]
+            within = f"{words.label(d.within)}: " if d.within else ""
+            interval = _ends(d.interval, q.what) if d.interval else "-"
+            p = "-" if d.p_of_table is None else f"{d.p_of_table:.2g}"
+            levels, difference = f"{within}{d.levels[1]} - {d.levels[0]}", _number(d.difference, q.what)
+            lines.append([words.plain_words(q.title), levels, difference, interval, p, words.verdict(d)])
         table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), lines)
     for pair in results.instruments:
         bias, limits = _number(pair.bias, "mean"), _ends(pair.limits, "mean") if pair.limits else "-"

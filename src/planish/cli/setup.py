@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import shutil
 import subprocess
@@ -17,7 +16,7 @@ from click.shell_completion import (
     get_completion_class,
 )
 
-from planish.cli.console import sentence
+from planish.cli.console import print_json, sentence
 from planish.cli.options import verb
 from planish.core.errors import FileError
 
@@ -41,7 +40,7 @@ def doctor(as_json: bool) -> int:
     wrong = [check for check in checks if check.state in ("look", "fail")]
     if as_json:
         records = [check.model_dump(include={"name", "state", "sentence", "advice"}) for check in checks]
-        click.echo(json.dumps({**about, "well": not wrong, "checks": records}, indent=2))
+        print_json({**about, "well": not wrong, "checks": records})
     else:
         for check in checks:
             sentence(f"{_WORDS[check.state]:<8}{check.name}: {check.sentence} {check.advice}".rstrip())

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import click
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn, TimeElapsedColumn
 
-from planish.cli.console import animated, console, letters, sentence, table
+from planish.cli.console import animated, console, letters, sentence, table, warn
 from planish.core.facts import is_known
 from planish.core.memory import enough_gb
 from planish.core.text import printable, quoted
@@ -73,7 +73,7 @@ def finish(run: Run, out: Path, *, as_json: bool, strict: bool = False) -> int:
     for state in states:
         for check in results.checks_in(state):
             name = f"{check.name} ({' and '.join(check.layers)})" if several and check.layers else check.name
-            sentence(f"planish: {state}: {name}: {check.sentence} {check.advice}".rstrip(), err=True)
+            warn(f"{state}: {name}: {check.sentence} {check.advice}".rstrip())
     return exit_code(results, strict=strict)
 
 

@@ -13,6 +13,7 @@ import click
 
 from planish.analyze.params import CorrelateParams
 from planish.cli.options import (
+    PATH,
     Option,
     build_params,
     existing,
@@ -47,7 +48,7 @@ _VOLUME = "volume"
 """Attribute of a store of surfaces: the volume that they were found in."""
 
 _STORE = "Zarr store to make; it must not exist."
-_ONE_FILE: dict[str, Any] = {"type": click.Path(path_type=Path), "cls": Option}
+_ONE_FILE: dict[str, Any] = {"type": PATH, "cls": Option}
 
 
 def _refuse(*paths: Path) -> None:

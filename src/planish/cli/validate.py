@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import click
 
-from planish.cli.console import table
-from planish.cli.options import build_params, json_option, options, out_option, verb
+from planish.cli.console import print_json, table, warn
+from planish.cli.options import PATH, build_params, json_option, options, out_option, verb
 from planish.run.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
@@ -61,7 +60,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
 )  # fmt: skip
 @click.option("--seeds", type=click.IntRange(min=1), help="Number of specimens; the scenario's own where not given.")
 @click.option(
-    "--like", type=click.Path(path_type=Path), metavar="RUN",
+    "--like", type=PATH, metavar="RUN",
     help="Make specimens like those of a run: its paper, warp, voxels, blur and noise.",
 )  # fmt: skip
 @click.option("--sensitivity", "alone", is_flag=True, help="Also run with each nuisance alone: which stage suffers.")
@@ -91,7 +90,7 @@ def validate(
         all_scenarios = map(read_scenario, scenario_names())
         rows = [{"name": s.name, "title": s.title, "seeds": s.seeds} for s in all_scenarios]
         if as_json:
-            click.echo(json.dumps(rows, indent=2))
+            print_json(rows)
         else:
             table("Scenarios", ("name", "title", "seeds"), [tuple(map(str, row.values())) for row in rows])
         return 0
@@ -126,7 +125,7 @@ def validate(
             _show(certificate, grown)
     if as_json:
         certificates = [tables.as_json(certificate, grown) for certificate, grown in results]
-        click.echo(json.dumps(certificates[0] if len(certificates) == 1 else certificates, indent=2, allow_nan=False))
+        print_json(certificates[0] if len(certificates) == 1 else certificates)
     if out is not None:
         with new_folder(out) as folder:
             for certificate, grown in results:
@@ -153,4 +152,4 @@ def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
     faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.failed) if fault]
     faults += [tables.plain(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
     for fault in faults:
-        click.echo(f"planish: {fault}", err=True)
+        warn(fault)

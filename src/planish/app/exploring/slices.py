@@ -161,26 +161,21 @@ def _read(
     """Grey values (rows, depth, cols), of every ``every`` columns the mean, read in whole blocks along z."""
     cols = volume.sizes[frame.cols] // every
     out = np.zeros((rows.size, depth.stop - depth.start, cols), np.uint8)
+    step = int(rows[1] - rows[0]) if rows.size > 1 else 1
     for block in _blocks(volume, frame, rows, depth):
+        is_inside, heights = np.ones(rows.size, bool), block
         if frame.rows == "z":
-            is_in_block = (rows >= block.start) & (rows < block.stop)
-            if not is_in_block.any():
-                continue
-            chosen, into = {"z": rows[is_in_block], frame.through: depth}, (is_in_block, slice(None))
-        else:
-            chosen = {frame.rows: rows, "z": block}
-            into = (slice(None), slice(block.start - depth.start, block.stop - depth.start))
+            is_inside, heights = (rows >= block.start) & (rows < block.stop), depth
+        if not is_inside.any():
+            continue
         progress("slices", f"{frame.rows} of the volume, planes {block.start} to {block.stop}")
-        # Evenly spaced places as slices, by which lazy arrays read no more than they must.
-        for axis, places in chosen.items():
-            if not isinstance(places, slice):
-                step = int(places[1] - places[0]) if places.size > 1 else 1
-                chosen[axis] = slice(int(places[0]), int(places[-1]) + 1, step)
-        part = volume.isel(chosen).values
+        # Evenly spaced places as a slice, by which lazy arrays read no more than they must.
+        first, last = rows[is_inside][[0, -1]].tolist()
+        part = volume.isel({frame.rows: slice(first, last + 1, step), frame.through: heights}).values
         part = part.transpose([volume.dims.index(axis) for axis in (frame.rows, frame.through, frame.cols)])
         if every > 1:
             part = part[:, :, : cols * every].reshape(*part.shape[:2], cols, every).mean(axis=3)
-        out[into] = _greys(part, scale)
+        out[is_inside, heights.start - depth.start : heights.stop - depth.start] = _greys(part, scale)
     return out
 
 
