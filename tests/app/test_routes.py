@@ -144,9 +144,9 @@ def test_marks_of_a_refused_link_are_set_by_hand(refused, linked_run, tmp_path):
     bare = tmp_path / "bare.tif"
     tifffile.imwrite(bare, tifffile.imread(image))  # states no size
     with pytest.raises(SizeError, match="pixel_um="):
-        _ = Session.open(maps, bare, read_only=True).image
+        _ = Session.open(maps, ImageParams(path=str(bare)), read_only=True).image
 
 
 def test_a_link_takes_no_other_image(linked_run, tmp_path):
     with pytest.raises(FileError, match="already"):
-        Session.open(linked_run, tmp_path / "image.tif")
+        Session.open(linked_run, ImageParams(path=str(tmp_path / "image.tif")))

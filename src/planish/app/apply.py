@@ -15,7 +15,6 @@ from planish.app.changes import End, Mark, changed_corrections
 from planish.app.picture import PLANES
 from planish.app.session import Session, ends_of, places_of
 from planish.core.files import free_path
-from planish.core.typing import Bools
 from planish.marks.exchange import MarkPlaces, make_marks, marks_text
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
@@ -120,13 +119,12 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
     free: dict[str, list[End]] = {}
     for side in PLANES:
         holes = [end for end in ends_of(before, side) if end is not None]
-        inside = _ends_in_holes(ends[side], holes)
-        size = [next((holes[k].diameter for k in np.flatnonzero(row)), None) or usual_um for row in inside]
-        ends[side] = [
-            end.model_copy(update={"diameter": end.diameter or um}) if end is not None else None
-            for end, um in zip(ends[side], size, strict=True)
-        ]
-        free[side] = [hole for k, hole in enumerate(holes) if not inside[:, k].any()]
+        hole_of = _holes_around(ends[side], holes)
+        for k, (end, number) in enumerate(zip(ends[side], hole_of, strict=True)):
+            if end is not None:
+                hole_um = None if number is None else holes[number].diameter
+                ends[side][k] = end.model_copy(update={"diameter": end.diameter or hole_um or usual_um})
+        free[side] = [hole for k, hole in enumerate(holes) if k not in hole_of]
     for side, unmarked in free.items():
         in_use = {*labels}
         names = (name for k in itertools.count(1) if (name := f"{side} {k}") not in in_use)
@@ -138,14 +136,11 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
     return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
 
 
-def _ends_in_holes(ends: Sequence[End | None], holes: Sequence[End]) -> Bools:
-    """Tell which end (rows) lies in which hole (columns): each in the nearest at most."""
-    is_inside = np.zeros((len(ends), len(holes)), dtype=bool)
-    if not is_inside.size:
-        return is_inside
-    points_um = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends])
-    distances = np.linalg.norm(points_um[:, None] - np.array([hole.xy for hole in holes]), axis=2)
+def _holes_around(ends: Sequence[End | None], holes: Sequence[End]) -> list[int | None]:
+    """Give the number of the nearest hole in which each end lies; None where it lies in none."""
+    if not holes:
+        return [None] * len(ends)
+    points_um = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends]).reshape(-1, 1, 2)
+    distances = np.linalg.norm(points_um - np.array([hole.xy for hole in holes]), axis=2)
     distances[~(distances < 0.5 * np.array([hole.diameter or np.nan for hole in holes]))] = np.inf
-    rows, nearest = np.arange(len(ends)), distances.argmin(axis=1)
-    is_inside[rows, nearest] = np.isfinite(distances[rows, nearest])
-    return is_inside
+    return [int(row.argmin()) if np.isfinite(row).any() else None for row in distances]

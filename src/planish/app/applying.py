@@ -181,17 +181,19 @@ class Applying:
                 self.progress = Progress(**last, share=share)
         _wait_and_close(process)
         state = last.get("state")
+        if state != "done":
+            self._clean()
+            sweep(out)
         if state == "done":
             ticket = secrets.token_urlsafe(24)
             self.reports[ticket] = out / "report.html"
             end = Progress(state="done", share=1.0, message=f"{out} is made.", run=str(out), report=f"/report/{ticket}")
+        elif state == "failed":
+            end = Progress(**last)
+        elif state == "cancelled" or self._stopped:
+            end = Progress(state="cancelled", message="Cancelled; nothing was written.")
         else:
-            self._clean()
-            sweep(out)
-            if state == "cancelled" or (state != "failed" and self._stopped):
-                end = Progress(state="cancelled", message="Cancelled; nothing was written.")
-            else:
-                end = Progress(state="failed", message=last["message"] if state == "failed" else _LOST)
+            end = Progress(state="failed", message=_LOST)
         with self._lock:
             self._process = self._reader = None
             self.progress = end

@@ -103,8 +103,6 @@ class DrawnRegion(_Part):
     holes: Annotated[tuple[Polygon, ...], Field(max_length=1000)] = ()
 
 
-# --- the changes -----------------------------------------------------------------------------------------------------
-
 FREE = "m0"
 """Id of what the journal has not numbered yet."""
 
@@ -224,9 +222,6 @@ def numbered(change: Change, line: int) -> Change:
         return change.model_copy(update={"marks": tuple(marks)})
     letter = {"add": "m", "correct": "c", "region": "r"}.get(change.do)
     return change if letter is None else change.model_copy(update={"id": f"{letter}{line}"})
-
-
-# --- the states ------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -182,7 +182,7 @@ class Fitted:
             transform, error, words = self.fit, self.fit.expected_error_um, "its error is not known"
         else:
             error = None
-            transform, words = _from_few_pairs(*(_points(used, plane) for plane in PLANES), self.mirrored)
+            transform, words = _from_few_pairs(_points(used, "moving"), _points(used, "fixed"), self.mirrored)
         if transform is None:
             return None
         point = np.array(point_um)
@@ -297,9 +297,6 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
             fit = _least_squares(moving, fixed, "similarity", mirrored)
             return fit, f"from {len(moving)} marks, a similarity: its error is not known"
     return None, ""
-
-
-# --- words -----------------------------------------------------------------------------------------------------------
 
 
 def _at_one_place(rows: Sequence[Mark]) -> list[FitWarning]:

@@ -89,8 +89,6 @@ class Live:
                 self._lock.notify_all()
             self.session.publish()
 
-    # --- as the page shows it -----------------------------------------------------------------------------------------
-
     def shown(self, layer: str) -> dict[str, Any]:
         """The state as the page shows it; ChangeError where there is no such registration."""
         session = self.session

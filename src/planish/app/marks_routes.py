@@ -18,7 +18,6 @@ from starlette.routing import Route
 from planish.app.applying import Applying, Busy, Progress
 from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
 from planish.app.exchange import MarkFile, exported, imported
-from planish.app.fits import Fitted
 from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Stale
@@ -51,15 +50,8 @@ class _ImportBody(MarkFile, _Body):
     second: MarkFile | None = None
 
 
-# --- what there is ---------------------------------------------------------------------------------------------------
-
-
-async def get_session(request: Request) -> Response:
+def get_session(request: Request) -> Response:
     """Give what does not change while the server runs."""
-    return JSONResponse(await run_sync(_described, request))
-
-
-def _described(request: Request) -> dict[str, Any]:
     session = session_of(request)
     layers: list[dict[str, Any]] = []
     for layer in session.layers:
@@ -75,18 +67,18 @@ def _described(request: Request) -> dict[str, Any]:
                 plane: dict(zip(("plane", "layer"), session.shown_by(layer, plane), strict=True)) for plane in PLANES
             },
         })  # fmt: skip
-    return {
+    return JSONResponse({
         "run": session.folder.name, "read_only": session.read_only, "reason": session.reason,
         "linked": session.results.is_link, "layers": layers, "holes": layers[0]["holes"],
         "models": RegistrationParams.model_json_schema()["properties"]["model"]["enum"],
         "export_formats": [{"name": name, "title": FORMATS[name].title} for name in TARGETS],
         "pictures": [picture.described() for picture in session.pictures],
-    }  # fmt: skip
+    })  # fmt: skip
 
 
-async def get_state(request: Request) -> Response:
+def get_state(request: Request) -> Response:
     """Give the state as it stands."""
-    return JSONResponse(await run_sync(_state_of, request))
+    return JSONResponse(_state_of(request))
 
 
 def _layer(request: Request) -> str:
@@ -117,9 +109,6 @@ async def get_events(request: Request) -> Response:
             stop()
 
     return StreamingResponse(lines(), media_type="application/x-ndjson")
-
-
-# --- what is changed -------------------------------------------------------------------------------------------------
 
 
 def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> Callable[..., Awaitable[Response]]:
@@ -162,10 +151,7 @@ def _import(request: Request, body: _ImportBody) -> str:
     return f"{len(change.marks)} pairs of marks imported."
 
 
-# --- what is asked for ------------------------------------------------------------------------------------------------
-
-
-async def get_predict(request: Request) -> Response:
+def get_predict(request: Request) -> Response:
     """Predict where a point of one plane lies in the other."""
     live: Live = request.app.state.live
     side = request.query_params.get("side", "")
@@ -174,18 +160,18 @@ async def get_predict(request: Request) -> Response:
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
     if max(abs(x), abs(y)) > FARTHEST_UM:
         raise ChangeError(f"({x:g}, {y:g}) is no place in um.")
-    prediction = await run_sync(lambda: live.fit(_layer(request)).predicted(side, (x, y)))
+    prediction = live.fit(_layer(request)).predicted(side, (x, y))
     if prediction is None:
         return JSONResponse(None)
     (other_x, other_y), error_um, words = prediction
     return JSONResponse({"x": other_x, "y": other_y, "error_um": error_um, "text": words})
 
 
-async def get_export(request: Request) -> Response:
+def get_export(request: Request) -> Response:
     """The marks as a file."""
     layer, to = _layer(request), request.query_params.get("format", "json")
-    fit: Callable[[str], Fitted] = request.app.state.live.fit
-    name, data = await run_sync(lambda: exported(session_of(request), layer, to, fit(layer)))
+    live: Live = request.app.state.live
+    name, data = exported(session_of(request), layer, to, live.fit(layer))
     headers = {"content-disposition": f'attachment; filename="{name}"'}
     return Response(data, headers=headers, media_type="application/octet-stream")
 
@@ -198,26 +184,26 @@ def _answer(progress: Progress, status: int = 200, **more: str) -> Response:
     return JSONResponse(more | progress.model_dump(exclude_none=True), status)
 
 
-async def get_apply(request: Request) -> Response:
+def get_apply(request: Request) -> Response:
     """Give the progress of the run that is made."""
     return _answer(_applying(request).progress)
 
 
-async def post_apply(request: Request) -> Response:
+def post_apply(request: Request) -> Response:
     """Begin to make a run."""
     applying = _applying(request)
     try:
-        return _answer(await run_sync(applying.start), 202)
+        return _answer(applying.start(), 202)
     except Busy as error:
         return _answer(applying.progress, 409, error=error.text)
 
 
-async def post_cancel(request: Request) -> Response:
+def post_cancel(request: Request) -> Response:
     """Stop, and leave nothing."""
-    return _answer(await run_sync(_applying(request).cancel))
+    return _answer(_applying(request).cancel())
 
 
-async def get_report(request: Request) -> Response:
+def get_report(request: Request) -> Response:
     """The page of a run that was made here: its address is a secret of its own."""
     path = _applying(request).reports.get(request.path_params["ticket"])
     if path is None:
@@ -226,12 +212,12 @@ async def get_report(request: Request) -> Response:
     policy = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; frame-ancestors 'none'"
     headers = {"content-security-policy": policy, "cache-control": "no-store"}
     try:
-        return Response(await run_sync(path.read_bytes), headers=headers, media_type="text/html; charset=utf-8")
+        return Response(path.read_bytes(), headers=headers, media_type="text/html; charset=utf-8")
     except OSError:
         return PlainTextResponse("The run is not there any more.", 404)
 
 
-def _post(path: str, endpoint: Callable[..., Awaitable[Response]]) -> Route:
+def _post(path: str, endpoint: Callable[..., Any]) -> Route:
     return Route(path, endpoint, methods=["POST"])
 
 

@@ -107,7 +107,6 @@ class PlanePicture:
         Whether 0 is in the middle of its colours.
     """
 
-    id: str
     plane: Plane
     layer: str
     name: str
@@ -115,6 +114,12 @@ class PlanePicture:
     units: str
     levels: Sequence[xr.DataArray]
     around_zero: bool = False
+    id: str = ""
+
+    @property
+    def variable(self) -> str:
+        """Its name in the store, whatever the layer."""
+        return self.name.rpartition("/")[2]
 
     @property
     def full(self) -> xr.DataArray:
@@ -165,11 +170,9 @@ class PlanePicture:
         if len(self.levels) == 1:
             return _finite_values([])
         each = _FEW if self._coarse.size else _MANY
-        tops, lefts = (
-            (np.linspace(0.5, n - 0.5, 2 * each + 1).astype(int)[1::2] // CHUNK * CHUNK).tolist()
-            for n in self.full.shape
-        )
-        return _finite_values([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in tops for c in lefts])
+        middles = (np.linspace(0.5, n - 0.5, 2 * each + 1).astype(int)[1::2] for n in self.full.shape)
+        rows, cols = ((middle // CHUNK * CHUNK).tolist() for middle in middles)
+        return _finite_values([self.full[r : r + _WINDOW, c : c + _WINDOW].values for r in rows for c in cols])
 
     def described(self) -> dict[str, Any]:
         """Give what a page has to know."""

@@ -76,7 +76,7 @@ class Pictures:
     def valid_of(self, *pictures: PlanePicture) -> list[PlanePicture]:
         """The masks that say where values of pictures count."""
         layers = {p.layer for p in pictures}
-        return [p for p in self.on_same_pixels(pictures[0]) if p.layer in layers and p.name.split("/")[-1] == "valid"]
+        return [p for p in self.on_same_pixels(pictures[0]) if p.layer in layers and p.variable == "valid"]
 
 
 def _of_run(run: Path) -> Iterator[PlanePicture]:
@@ -108,7 +108,7 @@ def _sheet(run: Path, *, layer: str, prefix: str) -> Iterator[PlanePicture]:
     places = {picture.name.removeprefix(prefix): picture.levels for picture in maps}
     for name, strain, levels in strains(run, places) if (run / MAPS / "strain").is_dir() else ():
         yield PlanePicture(
-            id="", plane="moving", layer=layer, name=prefix + name, title=strain.title, units=strain.units,
+            plane="moving", layer=layer, name=prefix + name, title=strain.title, units=strain.units,
             levels=Stored(levels), around_zero=True,
         )  # fmt: skip
 
@@ -130,7 +130,7 @@ def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: s
         if len(levels) <= count_of(shape):
             levels = _on_grids(ComputedLevels(data, cache_place(path / "zarr.json", group, name)), Grid.of(data))
         yield PlanePicture(
-            id="", plane=plane, layer=layer, name=prefix + name, title=str(data.attrs.get("long_name", name)),
+            plane=plane, layer=layer, name=prefix + name, title=str(data.attrs.get("long_name", name)),
             units=str(data.attrs.get("units", "")), levels=levels,
         )  # fmt: skip
 
@@ -174,7 +174,7 @@ def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -
     values = _ImageValues(path, channel, (rows, cols))
     levels = ComputedLevels(values, cache_place(path, "image", channel), keep_all=not is_mapped(path))
     return PlanePicture(
-        id="", plane=plane, layer=layer, name=name, title=title, units="1",
+        plane=plane, layer=layer, name=name, title=title, units="1",
         levels=_on_grids(levels, Grid.regular((rows, cols), (pixel_um[0], pixel_um[1]))),
     )  # fmt: skip
 

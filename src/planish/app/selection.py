@@ -20,7 +20,7 @@ from planish.app.pictures import Tiles
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError
 from planish.core.facts import is_known
-from planish.core.lazy import LazyArray, Where, held
+from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.typing import Bools, Floats
 
 MOST_SAMPLES = 2000
@@ -35,7 +35,7 @@ def cursor(tiles: Tiles, picture: PlanePicture, x: float, y: float) -> dict[str,
     rows, cols, (inside,) = _pixels(picture, np.array([[x, y]]), 0)
     pictures = tiles.pictures.on_same_pixels(picture)
     value_of = {p.id: finite_or_none(tiles.values_at(p, 0, rows, cols)[0]) if inside else None for p in pictures}
-    volume, places = None, {(p.layer, p.name.split("/")[-1]): value_of[p.id] for p in pictures}
+    volume, places = None, {(p.layer, p.variable): value_of[p.id] for p in pictures}
     for layer in dict.fromkeys([picture.layer, *(p.layer for p in pictures)]):  # its own, or the first that has it
         place = {axis: places.get((layer, f"volume_{axis}")) for axis in "xyz"}
         if None not in place.values():
@@ -197,7 +197,7 @@ def select(
     """
     stop, pixel = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
-    x, y = (_lazy_array(_Stoppable(p.full[window], stop), p.full[window]) for p in (a, b))
+    x, y = (replaced(p.full[window], _Stoppable(p.full[window], stop)) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes:
         brushed = [(brush, brush.picture.full[window]) for brush in brushes]
@@ -211,7 +211,7 @@ def select(
                 use &= (band >= brush.low) & (band <= brush.high)
             n += int(np.count_nonzero(use))
         return {"n": n, "pixel_um": pixel, "r": None, "n_eff": None, "interval": None, "warnings": []}
-    every = None if not masks else masks[0] if len(masks) == 1 else _lazy_array(_AllMasks(masks), masks[0])
+    every = replaced(masks[0], _AllMasks(masks)) if masks else None
     row = correlate(x, y, mask=every, pixel_um=pixel, most_cells=CELLS)  # as a run does: its whole map gives its n_eff
     return {
         "n": row.n, "pixel_um": pixel, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
@@ -242,10 +242,6 @@ class _Stoppable(LazyArray):
         if self._stop.is_set():
             raise Stopped
         return self._values[where].values
-
-
-def _lazy_array(values: LazyArray, like: xr.DataArray) -> xr.DataArray:
-    return xr.DataArray(xr.Variable(like.dims, held(values)), coords=like.coords)
 
 
 def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]:

@@ -88,7 +88,7 @@ class Session:
     _listeners: set[Callable[[], None]] = field(default_factory=set[Callable[[], None]])
 
     @classmethod
-    def open(cls, run: Path, image: Path | ImageParams | None = None, *, read_only: bool = False) -> Self:
+    def open(cls, run: Path, image: ImageParams | None = None, *, read_only: bool = False) -> Self:
         """Open a run, or the maps of a refused link with the image, with all changes that were made to it.
 
         Raises
@@ -105,9 +105,8 @@ class Session:
         if params is not None:
             shown = f"{fingerprint(Path(params.path))} {params.model_dump_json(exclude={'path'})}"
             of, name = f"{of} {shown}", f"journal-{sha256(shown.encode()).hexdigest()[:12]}.jsonl"
-        registrations = {
-            layer.name: Registration.read(run / marks_file(results, layer.name)) for layer in results.moving
-        }
+        names = [layer.name for layer in results.moving]
+        registrations = {moving: Registration.read(run / marks_file(results, moving)) for moving in names}
         path, reason = run / EDITS / name, "It was opened with --read-only." if read_only else ""
         try:
             journal = Journal(path, of=of, write=not read_only)
@@ -126,8 +125,6 @@ class Session:
             session.close()
             raise
         return session
-
-    # --- what it is about ---------------------------------------------------------------------------------------------
 
     @property
     def read_only(self) -> bool:
@@ -202,8 +199,6 @@ class Session:
         shown: dict[Plane, Any] = {"moving": read_group(self.folder / MAPS, "maps"), "fixed": self.image}
         params, side = self.study.holes, self.side_of("image")
         return {plane: find_holes(data, params=params, side=side) for plane, data in shown.items()}
-
-    # --- what was changed ---------------------------------------------------------------------------------------------
 
     @property
     def state(self) -> State:
@@ -286,22 +281,17 @@ class Session:
 
     def _original_state(self) -> State:
         """The run as it was."""
-        declared = read_regions(self.folder / REGIONS).declared if self.results.regions else ()
-        polygons = ((region, rings) for region in declared for rings in region.polygons)
-        regions = [
-            DrawnRegion(
-                id=f"r0-{k}", name=region.name, author=region.author, reason=region.reason,
-                polygon=_ring(rings[0]), holes=tuple(map(_ring, rings[1:])),
-            )
-            for k, (region, rings) in enumerate(polygons, 1)
-        ]  # fmt: skip
+        regions: list[DrawnRegion] = []
+        for region in read_regions(self.folder / REGIONS).declared if self.results.regions else ():
+            for polygon, *holes in ([*map(_ring, rings)] for rings in region.polygons):
+                about = {"name": region.name, "author": region.author, "reason": region.reason}
+                number = f"r0-{len(regions) + 1}"
+                regions.append(DrawnRegion(id=number, polygon=polygon, holes=tuple(holes), **about))
         marks = {layer: pairs_of(registration.marks) for layer, registration in self.registrations.items()}
         return State(
             marks=marks or {self.layers[0]: ()}, model=self.study.registration.model, regions=tuple(regions),
             corrections=corrections_of(self.study), first=self.layers[0],
         )  # fmt: skip
-
-    # --- news for the windows -----------------------------------------------------------------------------------------
 
     def publish(self) -> None:
         """Count the version up, and call everybody who listens; from any thread."""
@@ -323,19 +313,18 @@ class Session:
         self.journal.close()
 
 
-def _image_params(run: Path, image: Path | ImageParams | None, results: Results) -> ImageParams | None:
+def _image_params(run: Path, image: ImageParams | None, results: Results) -> ImageParams | None:
     """Give the options of the image of a refused link: as it is asked for, as it was then, or by its own metadata."""
-    place = Path(image.path) if isinstance(image, ImageParams) else image
+    place = None if image is None else Path(image.path)
     if results.is_link:
         if place is not None:
             raise FileError(f"{run} is linked to an image already. Leave {place.name} out: planish view {run}")
         return None
-    if place is None:
+    if image is None or place is None:
         raise FileError(f"{run} holds the map of one sheet. Give the image as well: planish view {run} IMAGE")
     if not place.is_file():
         raise FileError(f"{place} is no file. Give the image of the sheet.")
-    asked = image.model_dump(exclude_unset=True) if isinstance(image, ImageParams) else {}
-    asked["path"] = str(place.resolve())
+    asked = image.model_dump(exclude_unset=True) | {"path": str(place.resolve())}
     noted = noted_study(run)
     for layer in () if noted is None else noted.layers:
         if layer.image is not None and layer.image.path == asked["path"]:
@@ -372,8 +361,7 @@ def places_of(ends: Sequence[End | None]) -> MarkPlaces:
     """Ends as files of marks have them."""
 
     def column(name: str) -> Floats:
-        values = [None if end is None else getattr(end, name) for end in ends]
-        return np.array([np.nan if value is None else value for value in values], dtype=np.float64)
+        return np.array([getattr(end, name, None) for end in ends], dtype=np.float64)  # NaN where it is None
 
     return MarkPlaces(
         um=np.stack([column("x"), column("y")], axis=1),

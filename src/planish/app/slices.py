@@ -170,8 +170,6 @@ class SlicedSheet:
         floats, segments = ([part.astype(np.float32) for part in parts.values()] for parts in (lines, contours))
         return SheetSlice(facts=facts, pixels=pixels, lines=floats, contours=segments)
 
-    # --- slices -------------------------------------------------------------------------------------------------------
-
     def cut(
         self, direction: Direction, index: int, *, near_um: Near = (None, None),
         corrections: Corrections | None = None,
@@ -289,8 +287,6 @@ class SlicedSheet:
         """Values of the voxels of a plane, in the order of the first two axes."""
         part = self.volume.isel(window)
         return part.values.transpose([part.get_axis_num(axis) for axis in window])[..., 0]
-
-    # --- surfaces -----------------------------------------------------------------------------------------------------
 
     def _column_places(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)

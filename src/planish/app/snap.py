@@ -25,7 +25,7 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
     ChangeError
         If neither end lies in a hole.
     """
-    marked = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
+    marked: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
     ends = {plane: hole for plane, end in marked.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not ends:
         where = " or ".join(_WHERE[plane] for plane in marked)
@@ -86,13 +86,13 @@ def _hole_layers(session: Session, layer: str, plane: Plane) -> dict[str, xr.Dat
         return {"image": session.image}
     shown, owner = session.shown_by(layer, plane)
     on_plane = session.pictures.on(shown, owner)
-    layer_maps = {p.name.split("/")[-1]: p.full for p in on_plane if p.layer == owner}
+    layer_maps = {p.variable: p.full for p in on_plane if p.layer == owner}
     if "image" in layer_maps:
         return {"image": layer_maps["image"]}
     material = {name: data for name, data in layer_maps.items() if name.startswith("presence")}
     if material or shown == "moving":
         return material
-    images = [p.full for p in on_plane if p.name.split("/")[-1] == "image"]
+    images = [p.full for p in on_plane if p.variable == "image"]
     return {"image": images[0]} if images else {}
 
 

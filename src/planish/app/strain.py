@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.app.picture import layer_run
 from planish.core.bands import bands
 from planish.core.frame import Frame
-from planish.core.lazy import LazyArray, Where, held
+from planish.core.lazy import LazyArray, Where, replaced
 from planish.io.map_store import stored_group
 from planish.io.run_folder import read_group
 from planish.run.run import MAPS
@@ -94,10 +94,7 @@ def strains(
     for name, shown in STRAINS.items():
         if name not in strain or min(strain[name].shape) < 2 or not np.isfinite(strain[name].values).any():
             continue
-        levels = [
-            xr.DataArray(xr.Variable(a.dims, held(_CellValues(strain[name], shown, a, b))), coords=a.coords)
-            for a, b in zip(rows, cols, strict=True)
-        ]
+        levels = [replaced(a, _CellValues(strain[name], shown, a, b)) for a, b in zip(rows, cols, strict=True)]
         yield name, shown, levels
 
 

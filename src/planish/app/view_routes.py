@@ -30,37 +30,34 @@ from planish.surface.params import REACH_UM
 _FULL = anyio.CapacityLimiter(1)  # passes over whole maps, one at a time: the other core is for the screen
 
 
-async def get_tile(request: Request) -> Response:
+def get_tile(request: Request) -> Response:
     """One tile of a picture."""
     place, tiles = request.path_params, _tiles(request)
-    data = await run_sync(tiles.tile, place["id"], place["level"], place["row"], place["col"])
+    data = tiles.tile(place["id"], place["level"], place["row"], place["col"])
     return Response(data, media_type="application/octet-stream")
 
 
-async def get_cursor(request: Request) -> Response:
+def get_cursor(request: Request) -> Response:
     """All values at a point."""
     (x,), (y,) = required_numbers(request, "x", 1), required_numbers(request, "y", 1)
-    picture = _picture(request, "id")
-    return JSONResponse(await run_sync(cursor, _tiles(request), picture, x, y))
+    return JSONResponse(cursor(_tiles(request), _picture(request, "id"), x, y))
 
 
-async def get_profile(request: Request) -> Response:
+def get_profile(request: Request) -> Response:
     """Values along a line."""
     x0, y0, x1, y1 = required_numbers(request, "line", 4)
     pictures = [_picture(request, key) for key in ("a", "b") if key in request.query_params]
-    return JSONResponse(await run_sync(profile, _tiles(request), pictures, (x0, y0, x1, y1)))
+    return JSONResponse(profile(_tiles(request), pictures, (x0, y0, x1, y1)))
 
 
-async def get_density(request: Request) -> Response:
+def get_density(request: Request) -> Response:
     """Density of two pictures, or of a region of them."""
-    (a, b), region = _pair(request), _region(request)
-    return JSONResponse(await run_sync(density, _tiles(request), a, b, region))
+    return JSONResponse(density(_tiles(request), *_pair(request), _region(request)))
 
 
-async def get_histogram(request: Request) -> Response:
+def get_histogram(request: Request) -> Response:
     """Histogram of a picture, or of a region of it."""
-    picture, region = _picture(request, "id"), _region(request)
-    return JSONResponse(await run_sync(histogram, _tiles(request), picture, region))
+    return JSONResponse(histogram(_tiles(request), _picture(request, "id"), _region(request)))
 
 
 async def get_selection(request: Request) -> Response:
@@ -142,48 +139,8 @@ def _numbers(request: Request, key: str, count: int) -> list[float]:
 _OPENING = threading.Lock()
 
 
-async def get_sheets(request: Request) -> Response:
+def get_sheets(request: Request) -> Response:
     """The sheets whose slices can be seen; what is wrong with the others."""
-    reasons = {int(status): status.sentence for status in Status}
-    return JSONResponse({"sheets": await run_sync(_sheets, request), "status": reasons})
-
-
-async def get_slice(request: Request) -> Response:
-    """One slice: its facts as JSON, pixels of 16 bits, and lines of 32-bit floats."""
-
-    def cut() -> bytes:
-        sheet, direction = _open_sheet(request, request.path_params["layer"]), request.path_params["direction"]
-        if direction not in ("z", "y", "x", "straight"):
-            raise InputError("Slices run across z, y or x, or are straight.")
-        across, down = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
-        corrections = _shown_corrections(request, sheet.name)
-        return slice_message(
-            sheet.cut(direction, request.path_params["index"], near_um=(across, down), corrections=corrections)
-        )
-
-    return Response(await run_sync(cut), media_type="application/octet-stream")
-
-
-def _open_sheet(request: Request, layer: str) -> SlicedSheet:
-    """The sheet of a layer, opened when it is first asked for."""
-    app, session = request.app, session_of(request)
-    sheets: dict[str, SlicedSheet] = app.state.sheets
-    with _OPENING:
-        if layer not in sheets:
-            available = sheets_of(session.folder, session.study)
-            if layer not in available:
-                names = ", ".join(available) or "none"
-                raise InputError(f"There are no slices of {layer!r}; there are some of {names}.")
-            sheets[layer] = SlicedSheet.open(layer, *available[layer])
-        return sheets[layer]
-
-
-def session_of(request: Request) -> Session:
-    """Give the session that is served."""
-    return request.app.state.session
-
-
-def _sheets(request: Request) -> list[dict[str, Any]]:
     described: list[dict[str, Any]] = []
     session = session_of(request)
     for name in sheets_of(session.folder, session.study):
@@ -205,7 +162,40 @@ def _sheets(request: Request) -> list[dict[str, Any]]:
             "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
             "correctable": "from_labels" not in attrs and attrs.get("method", "profile") == "profile",
         })  # fmt: skip
-    return described
+    reasons = {int(status): status.sentence for status in Status}
+    return JSONResponse({"sheets": described, "status": reasons})
+
+
+def get_slice(request: Request) -> Response:
+    """One slice: its facts as JSON, pixels of 16 bits, and lines of 32-bit floats."""
+    sheet, direction = _open_sheet(request, request.path_params["layer"]), request.path_params["direction"]
+    if direction not in ("z", "y", "x", "straight"):
+        raise InputError("Slices run across z, y or x, or are straight.")
+    across, down = (next(iter(_numbers(request, key, 1)), None) for key in ("across", "down"))
+    corrections = _shown_corrections(request, sheet.name)
+    message = slice_message(
+        sheet.cut(direction, request.path_params["index"], near_um=(across, down), corrections=corrections)
+    )
+    return Response(message, media_type="application/octet-stream")
+
+
+def _open_sheet(request: Request, layer: str) -> SlicedSheet:
+    """The sheet of a layer, opened when it is first asked for."""
+    app, session = request.app, session_of(request)
+    sheets: dict[str, SlicedSheet] = app.state.sheets
+    with _OPENING:
+        if layer not in sheets:
+            available = sheets_of(session.folder, session.study)
+            if layer not in available:
+                names = ", ".join(available) or "none"
+                raise InputError(f"There are no slices of {layer!r}; there are some of {names}.")
+            sheets[layer] = SlicedSheet.open(layer, *available[layer])
+        return sheets[layer]
+
+
+def session_of(request: Request) -> Session:
+    """Give the session that is served."""
+    return request.app.state.session
 
 
 def _shown_corrections(request: Request, layer: str) -> Corrections | None:
@@ -239,30 +229,26 @@ def slice_message(slice_: SheetSlice) -> bytes:
     return b"".join(parts)
 
 
-async def flattening(request: Request) -> Response:
+def flattening(request: Request) -> Response:
     """Pictures of the strain, of the places of the sheet in space, and of what it may be coloured by; null for none."""
     session, layer = session_of(request), request.query_params.get("layer", "")
     if sheet_run(session.folder, layer) is None:
         return JSONResponse(None)
-
-    def picture_ids() -> dict[str, Any]:
-        ids = {p.name.rpartition("/")[2]: p.id for p in session.pictures.on("moving", layer)}
-        no_colours = {*SPACE, *STRAINS, "valid"}
-        names = [n for n in ids if n not in no_colours and not n.startswith(("volume_", "presence"))]
-        first = [name for name in (session.results.layer(layer).headline, "thickness", "warp") if name in names]
-        return {
-            "strain": [ids[name] for name in STRAINS if name in ids],
-            "space": [ids[name] for name in SPACE],
-            "colours": [ids[name] for name in dict.fromkeys([*first, *names])],
-        }
-
-    return JSONResponse(await run_sync(picture_ids))
+    ids = {p.variable: p.id for p in session.pictures.on("moving", layer)}
+    no_colours = {*SPACE, *STRAINS, "valid"}
+    names = [n for n in ids if n not in no_colours and not n.startswith(("volume_", "presence"))]
+    first = [name for name in (session.results.layer(layer).headline, "thickness", "warp") if name in names]
+    return JSONResponse({
+        "strain": [ids[name] for name in STRAINS if name in ids],
+        "space": [ids[name] for name in SPACE],
+        "colours": [ids[name] for name in dict.fromkeys([*first, *names])],
+    })  # fmt: skip
 
 
-async def mesh(request: Request) -> Response:
+def mesh(request: Request) -> Response:
     """Lines of the mesh, each a list of (u, v) in um, and that they are every n-th."""
     run = sheet_run(session_of(request).folder, request.query_params.get("layer", ""))
-    lines, every = ([], 1) if run is None else await run_sync(mesh_lines, run)
+    lines, every = ([], 1) if run is None else mesh_lines(run)
     return JSONResponse({"lines": lines, "every": every})
 
 

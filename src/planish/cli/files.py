@@ -98,8 +98,8 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         if correct.asked:
             from planish.correct import correct_volume
 
-            for path in (record, picture):
-                refuse_existing(path)
+            refuse_existing(record)
+            refuse_existing(picture)
             correction = correct_volume(
                 data, params=correct, memory_bytes=compute.volume_bytes,
                 progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),
@@ -118,7 +118,8 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         from planish.correct import write_picture
 
         try:
-            record.write_text(json.dumps(correction.record.to_json(), indent=2) + "\n", encoding="utf-8", newline="\n")
+            text = json.dumps(correction.record.to_json(), indent=2)
+            record.write_text(f"{text}\n", encoding="utf-8", newline="\n")
         except OSError as error:
             raise FileError(f"{record} cannot be written: {error.strerror}. The store itself is whole.") from error
         if correction.before is not None:

@@ -72,11 +72,11 @@ class Value(click.ParamType[Any]):
     def __init__(self, kind: Any, metavar: str | None = None, *, repeat: bool = False) -> None:
         self.adapter, self.repeat = TypeAdapter[Any](kind), repeat
         parts = kinds_of(kind)
-        self.count = next((len(get_args(p)) for p in parts if get_origin(p) is tuple), 0)
-        self.any_count = any(get_args(p)[1:] == (...,) for p in parts if get_origin(p) is tuple)
-        self.words = words = [str(w) for p in parts if get_origin(p) is Literal for w in get_args(p)]
-        number = "N,..." if self.count else "NUMBER" if float in parts else "INTEGER" if int in parts else ""
-        self.metavar = metavar or "|".join([*words, *filter(None, [number])]) or "TEXT"
+        tuples = [get_args(part) for part in parts if get_origin(part) is tuple]
+        self.count, self.any_count = len(tuples[0]) if tuples else 0, any(kinds[1:] == (...,) for kinds in tuples)
+        self.words = [str(word) for part in parts if get_origin(part) is Literal for word in get_args(part)]
+        number = ["N,..."] if tuples else ["NUMBER"] if float in parts else ["INTEGER"] if int in parts else []
+        self.metavar = metavar or "|".join([*self.words, *number]) or "TEXT"
 
     def get_metavar(self, param: click.Parameter, ctx: click.Context | None = None) -> str:  # noqa: ARG002
         """Show what is expected in the help."""
@@ -100,9 +100,6 @@ class Value(click.ParamType[Any]):
         except ValidationError as error:
             reasons = "; ".join(dict.fromkeys(e["msg"].removeprefix("Value error, ") for e in error.errors()))
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
-
-
-# --- options of the models -----------------------------------------------------------------------------------------
 
 
 def options(
@@ -153,14 +150,15 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
 
 def given_options(values: dict[str, Any], section: str) -> dict[str, Any]:
     """Collect the options that the command line gives for a section, as its model takes them."""
-    mark = f"{section}__"
-    section_options = {k.removeprefix(mark): v for k, v in values.items() if k.startswith(mark)}
-    set_options = {k: v for k, v in section_options.items() if v is not None and v is not False}  # 0 is a value
-    fields: dict[str, Any] = {k: v for k, v in set_options.items() if "__" not in k}
-    for name, sign, inner in (k.partition("__") for k in section_options):
-        if sign and name in fields:
-            fields[name] = given_options(section_options, name)
-        elif f"{name}{sign}{inner}" in set_options and sign:
+    prefix = f"{section}__"
+    options = {key.removeprefix(prefix): value for key, value in values.items() if key.startswith(prefix)}
+    is_set = {key: value is not None and value is not False for key, value in options.items()}  # 0 is a value
+    fields = {key: value for key, value in options.items() if is_set[key] and "__" not in key}
+    for key in options:
+        name, nested, inner = key.partition("__")
+        if nested and name in fields:
+            fields[name] = given_options(options, name)
+        elif nested and is_set[key]:
             raise click.UsageError(f"--{inner.replace('_', '-')} is an option of --{name}: give --{name} as well.")
     return fields
 
@@ -186,8 +184,6 @@ def stack(*parts: Command) -> Command:
 
     return decorate
 
-
-# --- options that are no parameters ----------------------------------------------------------------------------------
 
 strict_option = click.option("--strict", is_flag=True, help="End with 4 also where a check asks for a look.")
 figures_option = click.option(

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import xarray as xr
 
-from planish.app import exploring
+from planish.app.exploring import slices
 from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, labelled
 from planish.report import Scale
@@ -32,13 +32,13 @@ def volume(values: np.ndarray, chunk: int) -> tuple[xr.DataArray, Counted]:
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("chunk", [1, 5])
 def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypatch, through, every, chunk):
-    monkeypatch.setattr(exploring.slices, "_BLOCK", 100)
+    monkeypatch.setattr(slices, "_BLOCK", 100)
     values = np.random.default_rng(5).integers(0, 255, (13, 14, 17)).astype(np.uint8)
     data, lazy = volume(values, chunk)
     frame = Frame(through=through)
     rows = np.arange(1, data.sizes[frame.rows], 3)
     depth = slice(2, 9)
-    found = exploring.slices._read(data, frame, rows, depth, every, Scale(0.0, 255.0, "grey"), silent)
+    found = slices._read(data, frame, rows, depth, every, Scale(0.0, 255.0, "grey"), silent)
     turned = values.transpose(["zyx".index(axis) for axis in (frame.rows, frame.through, frame.cols)])[rows, depth]
     cols = turned.shape[2] // every
     expected = turned[:, :, : cols * every].reshape(rows.size, 7, cols, every).mean(axis=3)
@@ -47,5 +47,5 @@ def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypa
 
 
 def test_missing_voxels_are_black_and_values_beyond_the_scale_have_its_ends():
-    found = exploring.slices._greys(np.array([np.nan, -5.0, 10.0, 15.0, 20.0, 99.0]), Scale(10.0, 20.0, "grey"))
+    found = slices._greys(np.array([np.nan, -5.0, 10.0, 15.0, 20.0, 99.0]), Scale(10.0, 20.0, "grey"))
     assert found.tolist() == [0, 0, 0, 128, 255, 255]
