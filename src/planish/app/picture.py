@@ -82,10 +82,6 @@ class Codes:
         codes = np.rint((np.where(is_valid, values.astype(np.float64), self.offset) - self.offset) / self.scale) + 1
         return np.where(is_valid, np.clip(codes, 1, LAST_CODE), 0).astype(np.uint16)
 
-    def values(self, codes: NDArray[np.uint16]) -> Floats:
-        """The values that codes stand for; NaN where they are missing."""
-        return np.where(codes == 0, np.nan, self.offset + self.scale * (codes.astype(np.float64) - 1))
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PlanePicture:

@@ -213,7 +213,7 @@ class SlicedSheet:
         columns = self._columns(other, along)
         lines = self._lines(other, line, columns, corrections)
         return self._slice(
-            direction, index, values, self.codes, lines, across=_axis(other, self.places(other)[along]),
+            direction, index, values, self.codes, lines, across=self._edge(other, along),
             down=_axis(f.through, depth), columns=_axis(other, self._column_places(other)[columns]),
         )  # fmt: skip
 
@@ -227,8 +227,8 @@ class SlicedSheet:
         x, y = surfaces["x"].values, surfaces["y"].values
         contours = {name: contour(surfaces[name].values - height, x, y) for name in HEIGHTS}
         return self._slice(
-            f.through, index, values, self.codes, contours=contours, across=_axis(f.cols, self.places(f.cols)[cols]),
-            down=_axis(f.rows, self.places(f.rows)[rows]),
+            f.through, index, values, self.codes, contours=contours, across=self._edge(f.cols, cols),
+            down=self._edge(f.rows, rows),
         )  # fmt: skip
 
     def _straight(self, index: int, near_um: Near, corrections: Corrections | None) -> SheetSlice:
@@ -290,6 +290,9 @@ class SlicedSheet:
 
     def _column_places(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
+
+    def _edge(self, axis: Axis, window: slice) -> AxisFacts:
+        return _axis(axis, self.places(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
         """The columns of the surfaces in which voxels lie."""

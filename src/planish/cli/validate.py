@@ -113,13 +113,11 @@ def validate(
     def report(stage: str, detail: str) -> None:
         click.echo(f"{stage}: {detail}", err=True)
 
+    how: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values, "compute")}
     results: list[tuple[Certificate, Sensitivity | None]] = []
-    compute = build_params(Compute, values, "compute")
     for scenario in chosen:
-        certificate = replace(run_scenario(scenario, seeds, progress=report, compute=compute), notes=notes)
-        grown = None
-        if alone and scenario.kind == "line":
-            grown = sensitivity(scenario, 1, progress=report, compute=compute)
+        certificate = replace(run_scenario(scenario, seeds, **how), notes=notes)
+        grown = sensitivity(scenario, 1, **how) if alone and scenario.kind == "line" else None
         results.append((certificate, grown))
         if not as_json:
             _show(certificate, grown)
