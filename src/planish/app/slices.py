@@ -214,7 +214,7 @@ class SlicedSheet:
         lines = self._lines(other, line, columns, corrections)
         return self._slice(
             direction, index, values, self.codes, lines, across=self._edge(other, along),
-            down=_axis(f.through, depth), columns=_axis(other, self._column_places(other)[columns]),
+            down=edge_of(f.through, depth), columns=edge_of(other, self._column_places(other)[columns]),
         )  # fmt: skip
 
     def _along(self, index: int, near_um: Near) -> SheetSlice:
@@ -252,9 +252,9 @@ class SlicedSheet:
         codes = self.codes or Codes(-1.0, 1.0)
         if self.codes is None and finite.size:
             codes = Codes.between(float(finite.min()), float(finite.max()))
-        columns = _axis(f.cols, places[window])
+        columns = edge_of(f.cols, places[window])
         return self._slice(
-            "straight", index, values, codes, lines, across=columns, down=_axis("height", s), columns=columns
+            "straight", index, values, codes, lines, across=columns, down=edge_of("height", s), columns=columns
         )
 
     def _sampled(self, index: int, window: slice, lines: dict[str, Floats], s: Floats) -> Floats:
@@ -292,7 +292,7 @@ class SlicedSheet:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)
 
     def _edge(self, axis: Axis, window: slice) -> AxisFacts:
-        return _axis(axis, self.places(axis)[window])
+        return edge_of(axis, self.places(axis)[window])
 
     def _columns(self, axis: str, voxels: slice) -> slice:
         """The columns of the surfaces in which voxels lie."""
@@ -394,6 +394,7 @@ def _window(places: Floats, near_um: float | None) -> slice:
     return slice(first, first + WIDEST)
 
 
-def _axis(name: Any, places: Floats) -> AxisFacts:
+def edge_of(name: Literal["z", "y", "x", "height"], places: Floats) -> AxisFacts:
+    """Give the edge of a slice along which its pixels have these places."""
     step = float(places[1] - places[0]) if places.size > 1 else 1.0
     return AxisFacts(name=name, first_um=float(places[0]), step_um=step, count=places.size)

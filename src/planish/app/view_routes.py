@@ -20,7 +20,7 @@ from planish.app.picture import PlanePicture
 from planish.app.pictures import Tiles
 from planish.app.selection import Brush, Rectangle, Stopped, cursor, density, histogram, profile, select
 from planish.app.session import Session
-from planish.app.slices import SheetSlice, SlicedSheet, sheets_of
+from planish.app.slices import SheetSlice, SlicedSheet, edge_of, sheets_of
 from planish.app.strain import SPACE, STRAINS, mesh_lines, sheet_run
 from planish.core.errors import InputError, PlanishError
 from planish.core.status import Status
@@ -151,12 +151,7 @@ def get_sheets(request: Request) -> Response:
             continue
         frame, attrs = sheet.frame, sheet.surfaces.attrs
         places = {axis: sheet.places(axis) for axis in "zyx"} | {"straight": sheet.surfaces["y"].values}
-        axes = {
-            axis: {
-                "count": um.size, "first_um": float(um[0]), "step_um": float(um[1] - um[0]) if um.size > 1 else 1.0,
-            }
-            for axis, um in places.items()
-        }  # fmt: skip
+        axes = {name: edge_of("height", um).model_dump(exclude={"name"}) for name, um in places.items()}
         described.append({
             "layer": name, "through": frame.through, "top": frame.top, "rows": frame.rows, "cols": frame.cols,
             "axes": axes, "thickness_um": float(attrs["thickness_um"]), "reach_um": REACH_UM,
