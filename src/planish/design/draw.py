@@ -12,11 +12,7 @@ from typing import Any
 import numpy as np
 from matplotlib import style
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_pdf import FigureCanvasPdf, PdfPages
-from matplotlib.backends.backend_svg import FigureCanvasSVG
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
+from matplotlib.backends.backend_pdf import PdfPages
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
@@ -30,8 +26,6 @@ from planish.design.rules import Rule
 INK, SOFT, FAINT, ACCENT, GROUND = "#22292f", "#66707a", "#c9ced3", "#b3402a", "#eef4f8"
 BURNT = "#e8c9b8"
 ASIDE = 226.0  # where the right column begins
-_ROOM = (180.0, 148.0)  # of the plan
-_LEFT, _TOP = 24.0, 36.0
 _SCALES = (0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.5, 0.75, 1, 1.5, 2, 2.5, 3, 4, 5, 6, 7, 8, 10, 12, 15, 20, 25, 30, 40, 50)
 
 _STYLE: dict[str, Any] = {
@@ -51,6 +45,9 @@ _STYLE: dict[str, Any] = {
 house_style = partial(style.context, ["default", _STYLE])
 
 
+Point = Sequence[float] | Floats
+
+
 class Page:
     """A landscape A4 page with a magnified plan and a column beside it, in mm from its upper left corner.
 
@@ -59,35 +56,28 @@ class Page:
 
     width, height = 297.0, 210.0
 
-    def __init__(
-        self, title: str, subtitle: str, low_um: Sequence[float], size_um: Sequence[float], *, note: str = ""
-    ) -> None:
+    def __init__(self, title: str, subtitle: str, low_um: Point, size_um: Point, *, note: str = "") -> None:
         self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white")
         self.text(12, 13, title, fontsize=14, fontweight="bold")
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
-        most = min(1000 * room / side for room, side in zip(_ROOM, size_um, strict=True))
+        room, size = np.array([180.0, 148.0]), np.asarray(size_um)
+        most = float(min(1000 * room / size))
         self.scale = max((scale for scale in _SCALES if scale <= most), default=most)
-        x_mm, y_mm = (
-            edge + (room - side * self.scale / 1000) / 2
-            for edge, room, side in zip((_LEFT, _TOP), _ROOM, size_um, strict=True)
-        )
+        x_mm, y_mm = np.array([24.0, 36.0]) + (room - size * self.scale / 1000) / 2
         self.plan = self.add_plan(x_mm, y_mm, low_um, size_um, self.scale)
-        self.scale_bar(_LEFT, 199, self.scale, most=40)
+        self.scale_bar(24, 199, self.scale, most=40)
         ratio = f"{self.scale:g}:1" if self.scale >= 1 else f"1:{1 / self.scale:.3g}"
-        self.text(_LEFT + 66, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
+        self.text(90, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
         x = (ASIDE - 6) / self.width
         self.figure.add_artist(Line2D([x, x], [0.05, 0.85], color=FAINT, lw=0.6))
         self.bottom = 38.0
 
-    def add_plan(
-        self, x_mm: float, y_mm: float, low_um: Sequence[float], size_um: Sequence[float], scale: float
-    ) -> Axes:
+    def add_plan(self, x_mm: float, y_mm: float, low_um: Point, size_um: Point, scale: float) -> Axes:
         """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
         across, down = (scale * side / 1000 for side in size_um)
         box = (x_mm / self.width, 1 - (y_mm + down) / self.height, across / self.width, down / self.height)
-        axes = self.figure.add_axes(box)
-        axes.set_xlim(low_um[0], low_um[0] + size_um[0])
-        axes.set_ylim(low_um[1], low_um[1] + size_um[1])
+        (x, y), (width, height) = low_um, size_um
+        axes = self.figure.add_axes(box, xlim=(x, x + width), ylim=(y, y + height))
         axes.set_axis_off()
         return axes
 
@@ -117,23 +107,18 @@ class Page:
         self.text(x_mm + length * scale + 2, y_mm + 1.4, f"{length:g} mm", fontsize=8)
 
 
-def encode(pages: Sequence[Page], kind: str, title: str = "") -> bytes:
+def encode(pages: Sequence[Page], kind: str, title: str = "", *, dpi: float = 150) -> bytes:
     """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
     file = io.BytesIO()
-    if kind == "svg":
-        FigureCanvasSVG(pages[0].figure).print_svg(file, metadata={"Date": None, "Creator": "planish"})
-    elif kind == "png":
-        FigureCanvasAgg(pages[0].figure).print_png(file, metadata={"Software": "planish"})
-    else:
+    if kind == "pdf":
         facts = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
         with PdfPages(file, metadata=facts) as pdf:
             for page in pages:
-                FigureCanvasPdf(page.figure)
                 pdf.savefig(page.figure)
+    else:
+        facts = {"Date": None, "Creator": "planish"} if kind == "svg" else {"Software": "planish"}
+        pages[0].figure.savefig(file, format=kind, dpi=dpi, metadata=facts)
     return file.getvalue()
-
-
-_ARROW: dict[str, Any] = {"arrowstyle": "-|>", "lw": 1.1, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8}
 
 
 def drawing_page(pattern: Pattern) -> Page:
@@ -144,20 +129,20 @@ def drawing_page(pattern: Pattern) -> Page:
     axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
     _holes(axes, pattern, SOFT)
     _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
-    (field_x, field_y), (width, height) = pattern.field_low_um, pattern.field_um
+    field, corner = pattern.field_low_um, pattern.frame_low_um
     note = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
-    _write(axes, (field_x + width / 2, field_y + height / 2), note, color=SOFT, fontsize=9, linespacing=1.6)
+    _write(axes, field + np.array(pattern.field_um) / 2, note, color=SOFT, fontsize=9, linespacing=1.6)
     _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
-    for dx, dy, name in ((11 * mm, 0, "x"), (0, 11 * mm, "y")):
-        arrow = {**_ARROW, "color": ACCENT}
-        axes.annotate("", (x + dx, y + dy), (x, y), annotation_clip=False, arrowprops=arrow)
-        _write(axes, (x + dx, y + dy), name, (6 * bool(dx), 6 * bool(dy)), color=ACCENT, fontsize=8)
+    for dx, dy, name in ((1, 0, "x"), (0, 1, "y")):
+        end = (x + 11 * mm * dx, y + 11 * mm * dy)
+        _arrow(axes, (x, y), end, color=ACCENT, lw=1.1, annotation_clip=False)
+        _write(axes, end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
     if pattern.layout != "own":
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
-        corner = pattern.frame_low_um
-        axes.plot(*[[value] for value in corner], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
+        axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         axes.annotate(
-            "no hole in this corner:\nit shows the orientation", corner, (field_x + 13 * mm, field_y + 13 * mm),
+            "no hole in this corner:\nit shows the orientation", (corner[0], corner[1]),
+            (field[0] + 13 * mm, field[1] + 13 * mm),
             color=ACCENT, fontsize=7.5, ha="left", va="bottom",
             arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
         )  # fmt: skip
@@ -190,13 +175,11 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
     places = predicted.field_um
     worst = places[1 + int(np.argmax(predicted.at(places[1:])))]
     pad = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
-    for place, error, name in (
-        (places[0], predicted.centre_um, "middle"),
-        (worst, predicted.corner_um, "worst corner"),
-    ):
+    figures = ((places[0], predicted.centre_um, "middle"), (worst, predicted.corner_um, "worst corner"))
+    for place, error, name in figures:
         page.plan.plot(*place[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
         x, y = np.sign(places[0] - place)
-        side = {1: "left", 0: "center", -1: "right"}[int(x)]
+        side = ("center", "left", "right")[int(x)]
         text = f"{name}: {error:.2f} µm"
         _write(page.plan, place, text, (10 * x, 12 * (y or -1)), ha=side, fontsize=8.5, bbox=pad)
     rows = [
@@ -211,37 +194,36 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
         ("varies over", f"{imaging.rim_length_um:g} µm"),
     ]
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
-    limits = [
-        f"{rule.value:.{0 if rule.unit in ('um', 'holes') else 2}f} {rule.unit.replace('um', 'µm')}".strip()
-        + f"  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"
-        for rule in rules
-    ]
-    page.aside("Rules", [(rule.name, limit) for rule, limit in zip(rules, limits, strict=True)])
+    rows.clear()
+    for rule in rules:
+        measured = f"{rule.value:.{0 if rule.unit in ('um', 'holes') else 2}f} {rule.unit.replace('um', 'µm')}"
+        rows.append((rule.name, f"{measured.strip()}  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"))
+    page.aside("Rules", rows)
     return page
 
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     """Draw the predicted error over the field in colours and contours, with a bar of the colours."""
-    axes, low, field = page.plan, np.array(pattern.field_low_um), np.array(pattern.field_um)
-    # Pixels along the longer side of the map.
-    across, up = (np.linspace(0, side, max(20, round(200 * side / field.max()))) for side in field)
-    grid = np.stack(np.meshgrid(low[0] + across, low[1] + up), axis=-1)
-    error = predicted.at(grid)
-    norm = Normalize(float(error.min()), float(error.max()))
-    extent = (float(low[0]), float(low[0] + field[0]), float(low[1]), float(low[1] + field[1]))
-    limits = axes.axis()
-    axes.imshow(
-        error, extent=extent, origin="lower", norm=norm, cmap="cividis", aspect="auto", interpolation="bilinear"
+    axes, low = page.plan, pattern.field_low_um
+    # 200 pixels along the longer side of the map.
+    across, up = (
+        start + np.linspace(0, side, max(20, round(200 * side / max(pattern.field_um))))
+        for start, side in zip(low, pattern.field_um, strict=True)
     )
+    error = predicted.at(np.stack(np.meshgrid(across, up), axis=-1))
+    left, upper = low + pattern.field_um
+    limits = axes.axis()
+    image = axes.imshow(
+        error, extent=(low[0], left, low[1], upper), origin="lower", cmap="cividis", aspect="auto",
+        interpolation="bilinear",
+    )  # fmt: skip
     axes.axis(limits)
-    levels = np.linspace(float(error.min()), float(error.max()), 7)[1:-1]
-    lines = axes.contour(grid[..., 0], grid[..., 1], error, levels=levels, colors="white", linewidths=0.6)
+    levels = np.linspace(error.min(), error.max(), 7)[1:-1]
+    lines = axes.contour(across, up, error, levels=levels, colors="white", linewidths=0.6)
     axes.clabel(lines, fmt="%.2f", fontsize=7)
     box = axes.get_position()
-    bar = page.figure.colorbar(
-        ScalarMappable(norm=norm, cmap="cividis"),
-        cax=page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height)),
-    )
+    place = page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height))
+    bar = page.figure.colorbar(image, cax=place)
     bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
     bar.ax.set_title("µm", fontsize=8)
 
@@ -252,29 +234,29 @@ def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
     size = np.maximum(np.ptp(path, axis=0), 1000.0)
     border = 0.03 * float(size.max())
     low, size = path.min(axis=0) - border, size + 2 * border
-    page = Page(title, run.sentence(), low.tolist(), size.tolist(), note="; numbers: order of the shots")
+    page = Page(title, run.sentence(), low, size, note="; numbers: order of the shots")
     axes = page.plan
     axes.plot(*path.T, "-", color=SOFT, lw=0.8, clip_on=False)
     for a, b in pairwise(path):
         if np.hypot(*(b - a)) * page.scale > 8000:
             middle = (a + b) / 2
-            axes.annotate("", middle + 0.01 * (b - a), middle, arrowprops={**_ARROW, "color": SOFT, "lw": 0.8})
+            _arrow(axes, middle, middle + 0.01 * (b - a), color=SOFT, lw=0.8)
     axes.plot(*points.T, "o", ms=4.5, color=ACCENT, clip_on=False)
     _numbers(axes, points, [str(k + 1) for k in range(len(points))], low, size)
     for place, name, dy in ((path[0], "begins", 7), (path[-1], "ends", -7)):
         axes.plot(*place[:, None], "s", ms=5, mfc="white", mec=INK, clip_on=False)
         _write(axes, place, name, (-7, dy), fontsize=7.5, ha="right")
-    pause = "-" if not np.isfinite(run.least_pause_s) else f"{1000 * run.least_pause_s:.0f} ms"
-    shots = sorted({f"{1000 * value:g}" for value in run.pulse_s})
-    ends = [f"{a:g} to {b:g} mm" for a, b in zip(path.min(axis=0) / 1000, path.max(axis=0) / 1000, strict=True)]
+    pause = f"{1000 * run.least_pause_s:.0f} ms" if np.isfinite(run.least_pause_s) else "-"
+    shots = sorted({f"{1000 * pulse_s:g}" for pulse_s in run.pulse_s})
+    x, y = (f"{um.min() / 1000:g} to {um.max() / 1000:g} mm" for um in path.T)
     rows = [
         ("shots", str(len(points))),
         ("pulse", f"{', '.join(shots[:3])} ms"),
         ("laser off", f"≥ {pause}"),
         ("path", f"{run.length_um / 1000:.1f} mm"),
         ("time", f"{run.time_s:.1f} s"),
-        ("x", ends[0]),
-        ("y", ends[1]),
+        ("x", x),
+        ("y", y),
     ]
     page.aside("Dry run", rows, ("time without acceleration",))
     return page
@@ -288,12 +270,10 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
             axes.add_patch(Circle((place[0], place[1]), radius, facecolor=colour, edgecolor="none", clip_on=False))
 
 
-def _numbers(
-    axes: Axes, points: Floats, labels: Sequence[str], low: Sequence[float] | Floats, size: Sequence[float] | Floats
-) -> None:
+def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
     """Write a number at each point, on the side of the middle of the rectangle."""
-    away = np.asarray(low) + np.asarray(size) / 2 - points
-    inwards = np.sign(away) * (np.abs(away) > 0.4 * np.asarray(size))
+    away = low + size / 2 - points
+    inwards = np.sign(away) * (np.abs(away) > 0.4 * size)
     inwards[~inwards.any(axis=1)] = [0.7, 0.7]
     for label, point, towards in zip(labels, points, 9 * inwards, strict=True):
         _write(axes, point, label, towards, fontsize=6.5)
@@ -311,19 +291,22 @@ def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
             _write(axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis)
 
 
-def _write(
-    axes: Axes, place: Sequence[float] | Floats, text: str, away: Sequence[float] | Floats = (0, 0), **options: Any
-) -> None:
+def _write(axes: Axes, place: Point, text: str, away: Point = (0, 0), **options: Any) -> None:
     """Write beside a place, ``away`` in points of the paper."""
     style: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
     axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **style)
 
 
-def _box(axes: Axes, low: Sequence[float], size: Sequence[float], **options: Any) -> None:
+def _arrow(axes: Axes, start: Point, end: Point, *, color: str, lw: float, annotation_clip: bool | None = None) -> None:
+    style = {"arrowstyle": "-|>", "lw": lw, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, "color": color}
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), annotation_clip=annotation_clip, arrowprops=style)
+
+
+def _box(axes: Axes, low: Point, size: Point, **options: Any) -> None:
     axes.add_patch(Rectangle((low[0], low[1]), *size, **{"fill": False, "clip_on": False, "lw": 0.5, **options}))
 
 
-def _size(size_um: Sequence[float]) -> str:
+def _size(size_um: Point) -> str:
     return " × ".join(f"{side / 1000:g}" for side in size_um)
 
 
@@ -376,7 +359,7 @@ def write_design(
         pages = [drawing_page(pattern), error_page(pattern, predicted, imaging, rules), path_page(run)]
         files["drawing.svg"] = encode(pages, "svg")
         for name, page in zip(("drawing", "predicted_error", "path"), pages, strict=True):
-            files[f"{name}.png"] = encode([page], "png")
+            files[f"{name}.png"] = encode([page], "png", dpi=72 if name == "drawing" else 150)
         files["drawing.pdf"] = encode(pages, "pdf", f"Laser holes: {pattern.name}")
     for name, content in files.items():
         (Path(folder) / name).write_bytes(content)

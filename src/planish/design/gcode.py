@@ -38,9 +38,6 @@ from planish.design.pattern import Pattern
 
 Groups = list[tuple[int, Any]]
 
-# Name, colour number: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
-_LAYERS = (("HOLES", 1), ("BURNT", 8), ("FIELD", 3), ("VIEW", 8), ("NUMBERS", 7), ("ORIGIN", 5))
-
 
 def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
@@ -50,13 +47,13 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     if stage.power is not None:
         on = f"M3 S{_plain(stage.power, 3)}"
     points, origin = pattern.points_um, pattern.origin_um
-    used, field = (" x ".join(f"{side / 1000:g}" for side in size) for size in (pattern.view_um, pattern.field_um))
+    view, field = (" x ".join(f"{side / 1000:g}" for side in size) for size in (pattern.view_um, pattern.field_um))
     home = _move(*origin)
     lines = [
         f"; planish stage program, {ascii_only(pattern.name)}",
         f"; {len(points)} holes, layout {pattern.layout}, seed {pattern.seed}",
         "; positions in mm, absolute, x to the right and y up as the laser sees the sheet",
-        f"; origin {home.removeprefix('G0 ')}, lower left corner of what is used: {used} mm",
+        f"; origin {home.removeprefix('G0 ')}, lower left corner of what is used: {view} mm",
         f"; field {field} mm, without holes",
         f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause {pattern.pause_s:g} s; "
         "G4 P is in seconds",
@@ -68,10 +65,11 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
         off,
         home,
     ]
-    pause = [f"G4 P{_plain(pattern.pause_s, 6)}"] if pattern.pause_s > 0 else []
+    pulse = [on, f"G4 P{_plain(pattern.pulse_s, 6)}", off]
+    if pattern.pause_s > 0:
+        pulse.append(f"G4 P{_plain(pattern.pause_s, 6)}")
     for k in short_route(points, origin):
-        pulse = [on, f"G4 P{_plain(pattern.pulse_s, 6)}", off]
-        lines += [f"; hole {pattern.labels[k]}", _move(*points[k]), *pulse, *pause]
+        lines += [f"; hole {pattern.labels[k]}", _move(*points[k]), *pulse]
     return "\n".join([*lines, "; back to the origin", home, "M2"]) + "\n"
 
 
@@ -89,16 +87,14 @@ def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
     for k in range(1, len(places)):
         tour[k] = np.argmin(open_distances[tour[k - 1]])
         open_distances[:, tour[k]] = np.inf
-    n = len(tour)
-    is_shorter = n > 3
+    is_shorter = len(tour) > 3
     while is_shorter:
         is_shorter = False
-        for i in range(n - 1):
+        for i in range(len(tour) - 1):
             # Turn round what lies between i + 1 and j: two stretches are replaced.
-            j = np.arange(i + 1, n)
-            ends = tour[(j + 1) % n]
-            gain = distances[tour[i], tour[i + 1]] + distances[tour[j], ends]
-            gain = gain - distances[tour[i], tour[j]] - distances[tour[i + 1], ends]
+            place, following = tour[i], tour[i + 1]
+            j, ends = tour[i + 1 :], np.append(tour[i + 2 :], tour[0])
+            gain = distances[place, following] + distances[j, ends] - distances[place, j] - distances[following, ends]
             best = int(np.argmax(gain))
             if gain[best] > 1e-6:
                 tour[i + 1 : i + 2 + best] = tour[i + 1 : i + 2 + best][::-1]
@@ -125,38 +121,37 @@ def _plain(value: float, decimals: int) -> str:
 def pattern_dxf(pattern: Pattern) -> str:
     """Write the holes, their burnt rims and numbers, the field, the view and the stage's origin."""
     (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
+    # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
+    layers = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
     groups: Groups = [
         (999, f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser sees the sheet"),
         (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (9, "$EXTMIN"), *_point(10, x0, y0),
         (9, "$EXTMAX"), *_point(10, x0 + width, y0 + height), (0, "ENDSEC"),
         (0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LTYPE"), (70, 1), (0, "LTYPE"), (2, "CONTINUOUS"), (70, 64),
         (3, "Solid line"), (72, 65), (73, 0), (40, "0.0"), (0, "ENDTAB"),
-        (0, "TABLE"), (2, "LAYER"), (70, len(_LAYERS)),
+        (0, "TABLE"), (2, "LAYER"), (70, len(layers)),
     ]  # fmt: skip
-    for name, colour in _LAYERS:
+    for name, colour in layers.items():
         groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
     groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
     for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
         for layer, radius in (("HOLES", 0.5 * diameter), ("BURNT", pattern.burnt_um)):
             groups += [(0, "CIRCLE"), (8, layer), *_point(10, x, y), (40, _mm(radius))]
         groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
-    for layer, (x, y), (w, h) in (
-        ("FIELD", pattern.field_low_um, pattern.field_um),
-        ("VIEW", pattern.origin_um, pattern.view_um),
-    ):
-        groups += _polyline(layer, (x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))
-    arm = 3 * diameter
-    groups += _polyline("ORIGIN", (x0, y0), (x0 + arm, y0)) + _polyline("ORIGIN", (x0, y0), (x0, y0 + arm))
+    (x, y), (w, h), arm = pattern.field_low_um, pattern.field_um, 3 * diameter
+    x1, y1 = x0 + width, y0 + height
+    outlines = (
+        ("FIELD", ((x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))),
+        ("VIEW", ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))),
+        ("ORIGIN", ((x0, y0), (x0 + arm, y0))),
+        ("ORIGIN", ((x0, y0), (x0, y0 + arm))),
+    )
+    for layer, corners in outlines:
+        for start, end in pairwise(corners):
+            groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
     groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
-    return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
-
-
-def _polyline(layer: str, *corners: Pair) -> Groups:
-    groups: Groups = []
-    for start, end in pairwise(corners):
-        groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
-    return groups
+    return "".join(f"{code:3d}\n{group}\n" for code, group in groups)
 
 
 def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> Groups:
@@ -265,12 +260,11 @@ class _Machine:
     moves: bool = False  # whether a position without a command is a move
     on: str = ""  # the command that switched the laser on
     clock_s: float = 0.0
-    started_s: float = 0.0  # when the laser was switched on, and how long it has been on
-    lit_s: float = 0.0
+    lit_s: float = 0.0  # how long the laser has been on
     path: list[Pair] = field(default_factory=list[Pair])
     fired: list[Pair] = field(default_factory=list[Pair])
-    switched_s: list[Pair] = field(default_factory=list[Pair])
     pulses: list[float] = field(default_factory=list[float])
+    switched_s: list[float] = field(default_factory=list[float])  # on, off, on ...
 
     def run_line(self, text: str) -> None:
         """Carry out one line."""
@@ -329,7 +323,8 @@ class _Machine:
             # Two shots so close together go through one hole.
             if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.fired):
                 raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
-            self.on, self.lit_s, self.started_s = command, 0.0, self.clock_s
+            self.on, self.lit_s = command, 0.0
+            self.switched_s.append(self.clock_s)
             self.fired.append((x, y))
         elif command in _OFF.values() and self.on:  # a program may make sure that the laser is off
             if _OFF[self.on] != command:
@@ -337,7 +332,7 @@ class _Machine:
             if self.lit_s <= 0:
                 raise MarkError("a pulse without a length; put G4 P between on and off")
             self.on = ""
-            self.switched_s.append((self.started_s, self.clock_s))
+            self.switched_s.append(self.clock_s)
             self.pulses.append(self.lit_s)
         elif command in ("M2", "M30") and self.on:
             raise MarkError("the program ends with the laser on; switch it off before")
@@ -347,12 +342,13 @@ class _Machine:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
         if self.on:
             raise MarkError("a move with the laser on; it would cut the sheet")
-        self.place |= {letter: 1000 * numbers[letter] for letter in "XY" if letter in numbers}
-        for k, letter in enumerate("XY"):
-            value, low, high = self.place.get(letter, math.nan), self.range_um[k], self.range_um[k + 2]
-            if value < low - 1e-3 or value > high + 1e-3:
+        for letter, low, high in zip("XY", self.range_um[:2], self.range_um[2:], strict=True):
+            if letter not in numbers:
+                continue
+            um = self.place[letter] = 1000 * numbers[letter]
+            if not low - 1e-3 <= um <= high + 1e-3:
                 raise MarkError(
-                    f"{letter} {value / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "
+                    f"{letter} {um / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "
                     "move the origin or give the stage's own range"
                 )
         if len(self.place) < 2:
@@ -372,7 +368,7 @@ class _Machine:
             raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
         if not self.fired:
             raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
-        pauses = [on - off for (_, off), (on, _) in pairwise(self.switched_s)]
+        pauses = np.diff(self.switched_s)[1::2].tolist()
         return DryRun(
             fired_um=np.array(self.fired),
             pulse_s=np.array(self.pulses),

@@ -23,7 +23,7 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -94,11 +94,11 @@ class Pattern(BaseModel):
     seed: int
     holes: Annotated[tuple[PatternHole, ...], Field(min_length=3)] = ()
 
-    def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Pattern:
+    def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Self:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
-        places = enumerate(zip(points_um.tolist(), lines, strict=True), 1)
-        holes = [PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, ((x, y), line) in places]
-        return self.model_copy(update={"holes": tuple(holes)})
+        places = enumerate(zip(*points_um.T.tolist(), lines, strict=True), 1)
+        holes = tuple(PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, (x, y, line) in places)
+        return self.model_copy(update={"holes": holes})
 
     @property
     def points_um(self) -> Floats:
@@ -116,31 +116,30 @@ class Pattern(BaseModel):
         return 0.5 * self.diameter_um + self.rim_um
 
     @property
-    def frame_um(self) -> Pair:
+    def frame_um(self) -> Floats:
         """Width and height of the rectangle on which the holes lie."""
-        return self.field_um[0] + 2 * self.margin_um[0], self.field_um[1] + 2 * self.margin_um[1]
+        return 2 * np.array(self.margin_um) + self.field_um
 
     @property
-    def frame_low_um(self) -> Pair:
+    def frame_low_um(self) -> Floats:
         """Lower left corner of that rectangle, stage coordinates."""
-        return self.origin_um[0] + self.border_um, self.origin_um[1] + self.border_um
+        return np.array(self.origin_um) + self.border_um
 
     @property
-    def field_low_um(self) -> Pair:
+    def field_low_um(self) -> Floats:
         """Lower left corner of the field, stage coordinates."""
-        low = self.frame_low_um
-        return low[0] + self.margin_um[0], low[1] + self.margin_um[1]
+        return self.frame_low_um + self.margin_um
 
     @property
-    def view_um(self) -> Pair:
+    def view_um(self) -> Floats:
         """Width and height of what has to be imaged."""
-        return self.frame_um[0] + 2 * self.border_um, self.frame_um[1] + 2 * self.border_um
+        return self.frame_um + 2 * self.border_um
 
     @property
     def imaged_um(self) -> Floats:
         """Centres (n, 2) as an image of the laser's side shows them: from its upper left corner, y down."""
-        points = self.points_um - self.origin_um
-        return np.stack([points[:, 0], self.view_um[1] - points[:, 1]], axis=1)
+        x, y = (self.points_um - self.origin_um).T
+        return np.stack([x, self.view_um[1] - y], axis=1)
 
     def to_json(self) -> str:
         """Write the pattern as JSON; lengths in um, times in s."""
@@ -193,15 +192,14 @@ def own_pattern(
     points = np.asarray(points_um, dtype=np.float64).reshape(-1, 2)
     if len(points) < 3:
         raise MarkError(f"{len(points)} holes are no pattern. Give 12 or more, around the field.")
-    low, size = points.min(axis=0).tolist(), np.ptp(points, axis=0).tolist()
+    size = np.ptp(points, axis=0)
     if min(size) <= 0:
         raise MarkError("All holes have the same x or the same y; such a line encloses no field. Place them around it.")
-    inwards = 0.5 * diameter + burn["rim_um"]
-    field = field_um or (max(size[0] - 2 * inwards, 1.0), max(size[1] - 2 * inwards, 1.0))
+    field = np.array(field_um or np.maximum(size - 2 * (0.5 * diameter + burn["rim_um"]), 1.0))
     border = BORDER_DIAMETERS * diameter
     blank = Pattern(
-        name=name, layout="own", field_um=field, margin_um=((size[0] - field[0]) / 2, (size[1] - field[1]) / 2),
-        border_um=border, origin_um=(low[0] - border, low[1] - border), spacing_um=3 * diameter, seed=0, **burn,
+        name=name, layout="own", field_um=field.tolist(), margin_um=((size - field) / 2).tolist(), border_um=border,
+        origin_um=(points.min(axis=0) - border).tolist(), spacing_um=3 * diameter, seed=0, **burn,
     )  # fmt: skip
     return blank.with_holes(points, ("own",) * len(points))
 
@@ -215,10 +213,9 @@ def holes_csv(pattern: Pattern, *, imaged: bool = False) -> str:
         Positions as an image of the laser's side shows them, from its upper left corner with y down, instead of
         those of the stage.
     """
-    rows = [
-        [label, *(f"{value:.6f}".rstrip("0").rstrip(".") for value in (x, y, pattern.diameter_um))]
-        for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True)
-    ]
+    rows: list[list[str]] = []
+    for label, (x, y) in zip(pattern.labels, pattern.imaged_um if imaged else pattern.points_um, strict=True):
+        rows.append([label, *(f"{um:.6f}".rstrip("0").rstrip(".") for um in (x, y, pattern.diameter_um))])
     return table_text(_COLUMNS, rows)
 
 
@@ -251,14 +248,14 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
             )
         return Pattern.from_json(text)
     table = parse_table(text, place.name, needed=_COLUMNS[1:3], error=MarkError)
-    points = table.numbers(_COLUMNS[1:3])
-    diameters = table.numbers(_COLUMNS[3:]) if _COLUMNS[3] in table.header else np.empty(0)
+    has_diameter = _COLUMNS[3] in table.header
+    numbers = table.numbers(_COLUMNS[1 : 3 + has_diameter])
     table.check()
-    if diameter_um is None and diameters.size:
-        diameter_um = float(np.median(diameters))
+    if diameter_um is None and has_diameter and len(numbers):
+        diameter_um = float(np.median(numbers[:, 2]))
     if diameter_um is not None and not 10 <= diameter_um <= 2000:
         raise MarkError(f"{place.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
-    return own_pattern(points, name=place.stem, field_um=field_um, diameter_um=diameter_um)
+    return own_pattern(numbers[:, :2], name=place.stem, field_um=field_um, diameter_um=diameter_um)
 
 
 # Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
@@ -298,8 +295,8 @@ class Predicted:
 
     def at(self, points_um: ArrayLike) -> Floats:
         """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
-        away = np.sum((np.asarray(points_um, dtype=np.float64) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
-        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + away / self.radius_um**2))
+        squares = np.sum((np.asarray(points_um) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
+        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + squares / self.radius_um**2))
 
     def sentence(self) -> str:
         """Write the error in a line."""
@@ -319,9 +316,5 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
 
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
     """Predict the error of a registration by a similarity over the pattern's field."""
-    shares = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]])
-    return Predicted(
-        fle_um=hole_error_um(pattern.diameter_um, imaging),
-        holes_um=pattern.points_um,
-        field_um=np.array(pattern.field_low_um) + np.array(pattern.field_um) * shares,
-    )
+    field = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um + pattern.field_low_um
+    return Predicted(fle_um=hole_error_um(pattern.diameter_um, imaging), holes_um=pattern.points_um, field_um=field)

@@ -11,8 +11,8 @@ rate of its own.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from itertools import combinations
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,71 +35,48 @@ Steps = NDArray[np.int64]
 
 STEP_UM = 50.0
 _BATCH = 4000
-_COMPARED_SIDES = 400  # candidates of a side that are compared with the sides before it
-RATES = (1.0, 1.5, 2.1, 2.8)  # last pitch over first pitch, less 1
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Ruler:
-    """One side of the frame in steps.
+class Ruler(NamedTuple):
+    """One side of the frame in steps: holes between its corners lie from ``low`` to ``high`` and keep ``spacing``.
 
-    ``start`` and ``end`` say whether there are holes in the corners, which lie ``length`` apart; two holes keep
-    ``spacing``, and ``marker`` from an empty corner. ``view``, its ``border`` and a hole's ``radius`` are lengths, too.
+    ``corners`` counts the holes at its start and at its end, ``length`` apart; ``view``, its ``border`` and a hole's
+    ``radius`` are lengths, too.
     """
 
+    corners: tuple[int, int]
     length: int
-    start: bool
-    end: bool
+    low: int
+    high: int
     spacing: int
-    marker: int
     view: float
     border: float
     radius: float
 
-    @property
-    def low(self) -> int:
-        """Least position of a hole that is no corner."""
-        return self.spacing if self.start else self.marker
 
-    @property
-    def high(self) -> int:
-        """Largest position of a hole that is no corner."""
-        return self.length - (self.spacing if self.end else self.marker)
+def _side(ruler: Ruler, count: int, rate: float, used: set[int], rng: np.random.Generator) -> Steps | None:
+    """Place ``count`` holes on a side and give them with those in its corners; None if nothing fits.
 
-    def with_corners(self, inner: Steps) -> Steps:
-        """Add the holes in the corners to positions (..., n)."""
-        start = np.zeros((*inner.shape[:-1], int(self.start)), dtype=np.int64)
-        end = np.full((*inner.shape[:-1], int(self.end)), self.length, dtype=np.int64)
-        return np.concatenate([start, inner, end], axis=-1)
-
-
-def coded_side(ruler: Ruler, count: int, used: set[int], rng: np.random.Generator) -> Steps | None:
-    """Draw positions (count,) of the holes between the corners; None if nothing fits.
-
-    ``used`` are the distances on the sides before.
+    ``rate`` is that of the pitch, 0 for a code, which repeats as few as it can of the distances ``used`` before.
     """
-    for _ in range(6):
-        drawn = _draw_positions(ruler, count, rng)
-        marks = ruler.with_corners(drawn)
-        fits = np.all(np.diff(marks, axis=1) >= ruler.spacing, axis=1)
-        fits &= (drawn[:, 0] >= ruler.low) & (drawn[:, -1] <= ruler.high)
-        drawn, marks = drawn[fits], marks[fits]
-        distances = _distances(marks)
-        golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
-        drawn, distances = drawn[golomb][:_COMPARED_SIDES], distances[golomb][:_COMPARED_SIDES]
-        if len(drawn):
+    for _ in range(1 if rate else 6):
+        if rate:
+            pitch = 1 + rate * np.arange(count + 1) / count
+            drawn = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[None, :-1]
+        else:
+            drawn = _draw_positions(ruler, count, rng)
+        holes = np.pad(drawn, [(0, 0), ruler.corners], constant_values=(0, ruler.length))
+        fits = np.all(np.diff(holes, axis=1) >= ruler.spacing, axis=1)
+        holes = holes[fits & (drawn[:, 0] >= ruler.low) & (drawn[:, -1] <= ruler.high)]
+        distances = _distances(holes)
+        if not rate:
+            is_golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
+            # So many are compared with the sides before.
+            holes, distances = holes[is_golomb][:400], distances[is_golomb][:400]
+        if len(holes):
             repeated = np.isin(distances, np.fromiter(used, dtype=np.int64)).sum(axis=1)
-            return drawn[int(np.argmin(repeated))]
+            return holes[int(np.argmin(repeated))]
     return None
-
-
-def growing_side(ruler: Ruler, count: int, rate: float) -> Steps | None:
-    """Give positions (count,) with a pitch that grows evenly, by ``rate`` in all; None if the pitch gets too small."""
-    pitch = 1 + rate * np.arange(count + 1) / count
-    marks = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[:-1]
-    whole = ruler.with_corners(marks)
-    fits = np.all(np.diff(whole) >= ruler.spacing) and marks[0] >= ruler.low and marks[-1] <= ruler.high
-    return marks if fits else None
 
 
 def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Steps:
@@ -110,8 +87,7 @@ def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Steps
     """
     middle = min(count, max(8 - count, count % 2))
     pairs = (count - middle) // 2
-    window = 0.7 * ruler.view
-    edge = 0.3 * ruler.view
+    window, edge = 0.7 * ruler.view, 0.3 * ruler.view
     first = rng.uniform(ruler.low, max(edge - ruler.border, ruler.low + 1), (_BATCH, pairs))
     reach = window - 2 * ruler.radius - 1
     second = first + reach - rng.uniform(0, 0.4, (_BATCH, pairs)) ** 2 * ruler.view
@@ -130,13 +106,11 @@ def _distances(marks: Steps) -> Steps:
 
 _COUNTS = {"coded": (24, 28, 32, 20), "line": (35, 31, 39, 43)}
 _ATTEMPTS = {"coded": 40, "line": 250}  # lines are quick to draw and seldom distinct
-_LARGEST_SEARCH = 25  # patterns whose rivals are looked for
-_COMPARED = 6  # patterns that keep the rules; the one with the weakest rival is taken
-_WIDER_UM, _WIDEST_UM = 250.0, 3000.0  # steps by which a margin that was not given gives holes more room
-_HOPELESS = ("count", "spacing", "area", "around")  # of these no other draw is better
+
+Design = tuple[Pattern, tuple[Rule, ...]]
 
 
-def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
+def design_pattern(params: DesignParams) -> Design:
     """Plan holes around a field.
 
     Parameters
@@ -163,15 +137,15 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
     reasons: dict[int, str] = {}
     blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
     if params.margin_um is None:
-        margins = (min(blanks[0].margin_um) + float(more) for more in np.arange(_WIDER_UM, _WIDEST_UM + 1, _WIDER_UM))
+        margins = (min(blanks[0].margin_um) + more_um for more_um in range(250, 3001, 250))
         blanks += [_blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins]
     for blank in blanks:
         reasons.clear()
         for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
-            design, reason = _search(blank, count, np.random.default_rng([params.seed, count]))
-            if design is not None:
+            design = _search(blank, count, np.random.default_rng([params.seed, count]))
+            if not isinstance(design, str):
                 return design
-            reasons[count] = reason
+            reasons[count] = design
         if not any(rule in reason for rule in ("rule 'area'", "rule 'spacing'") for reason in reasons.values()):
             break
     size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
@@ -181,7 +155,6 @@ def design_pattern(params: DesignParams) -> tuple[Pattern, tuple[Rule, ...]]:
 
 def _blank_pattern(params: DesignParams) -> Pattern:
     """Return the pattern without its holes: field, frame and view."""
-    burn = {name: getattr(params, name) for name in BURN}
     closest, inwards = SPACING_DIAMETERS * params.diameter_um, 0.5 * params.diameter_um + params.rim_um
     spacing = params.spacing_um if params.spacing_um is not None else max(500.0, closest)
     least = params.margin_um if params.margin_um is not None else max(1.5 * params.diameter_um, inwards)
@@ -193,25 +166,22 @@ def _blank_pattern(params: DesignParams) -> Pattern:
     if faults:
         raise MarkError(f"No pattern can be planned with {'; '.join(faults)}. Give a larger one.")
     # Opposite corners lie whole steps apart, so the margins take up what the field leaves over.
-    frame = [STEP_UM * np.ceil((side + 2 * least) / STEP_UM - 1e-9) for side in params.field_um]
-    margin = tuple(float(outer - side) / 2 for outer, side in zip(frame, params.field_um, strict=True))
+    field = np.array(params.field_um)
+    margin = (STEP_UM * np.ceil((field + 2 * least) / STEP_UM - 1e-9) - field) / 2
     return Pattern(
-        name=params.name, layout=params.layout, field_um=params.field_um, margin_um=(margin[0], margin[1]),
-        border_um=BORDER_DIAMETERS * params.diameter_um, origin_um=params.origin_um, spacing_um=float(spacing),
-        seed=params.seed, **burn,
+        **params.model_dump(include={"name", "layout", "field_um", "origin_um", "seed", *BURN}), spacing_um=spacing,
+        margin_um=margin.tolist(), border_um=BORDER_DIAMETERS * params.diameter_um,
     )  # fmt: skip
 
 
-def _search(
-    blank: Pattern, count: int, rng: np.random.Generator
-) -> tuple[tuple[Pattern, tuple[Rule, ...]] | None, str]:
-    """Draw patterns until some keep all rules; the one with the weakest rival, or the reason why there is none."""
+def _search(blank: Pattern, count: int, rng: np.random.Generator) -> Design | str:
+    """Draw patterns until some keep all rules: the one with the weakest rival, or the reason why there is none."""
     area = area_rule(blank, count)
     if not area.passed:
-        return None, f"With {count} holes, {area.sentence()}: {area.remedy}."
-    candidates: list[tuple[Pair, Pattern, tuple[Rule, ...]]] = []
+        return f"With {count} holes, {area.sentence()}: {area.remedy}."
+    candidates: list[tuple[Pair, Design]] = []
     nearest: list[Rule] | None = None
-    searched = 0
+    searched = 0  # patterns whose rivals were looked for
     for _ in range(_ATTEMPTS[blank.layout]):
         pattern = _draw_pattern(blank, count, rng)
         if pattern is None:
@@ -221,29 +191,30 @@ def _search(
         # The quick ones first.
         for more in (simple_rules, code_rules, matching_rules):
             searched += more is matching_rules
-            rules = (*rules, *more(pattern))
+            rules += more(pattern)
             broken = [rule for rule in rules if not rule.passed]
             if broken:
                 break
         if not broken:
             rival = max(rule.value for rule in rules if rule.sense == "at most" and not rule.unit)
             code = next(rule.value for rule in rules if rule.name == "code")
-            candidates.append(((round(rival, 6), -code), pattern, rules))
-            if len(candidates) == _COMPARED:
+            candidates.append(((round(rival, 6), -code), (pattern, rules)))
+            if len(candidates) == 6:
                 break
         elif nearest is None or len(broken) < len(nearest):
             nearest = broken
-        if searched == _LARGEST_SEARCH or (nearest is not None and any(rule.name in _HOPELESS for rule in nearest)):
+        # No other draw is better with these rules.
+        is_hopeless = any(rule.name in ("count", "spacing", "area", "around") for rule in nearest or ())
+        if searched == 25 or is_hopeless:
             break
     if candidates:
-        _, pattern, rules = min(candidates, key=lambda entry: entry[0])
-        return (pattern, rules), ""
+        return min(candidates, key=lambda entry: entry[0])[1]
     if nearest is None:
-        return None, (
+        return (
             f"rule 'spacing': {count} holes do not fit with {blank.spacing_um:g} um between any two: take fewer or "
             "smaller holes, a larger field, or a smaller --spacing-um."
         )
-    return None, f"With {count} holes, " + "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in nearest) + "."
+    return f"With {count} holes, " + "; ".join(f"{rule.sentence()}: {rule.remedy}" for rule in nearest) + "."
 
 
 def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Pattern | None:
@@ -257,27 +228,27 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     for _ in range(max(0, count - 3 - sum(shares))):
         # The side on which the holes are farthest apart gets the next one.
         shares[max(range(4), key=lambda k: (lengths[k] / (shares[k] + 1), -k))] += 1
-    rates = rng.permutation(np.array(RATES)) + rng.uniform(-0.4, 0.4, 4)
+    # Last pitch over first pitch, less 1.
+    rates = rng.permutation(np.array([1.0, 1.5, 2.1, 2.8])) + rng.uniform(-0.4, 0.4, 4)
     used: set[int] = set()
-    sides: list[Steps] = []
-    for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
-        ruler = Ruler(
-            length=length, start=side != 0, end=side != 3, spacing=spacing, marker=marker,
-            view=blank.view_um[side % 2] / STEP_UM, border=blank.border_um / STEP_UM,
-            radius=0.5 * blank.diameter_um / STEP_UM,
-        )  # fmt: skip
-        if blank.layout == "coded":
-            inner = coded_side(ruler, share, used, rng)
-        else:
-            inner = growing_side(ruler, share, float(rates[side]))
-        if inner is None:
-            return None
-        used |= set(_distances(ruler.with_corners(inner)[None])[0].tolist())
-        sides.append(inner)
+    points: list[Steps] = []
+    lines: list[str] = []
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
     direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-    # The first corner stays empty.
-    along = [np.array([0, *inner] if side else inner, dtype=np.int64) for side, inner in enumerate(sides)]
-    points = np.concatenate([corners[k] + steps[:, None] * direction[k] for k, steps in enumerate(along)])
-    lines = [line for line, steps in zip(SIDES, along, strict=True) for _ in steps]
-    return blank.with_holes(STEP_UM * points + np.array(blank.frame_low_um), lines)
+    for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
+        # The corner between the last side and the first stays empty.
+        start, end = side != 0, side != 3
+        ruler = Ruler(
+            (int(start), int(end)), length, spacing if start else marker, length - (spacing if end else marker),
+            spacing, float(blank.view_um[side % 2]) / STEP_UM, blank.border_um / STEP_UM,
+            0.5 * blank.diameter_um / STEP_UM,
+        )  # fmt: skip
+        holes = _side(ruler, share, float(rates[side]) if blank.layout == "line" else 0.0, used, rng)
+        if holes is None:
+            return None
+        used |= set(_distances(holes[None])[0].tolist())
+        # The hole at the end is the first one of the next side.
+        holes = holes[: len(holes) - end]
+        points.append(corners[side] + holes[:, None] * direction[side])
+        lines += [SIDES[side]] * len(holes)
+    return blank.with_holes(STEP_UM * np.concatenate(points) + blank.frame_low_um, lines)

@@ -7,7 +7,7 @@ of like length, and the holes that then meet a hole are counted.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,8 +23,7 @@ CODE = 4  # consecutive holes that have to identify their place
 _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
 
 
-@dataclass(frozen=True, slots=True)
-class Motions:
+class Motions(NamedTuple):
     """Wrong arrangements of a pattern on itself.
 
     ``hit`` (motions, n) says which holes meet a hole; where the motion is nearly no rotation, one that meets itself
@@ -42,25 +41,22 @@ class Motions:
 def self_motions(points_um: Floats) -> Motions:
     """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
     z = points_um[:, 0] + 1j * points_um[:, 1]
-    n = len(z)
-    start, end = np.triu_indices(n, 1)
-    base = np.stack([start, end], axis=1)
-    length = np.abs(z[end] - z[start])
+    start, end = np.triu_indices(len(z), 1)
+    base, length = np.stack([start, end], axis=1), np.abs(z[end] - z[start])
     order = np.argsort(length, kind="stable")
-    targets, target_length = base[order], length[order]
-    first = np.searchsorted(target_length, (1 - SCALE) * length, side="left")
-    last = np.searchsorted(target_length, (1 + SCALE) * length, side="right")
+    first = np.searchsorted(length[order], (1 - SCALE) * length, side="left")
+    last = np.searchsorted(length[order], (1 + SCALE) * length, side="right")
     # Each target is taken in both directions and in both hands; beyond so many motions pairs are thinned out evenly.
     step = max(1.0, 4.0 * float(np.sum(last - first)) / 60_000)
     bases = np.unique(np.arange(0, len(base), step).astype(np.intp))
     counts = (last - first)[bases]
     which = np.repeat(bases, counts)
     offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-    goal = targets[first[which] + offset]
-    goal, which = np.concatenate([goal, goal[:, ::-1]]), np.concatenate([which, which])
+    goal, base = base[order][first[which] + offset], base[which]
+    goal, base = np.concatenate([goal, goal[:, ::-1]]), np.concatenate([base, base])
     index = _HoleIndex(points_um)
-    parts = [_motion_hits(z, base[which], goal, index, mirrored) for mirrored in (False, True)]
-    return Motions(np.concatenate([hit for hit, _ in parts]), np.concatenate([kind for _, kind in parts]))
+    hits, kinds = zip(*(_motion_hits(z, base, goal, index, mirrored) for mirrored in (False, True)), strict=True)
+    return Motions(np.concatenate(hits), np.concatenate(kinds))
 
 
 class _HoleIndex:
@@ -79,9 +75,9 @@ class _HoleIndex:
             return
         self.low = points_um.min(axis=0) - self.reach - 2 * self.cell
         shape = np.ceil((points_um.max(axis=0) + self.reach - self.low) / self.cell).astype(np.intp) + 2
-        if int(shape.prod()) > 4_000_000:
+        if shape.prod() > 4_000_000:
             return
-        self.table = np.full((int(shape[0]), int(shape[1])), self.n, dtype=np.int16)
+        self.table = np.full(shape, self.n, dtype=np.int16)
         for k, point in enumerate(points_um):
             first, last = (((point + d - self.low) / self.cell).astype(np.intp) for d in (-self.reach, self.reach))
             self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
@@ -92,10 +88,11 @@ class _HoleIndex:
             flat = np.stack([landed.real.ravel(), landed.imag.ravel()], axis=1)
             nearest = self.tree.query(flat, distance_upper_bound=self.reach)[1]
             return np.asarray(nearest, dtype=np.intp).reshape(landed.shape)
-        last_x, last_y = self.table.shape[0] - 1, self.table.shape[1] - 1
         # Far outside is cut off to the table's border, which is empty.
-        x = np.clip((landed.real - self.low[0]) / self.cell, 0, last_x).astype(np.intp)
-        y = np.clip((landed.imag - self.low[1]) / self.cell, 0, last_y).astype(np.intp)
+        x, y = (
+            np.clip((part - low) / self.cell, 0, n - 1).astype(np.intp)
+            for part, low, n in zip((landed.real, landed.imag), self.low, self.table.shape, strict=True)
+        )
         holes = self.table[x, y].astype(np.intp).ravel()
         near = np.flatnonzero(holes < self.n)
         holes[near[np.abs(landed.ravel()[near] - self.z[holes[near]]) > self.reach]] = self.n
@@ -106,15 +103,13 @@ def _motion_hits(
     z: NDArray[np.complex128], base: Ints, goal: Ints, index: _HoleIndex, mirrored: bool
 ) -> tuple[Bools, NDArray[np.str_]]:
     """Return which holes meet one under each motion, and the kind of each."""
-    if not mirrored:
-        moved = np.any(base != goal, axis=1)
-        base, goal = base[moved], goal[moved]
     source = np.conj(z) if mirrored else z
-    span = source[base[:, 1]] - source[base[:, 0]]
-    is_distinct = np.abs(span) > 0
-    base, goal, span = base[is_distinct], goal[is_distinct], span[is_distinct]
-    alpha = (z[goal[:, 1]] - z[goal[:, 0]]) / span
-    landed = alpha[:, None] * source + (z[goal[:, 0]] - alpha * source[base[:, 0]])[:, None]
+    is_motion = source[base[:, 1]] != source[base[:, 0]]
+    if not mirrored:
+        is_motion &= np.any(base != goal, axis=1)
+    (start, end), (goal_start, goal_end) = base[is_motion].T, goal[is_motion].T
+    alpha = (z[goal_end] - z[goal_start]) / (source[end] - source[start])
+    landed = alpha[:, None] * source + (z[goal_start] - alpha * source[start])[:, None]
     holes = index.holes_at(landed)
     hit = holes < len(z)
     if mirrored:
@@ -127,13 +122,11 @@ def _motion_hits(
 
 def perimeter_order(points_um: Floats) -> Ints:
     """Sort the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
-    low, size = points_um.min(axis=0), np.ptp(points_um, axis=0)
-    x, y = (points_um - low).T
-    width, height = size
-    distance = np.stack([y, width - x, height - y, x])
-    along = np.stack([x, width + y, 2 * width + height - x, 2 * (width + height) - y])
-    side = np.argmin(distance, axis=0)
-    return np.argsort(along[side, np.arange(len(x))], kind="stable")
+    x, y = (points_um - points_um.min(axis=0)).T
+    width, height = np.ptp(points_um, axis=0)
+    side = np.argmin([y, width - x, height - y, x], axis=0)
+    along = np.choose(side, [x, width + y, 2 * width + height - x, 2 * (width + height) - y])
+    return np.argsort(along, kind="stable")
 
 
 def code_misfit_um(points_um: Floats) -> float:
@@ -149,33 +142,25 @@ def code_misfit_um(points_um: Floats) -> float:
         return 0.0
     windows = z[(np.arange(n)[:, None] + np.arange(CODE)) % n]
     windows = windows - windows.mean(axis=1, keepdims=True)
-    smallest = np.inf
-    for reverse in (False, True):
-        goal = windows[:, ::-1] if reverse else windows
+    power = np.sum(np.abs(windows) ** 2, axis=1)[:, None]
+    misfits: list[Floats] = []
+    for goal in (windows, windows[:, ::-1]):
         product = np.conj(windows) @ goal.T
-        power = np.sum(np.abs(windows) ** 2, axis=1)[:, None]
         scale = np.clip(np.abs(product) / power, 1 - SCALE, 1 + SCALE)
         alpha = scale * np.exp(1j * np.angle(product))
-        misfit = np.abs(alpha[:, :, None] * windows[:, None, :] - goal[None, :, :]).max(axis=2)
-        if not reverse:
-            np.fill_diagonal(misfit, np.inf)
-        smallest = min(smallest, float(misfit.min()))
-    return smallest
+        misfits.append(np.abs(alpha[:, :, None] * windows[:, None, :] - goal).max(axis=2))
+    np.fill_diagonal(misfits[0], np.inf)
+    return float(np.min(misfits))
 
 
 Sense = Literal["at least", "at most"]
 
 LEAST_HOLES, MOST_HOLES = 12, 120
-RADIUS_SHARE = 0.4
 SPACING_DIAMETERS = 3.0
-AREA_SHARE = 0.03
 CROP = 0.3
-SURVIVORS = 4
 RIVAL_SHARE = 0.5
 MARKER_DIAMETERS = 6.0
 _REMEDY = "use unequal pitches, or another seed"
-_FEWER = "take fewer or smaller holes, or a larger field"
-_LARGER = "take fewer or smaller holes, a larger field, or a larger margin"
 _MEET = "share of the holes that meet holes when the pattern is"
 # Sense, unit, what is measured, and what to change where the rule is broken.
 _RULES: dict[str, tuple[Sense, str, str, str]] = {
@@ -188,8 +173,14 @@ _RULES: dict[str, tuple[Sense, str, str, str]] = {
         "at least", "", "rms distance from the holes' centroid, as a share of the field's diagonal",
         "put more holes near the corners, widen the margin, or take another number of holes",
     ),
-    "spacing": ("at least", "um", "least distance of two holes; burnt zones must not touch", _FEWER),
-    "area": ("at most", "%", "area of holes and rims, as a share of the view's", _LARGER),
+    "spacing": (
+        "at least", "um", "least distance of two holes; burnt zones must not touch",
+        "take fewer or smaller holes, or a larger field",
+    ),
+    "area": (
+        "at most", "%", "area of holes and rims, as a share of the view's",
+        "take fewer or smaller holes, a larger field, or a larger margin",
+    ),
     "marker": (
         "at least", "um", "how much farther one corner of the frame is from its nearest hole than the others",
         "put holes into three corners of the frame and end the last line short of the fourth",
@@ -203,9 +194,7 @@ _RULES: dict[str, tuple[Sense, str, str, str]] = {
     "quarter turn": ("at most", "", f"{_MEET} turned by about 90 degrees", _REMEDY),
     "mirror": ("at most", "", f"{_MEET} turned over, about any axis", _REMEDY),
     "shift": ("at most", "", f"{_MEET} shifted, scaled by 3 % or turned by another angle", _REMEDY),
-    "crop told apart": (
-        "at most", "", "share of the holes left by the worst crop that meet holes elsewhere", _REMEDY
-    ),
+    "crop told apart": ("at most", "", "share of the holes left by the worst crop that meet holes elsewhere", _REMEDY),
 }  # fmt: skip
 
 
@@ -266,30 +255,30 @@ def check_pattern(pattern: Pattern) -> tuple[Rule, ...]:
 def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
     points, diameter = pattern.points_um, pattern.diameter_um
-    n, field = len(points), np.array(pattern.field_um)
-    away = np.maximum(np.abs(points - np.array(pattern.field_low_um) - field / 2) - field / 2, 0.0)
-    inside = int(np.sum(np.hypot(*away.T) < pattern.burnt_um - 1e-6))
+    field = np.array(pattern.field_um)
+    beyond = np.maximum(np.abs(points - pattern.field_low_um - field / 2) - field / 2, 0.0)
+    inside = int(np.sum(np.hypot(*beyond.T) < pattern.burnt_um - 1e-6))
     radius = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
-    gaps = np.hypot(*(points[:, None] - points[None]).transpose(2, 0, 1)) + np.diag(np.full(n, np.inf))
-    least = max(SPACING_DIAMETERS * diameter, pattern.spacing_um)
+    first, second = np.triu_indices(len(points), 1)
+    gap = float(np.hypot(*(points[first] - points[second]).T).min())
     # How much farther the emptiest corner of the frame is from its nearest hole than the next one.
-    corners = pattern.frame_low_um + np.array(pattern.frame_um) * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    nearest = np.sort(np.hypot(*(corners[:, None] - points[None]).transpose(2, 0, 1)).min(axis=1))
+    corners = pattern.frame_low_um + pattern.frame_um * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
+    nearest = np.sort(np.hypot(*(corners - points[:, None]).T).min(axis=1))
     return (
-        _rule("count", n, LEAST_HOLES),
+        _rule("count", len(points), LEAST_HOLES),
         _rule("around", inside, 0),
-        _rule("radius", radius / float(np.hypot(*field)), RADIUS_SHARE),
-        _rule("spacing", float(gaps.min()), least),
-        area_rule(pattern, n),
+        _rule("radius", radius / float(np.hypot(*field)), 0.4),
+        _rule("spacing", gap, max(SPACING_DIAMETERS * diameter, pattern.spacing_um)),
+        area_rule(pattern, len(points)),
         _rule("marker", float(nearest[3] - nearest[2]), MARKER_DIAMETERS * diameter),
-        _rule("crop", int(crops(pattern).sum(axis=1).min()), SURVIVORS),
+        _rule("crop", int(crops(pattern).sum(axis=1).min()), 4),
     )
 
 
 def area_rule(pattern: Pattern, count: int) -> Rule:
     """Apply the rule on the area that is burnt, for so many holes; the field itself loses none of it."""
     burnt = count * np.pi / 4 * (pattern.diameter_um + 2 * pattern.rim_um) ** 2
-    return _rule("area", 100 * burnt / (pattern.view_um[0] * pattern.view_um[1]), 100 * AREA_SHARE)
+    return _rule("area", 100 * burnt / float(pattern.view_um.prod()), 3.0)
 
 
 def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
@@ -318,19 +307,17 @@ def crops(pattern: Pattern) -> Bools:
     cuts off 30 % at one side or shares them between two opposite sides, and that in both directions. A window that
     cuts all four sides loses whatever lies around the field, so no pattern could keep it. A hole survives whole.
     """
-    points = pattern.points_um - np.array(pattern.origin_um)
-    view = np.array(pattern.view_um)
-    radius = 0.5 * pattern.diameter_um
+    points, radius = pattern.points_um - pattern.origin_um, 0.5 * pattern.diameter_um
+    lows, highs = (points - radius).T, (points + radius).T
     survivors: list[Bools] = []
-    for across in (0, 1):  # the direction across the side that the crop keeps
-        along = 1 - across
-        length, depth = (1 - CROP) * view[along], (1 - CROP) * view[across]
-        low, high = points[:, along] - radius, points[:, along] + radius
-        steps = np.concatenate([low + 1e-3, high - length - 1e-3, [0.0, CROP * view[along]]])
-        steps = np.unique(np.clip(steps, 0.0, CROP * view[along]))
-        inside = (low >= steps[:, None]) & (high <= steps[:, None] + length)
-        survivors.append(inside & (points[:, across] + radius <= depth))
-        survivors.append(inside & (points[:, across] - radius >= view[across] - depth))
+    for across, along in ((0, 1), (1, 0)):  # the side that the crop keeps lies along the second direction
+        view, low, high = pattern.view_um[along], lows[along], highs[along]
+        length, depth = (1 - CROP) * view, (1 - CROP) * pattern.view_um[across]
+        steps = np.concatenate([low + 1e-3, high - length - 1e-3, [0.0, CROP * view]])
+        steps = np.unique(np.clip(steps, 0.0, CROP * view))[:, None]
+        inside = (low >= steps) & (high <= steps + length)
+        survivors.append(inside & (highs[across] <= depth))
+        survivors.append(inside & (lows[across] >= pattern.view_um[across] - depth))
     return np.unique(np.concatenate(survivors), axis=0)
 
 
