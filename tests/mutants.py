@@ -77,7 +77,7 @@ MUTANTS = [
     Mutant("flatten/_relaxation_kernels.py", "stretch = length - rest[j]", "stretch = rest[j] - length", "flatten/test_relaxation.py"),
     # marks
     Mutant("marks/hole_criteria.py", "(x <= right - radius)", "(x <= right + radius)", "marks/test_find.py"),
-    Mutant("marks/hole_criteria.py", "total = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]", "total = rows[:, k.INSIDE] - rows[:, k.OUTSIDE]", "marks/test_find.py"),
+    Mutant("marks/hole_criteria.py", "return rows[:, k.OUTSIDE] - rows[:, k.INSIDE]", "return rows[:, k.INSIDE] - rows[:, k.OUTSIDE]", "marks/test_find.py"),
     Mutant("marks/sheet_holes.py", 'to_face = (-outward if side == "top" else outward) * offset', "to_face = outward * offset", "marks/test_sheet_holes.py"),
     Mutant("marks/sheet_holes.py", "CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR", "CLOSED", "marks/test_sheet_holes.py"),
     Mutant("marks/mask.py", "np.searchsorted(grid.y_um, y - radius)", "np.searchsorted(grid.y_um, y - 0.5 * radius)", "marks/test_mask.py"),

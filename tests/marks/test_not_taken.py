@@ -73,7 +73,7 @@ def test_what_is_usual_around_a_place(shape, share):
     rng = np.random.default_rng(0)
     values = (rng.normal(size=shape) * (1 + 9 * (np.arange(shape[1]) > shape[1] / 2))).astype(np.float32)
     values[rng.random(shape) < 0.2] = np.nan
-    around = candidates.local_spread(values, (2.0, 3.0), 30.0, share)
+    around = candidates.local_spread(candidates.Raster(values, (2.0, 3.0)), 30.0, share)
     down, across = min(15, shape[0]), min(10, shape[1])
     step = max(1, down // candidates.SAMPLES), max(1, across // candidates.SAMPLES)
     down, across = down // step[0] * step[0], across // step[1] * step[1]

@@ -16,19 +16,19 @@ from planish.core.typing import Bools, Floats, Ints, Pair
 
 Image = NDArray[np.float32]
 
-# Pixels across the smallest hole where candidates are searched, and where rims are measured.
+# Pixels across the smallest hole where candidates are searched.
 ACROSS_COARSE = 8.0
-ACROSS_FINE = 40.0
+# A response in robust standard deviations of the same response all over the sheet from which on it is measured.
+WORTH_MEASURING = 4.0
 # So many candidates are measured whatever the size of the image. Beyond, a square of TILE smallest radii has as many as
 # smallest holes would cover it: taken over the whole image, the strongest would all lie where the light is best.
 ENOUGH_CANDIDATES = 6000
 TILE = 40.0
 # Side of the squares in which texture is judged, in largest diameters; three by three are a neighbourhood. Values taken
-# along a side; quantiles of absolute deviations of one standard deviation; least share of what is usual in the image.
+# along a side; quantiles of absolute deviations of one standard deviation.
 SQUARE = 3.0
 SAMPLES = 10
 TO_SD = {0.25: 0.3186, 0.5: 0.6745}
-FAINTEST = 0.25
 
 
 class Raster(NamedTuple):
@@ -36,53 +36,46 @@ class Raster(NamedTuple):
 
     image: Image
     pixel_um: Pair
-    origin_um: Floats
+    origin_um: Floats = np.zeros(2)
 
 
-class Response(NamedTuple):
-    """Answer to discs of one radius: pixel size ``(y, x)`` and ``(x, y)`` of the first pixel, all in um."""
-
-    radius: float
-    values: Image
-    pixel_um: Pair
-    origin_um: Floats
-
-
-def reduce_to(image: Image, pixel_um: Pair, target_um: float) -> Raster:
-    """Area-mean an image, whose first pixel lies at 0, until its pixels are nearly as large as ``target_um``."""
-    factors = [max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(pixel_um, image.shape, strict=True)]
-    small = image if factors == [1, 1] else _block_means(image, factors, least=0.5)[0]
-    size = (pixel_um[0] * factors[0], pixel_um[1] * factors[1])
-    return Raster(small, size, np.array([(factors[1] - 1) / 2 * pixel_um[1], (factors[0] - 1) / 2 * pixel_um[0]]))
+def reduce_to(raster: Raster, target_um: float) -> Raster:
+    """Area-mean an image until its pixels are nearly as large as ``target_um``."""
+    image, (height, width), origin = raster
+    down, across = (
+        max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(raster.pixel_um, image.shape, strict=True)
+    )
+    if down == across == 1:
+        return raster
+    shift = np.array([(across - 1) / 2 * width, (down - 1) / 2 * height])
+    return Raster(_block_means(image, [down, across], least=0.5)[0], (height * down, width * across), origin + shift)
 
 
-def blob_responses(image: Image, pixel_um: Pair, radii_um: Pair) -> list[Response]:
-    """Give Laplacian-of-Gaussian responses at radii that cover a range; positive where a disc is darker than around it.
+def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
+    """Give Laplacian-of-Gaussian responses by radius, in um; positive where a disc is darker than around it.
 
-    Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii grow;
-    wide blobs come on coarser rasters.
+    Missing data are filled with the local mean of what is there, so that they raise no edge of their own. Radii cover
+    a range and grow; wide blobs come on coarser rasters. Places count from the first pixel.
     """
+    image = raster.image
     is_finite = np.isfinite(image)
-    filled = image if is_finite.all() else np.where(is_finite, image, _local_mean(image, pixel_um, 1.5 * radii_um[1]))
+    if not is_finite.all():
+        image = np.where(is_finite, image, _local_mean(image, raster.pixel_um, 1.5 * radii_um[1]))
     count = max(2, int(np.ceil(np.log(radii_um[1] / radii_um[0]) / np.log(1.35))) + 1)
     radii = np.geomspace(radii_um[0], radii_um[1], count)
     ratio = float(radii[1] / radii[0])
     # Each radius lies between two widths of a ladder, and their difference is the Laplacian to within a constant. Every
     # width is reached from the one before, which costs little.
     widths = np.append(radii / np.sqrt(2 * ratio), radii[-1] * np.sqrt(ratio / 2))
-    steps = np.sqrt(np.diff(widths**2, prepend=0.0))
-    responses: list[Response] = []
-    before, size, origin = np.ascontiguousarray(filled, dtype=np.float32), pixel_um, np.zeros(2)
-    for level, step in enumerate(steps):
-        sigmas = float(step) / size[0], float(step) / size[1]
-        after = ndimage.gaussian_filter(before, sigmas, mode="nearest", truncate=3.0)
+    responses: dict[float, Raster] = {}
+    before = Raster(np.ascontiguousarray(image, dtype=np.float32), raster.pixel_um)
+    for level, step in enumerate(np.sqrt(np.diff(widths**2, prepend=0.0)).tolist()):
+        sigmas = [step / size for size in before.pixel_um]
+        after = before._replace(image=ndimage.gaussian_filter(before.image, sigmas, mode="nearest", truncate=3.0))
         if level:
-            responses.append(Response(float(radii[level - 1]), after - before, size, origin))
+            responses[float(radii[level - 1])] = before._replace(image=after.image - before.image)
         # The wider the blobs, the coarser a raster shows them just as well.
-        if level and level < count:
-            after, smaller, shift = reduce_to(after, size, 2 * float(radii[level]) / ACROSS_COARSE)
-            size, origin = smaller, origin + shift
-        before = after
+        before = reduce_to(after, 2 * float(radii[level]) / ACROSS_COARSE) if 0 < level < count else after
     return responses
 
 
@@ -100,15 +93,16 @@ class LocalLevels(NamedTuple):
         return self.values[i, j]
 
 
-def local_spread(deviations: Image, pixel_um: Pair, side_um: float, share: float) -> LocalLevels:
+def local_spread(raster: Raster, side_um: float, share: float) -> LocalLevels:
     """Give the spread in each square of an image and the eight around it: a quantile, as a standard deviation.
 
     The quantile is that of absolute deviations. Some hundred values are taken of each neighbourhood. Where less than a
     tenth of it is there, the quantile of all of the image stands, and 0 where less than a tenth of that is there.
     """
-    sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, deviations.shape, strict=True)]
+    image, pixel_um, _ = raster
+    sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)]
     steps = [max(1, side // SAMPLES) for side in sides]
-    sample = deviations[:: steps[0], :: steps[1]]
+    sample = image[:: steps[0], :: steps[1]]
     sides = [max(1, side // step) for side, step in zip(sides, steps, strict=True)]
     counts = [-(-n // side) for n, side in zip(sample.shape, sides, strict=True)]
     padding = [(side, (count + 1) * side - n) for n, side, count in zip(sample.shape, sides, counts, strict=True)]
@@ -124,12 +118,11 @@ def local_spread(deviations: Image, pixel_um: Pair, side_um: float, share: float
     if finite.size and 10 * finite.size >= sample.size:
         whole = float(np.quantile(np.abs(finite - np.median(finite)), share))
     # Values of each neighbourhood that lie inside the image.
-    spans: list[Floats] = []
-    for n, side, count in zip(sample.shape, sides, counts, strict=True):
-        first = np.arange(count) * side - side
-        spans.append(np.minimum(first + 3 * side, n) - np.maximum(first, 0.0))
-    is_enough = 10 * finite_counts >= spans[0][:, None] * spans[1]
-    spread = np.where(is_enough, local, whole).astype(np.float64)
+    down, across = (
+        np.minimum(np.arange(2, count + 2) * side, n) - np.maximum(np.arange(-1, count - 1) * side, 0)
+        for n, side, count in zip(sample.shape, sides, counts, strict=True)
+    )
+    spread = np.where(10 * finite_counts >= down[:, None] * across, local, whole).astype(np.float64)
     side = (sides[0] * steps[0] * pixel_um[0], sides[1] * steps[1] * pixel_um[1])
     return LocalLevels(spread / TO_SD[share], side)
 
@@ -140,26 +133,26 @@ def _quantile(values: Image, finite_counts: Ints, share: float) -> Image:
     return np.take_along_axis(np.sort(values, axis=-1), rank[..., None], axis=-1)[..., 0]
 
 
-def texture(image: Image, pixel_um: Pair, width_um: float, side_um: float, circles: Floats) -> LocalLevels:
-    """Give the texture around each place about the mean over ``width_um``, outside circles ``x, y, radius`` (um).
-
-    The Gaussian mean is taken for uneven light. 0 where less than a tenth of the image is left.
-    """
-    masked = image.copy()
+def texture(raster: Raster, diameter_um: float, circles: Floats) -> LocalLevels:
+    """Give the texture around each place, outside circles ``x, y, radius`` (um); 0 where little is left."""
+    masked, (height, width) = raster.image.copy(), raster.pixel_um
     for x, y, radius in circles:
-        i0, i1 = (max(0, int((y + side * radius) / pixel_um[0]) + (side > 0)) for side in (-1, 1))
-        j0, j1 = (max(0, int((x + side * radius) / pixel_um[1]) + (side > 0)) for side in (-1, 1))
+        i0, i1 = (max(0, int((y + side * radius) / height) + (side > 0)) for side in (-1, 1))
+        j0, j1 = (max(0, int((x + side * radius) / width) + (side > 0)) for side in (-1, 1))
         window = masked[i0:i1, j0:j1]
-        down = (np.arange(i0, i0 + window.shape[0])[:, None] * pixel_um[0] - y) ** 2
-        window[down + (np.arange(j0, j0 + window.shape[1]) * pixel_um[1] - x) ** 2 <= radius**2] = np.nan
-    return local_deviation(masked, pixel_um, width_um, side_um, 0.5)
+        down = (np.arange(i0, i0 + window.shape[0])[:, None] * height - y) ** 2
+        window[down + (np.arange(j0, j0 + window.shape[1]) * width - x) ** 2 <= radius**2] = np.nan
+    return local_deviation(raster._replace(image=masked), diameter_um, 0.5)
 
 
-def local_deviation(image: Image, pixel_um: Pair, width_um: float, side_um: float, share: float) -> LocalLevels:
-    """Give the spread of an image about its mean over ``width_um``; only what `local_spread` takes is computed."""
-    down, across = (max(1, int(side_um / size / SAMPLES)) for size in pixel_um)
-    deviations = image[::down, ::across] - _local_mean(image, pixel_um, width_um, (down, across))
-    return local_spread(deviations, (down * pixel_um[0], across * pixel_um[1]), side_um, share)
+def local_deviation(raster: Raster, diameter_um: float, share: float) -> LocalLevels:
+    """Give the spread of an image about its Gaussian mean over a diameter, which takes out uneven light."""
+    side_um, (height, width) = SQUARE * diameter_um, raster.pixel_um
+    # Only what `local_spread` takes is computed.
+    down, across = (max(1, int(side_um / size / SAMPLES)) for size in raster.pixel_um)
+    deviations = raster.image[::down, ::across]
+    deviations = deviations - _local_mean(raster.image, raster.pixel_um, diameter_um, (down, across))
+    return local_spread(Raster(deviations, (down * height, across * width)), side_um, share)
 
 
 def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
@@ -206,54 +199,43 @@ def _block_means(image: Image, factors: list[int], least: float | None = None) -
     return means if least is None else np.where(share >= least, means, np.float32(np.nan)), share
 
 
-class Candidates(NamedTuple):
-    """Places that may be holes, strongest first.
-
-    ``places`` are ``x, y`` in um, (n, 2); ``standing`` is the largest response over all radii, in units of the usual
-    one around; ``share`` the weakest response that was searched here over that of the least contrast; ``dropped`` how
-    many more lie beyond the limit of their part of the image.
-    """
-
-    places: Floats
-    standing: Floats
-    share: Floats
-    dropped: int
-
-
 def peaks(
-    responses: list[Response], sign: float, faintest: LocalLevels, spreads: list[LocalLevels], worth: float
-) -> Candidates:
-    """Return the extremes over place and scale, strongest first.
+    responses: dict[float, Raster], sign: float, faintest: LocalLevels, spreads: list[LocalLevels]
+) -> tuple[Floats, Floats, Floats, int]:
+    """Return places that may be holes, the extremes over place and scale, strongest first.
 
     ``sign`` is 1 for dark and -1 for bright discs; ``faintest`` the response that the least contrast makes and
-    ``spreads`` the usual response of each radius: what is searched is stronger than the first or ``worth`` times the
-    second.
+    ``spreads`` the usual response of each radius: what is searched is stronger than the first or `WORTH_MEASURING`
+    times the second.
+
+    Returns ``x, y`` in um, (n, 2); the largest response over all radii, in units of the usual one around; the weakest
+    response that was searched here over that of the least contrast; how many more lie beyond the limit of their part
+    of the image.
     """
-    pairs = zip(responses, spreads, strict=True)
-    rows = np.concatenate([_peaks_of_radius(response, sign, faintest, spread, worth) for response, spread in pairs])
-    order = np.argsort(-rows[:, 3], kind="stable")
-    rows = rows[order]
+    pairs = zip(responses.items(), spreads, strict=True)
+    rows = np.concatenate([_peaks_of_radius(*response, sign, faintest, spread) for response, spread in pairs])
+    rows = rows[np.argsort(-rows[:, 3], kind="stable")]
     # Of places that share a cell the strongest stays, with the largest height over the usual one.
-    cells = np.floor(rows[:, :2] / (0.5 * responses[0].radius)).astype(np.int64)
+    smallest = min(responses)
+    cells = np.floor(rows[:, :2] / (0.5 * smallest)).astype(np.int64)
     _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
     largest = np.full(len(first), -np.inf)
     np.maximum.at(largest, cell.ravel(), rows[:, 2])
     rows = rows[first]
     rows[:, 2] = largest
     rows = rows[np.argsort(first)]
-    is_strong = _strongest_by_tile(rows, responses[0].radius)
-    dropped = int(np.count_nonzero(~is_strong))
-    rows = rows[is_strong]
-    return Candidates(rows[:, :2], rows[:, 2], rows[:, 4], dropped)
+    is_strong = _strongest_by_tile(rows, smallest)
+    strong = rows[is_strong]
+    return strong[:, :2], strong[:, 2], strong[:, 4], len(rows) - len(strong)
 
 
 def _peaks_of_radius(
-    response: Response, sign: float, faintest: LocalLevels, spread: LocalLevels, worth: float
+    radius: float, response: Raster, sign: float, faintest: LocalLevels, spread: LocalLevels
 ) -> Floats:
     """Find the peaks of one response: ``x, y`` (um), height over the usual one, height, share of the least contrast."""
-    signed = response.values if sign > 0 else -response.values
-    reach = [max(1, round(0.5 * response.radius / size)) for size in response.pixel_um]
-    weakest = max(0.0, min(float(faintest.values.min()), worth * float(spread.values.min())))
+    signed = response.image if sign > 0 else -response.image
+    reach = [max(1, round(0.5 * radius / size)) for size in response.pixel_um]
+    weakest = max(0.0, min(float(faintest.values.min()), WORTH_MEASURING * float(spread.values.min())))
     # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave few for the others.
     row, column = np.nonzero(signed > weakest)
     around = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
@@ -264,7 +246,7 @@ def _peaks_of_radius(
     points = np.stack([column * response.pixel_um[1], row * response.pixel_um[0]], axis=1) + response.origin_um
     height = signed[row, column].astype(np.float64)
     usual, contrast = spread.at_points(points), faintest.at_points(points)
-    least = np.minimum(contrast, worth * usual)
+    least = np.minimum(contrast, WORTH_MEASURING * usual)
     share = np.where(contrast > 0, least / np.maximum(contrast, 1e-30), 1.0)
     rows = np.column_stack([points, height / np.maximum(usual, 1e-30), height, share])
     return rows[height > np.maximum(least, 0.0)]

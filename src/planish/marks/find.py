@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Literal, NamedTuple
 
 import numpy as np
@@ -15,8 +14,7 @@ from planish.core.typing import Bools, Floats, Pair
 from planish.marks import _measure_kernels as k
 from planish.marks import candidates
 from planish.marks import hole_criteria as criteria
-from planish.marks.candidates import FAINTEST, Image, Raster
-from planish.marks.hole_criteria import LEAST_CONTRAST, best_rims, overlaps_any
+from planish.marks.candidates import Image, Raster
 
 REASONS = {
     "not_measured": "not measured",
@@ -31,35 +29,11 @@ REASONS = {
 """Reasons why a mark is no hole, in the order of a sentence, and their words."""
 
 
-def count_rejected(
-    measured: Floats, holes: Floats, criteria: dict[str, Bools], is_whole: Bools, dropped: int
-) -> dict[str, int]:
-    """Count by reason what was measured (rows of `measure`, with the criteria they meet; whether the image holds all).
-
-    Only what lies on none of the holes, and would be one but for a single fault: mottle has several. Of marks that
-    overlap the one with the best rim counts.
-    """
-    # A border that cuts a mark takes a part of its rim, too.
-    met = {name: met | ((name == "not_round") & ~is_whole) for name, met in criteria.items()}
-    is_near = np.sum([is_whole, *met.values()], axis=0) >= len(criteria)
-    rows = np.flatnonzero(is_near & ~overlaps_any(measured, holes))
-    rows = rows[best_rims(measured[rows])]
-    counts = dict.fromkeys(REASONS, 0) | {"not_measured": dropped}
-    for row in rows.tolist():
-        reason = next((name for name, is_met in met.items() if not is_met[row]), "unlike")
-        counts[reason if is_whole[row] else "cut"] += 1
-    return counts
-
-
 Polarity = Literal["auto", "dark", "bright"]
 """Whether holes are darker or brighter than the sheet."""
 
-# Shares of the depth of the holes at which a floor may end.
-FLOOR_SHARES = (0.2, 0.08, 0.13, 0.27, 0.35)
 # Diameter of the middle of the default range.
 USUAL_UM = 173.2
-# Share of the least contrast from which on a mark is measured.
-SEEN = 0.6
 
 
 def find_holes(
@@ -137,19 +111,19 @@ def find_holes(
     signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}[polarity]
     # Widths of char, walls and blur are those of laser holes; a target of another size is measured as its magnified
     # picture.
-    times = USUAL_UM / np.sqrt(low * high)
-    times = 1.0 if 0.5 <= times <= 2.0 else float(times)
+    times = float(USUAL_UM / np.sqrt(low * high))
+    times = 1.0 if 0.5 <= times <= 2.0 else times
     sign, rows, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
     may_hold_hole = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
     if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        magnified = size[0] * times, size[1] * times
-        sign, rows, counts = _holes(grey, magnified, low / 2 * times, high / 2 * times, signs)
+        magnified = Raster(grey, (size[0] * times, size[1] * times))
+        sign, rows, counts = _holes(magnified, (low / 2 * times, high / 2 * times), signs)
     rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= times
     rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
     return _dataset(rows, sign).assign_attrs(not_taken=counts)
 
 
-class _Detection(NamedTuple):
+class _Marks(NamedTuple):
     """Marks of one polarity: holes, all that was measured, the places searched, the texture around."""
 
     sign: float
@@ -160,65 +134,80 @@ class _Detection(NamedTuple):
     dropped: int
 
 
-def _holes(
-    grey: Image, size: Pair, low: float, high: float, signs: tuple[float, ...]
-) -> tuple[float, Floats, dict[str, int]]:
+def _holes(raster: Raster, radii: Pair, signs: tuple[float, ...]) -> tuple[float, Floats, dict[str, int]]:
     """Find the polarity with the stronger holes: its sign, rows of `measure` in um, and counts of rejected marks."""
-    fine = candidates.reduce_to(grey, size, 2 * low / candidates.ACROSS_FINE)
-    best = max(_detections(fine, low, high, signs), key=lambda detection: float(np.sum(detection.holes[:, k.STEP])))
+    # Rims are measured with 40 pixels across the smallest hole.
+    fine = candidates.reduce_to(raster, 2 * radii[0] / 40.0)
+    best = max(_detect(fine, radii, signs), key=lambda marks: float(np.sum(marks.holes[:, k.STEP])))
     rows = best.holes
     if len(rows) >= criteria.LEAST_OTHERS:
         floors = _floors(fine, best.sign, best.places, rows)
         _raise_texture(floors, best.texture)
         rows = criteria.merge_floors(rows, floors)
-    is_whole = criteria.is_whole(best.measured, fine.image.shape, fine.pixel_um)
-    met = criteria.met_criteria(best.measured, fine.pixel_um, low, high)
-    counts = count_rejected(best.measured, rows, met, is_whole, best.dropped)
+    counts = _count_rejected(best, rows, fine, radii)
     criteria.set_covariance(rows, fine.pixel_um)
     rows[:, k.X : k.Y + 1] += fine.origin_um
     return best.sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], counts
 
 
-def _detections(fine: Raster, low: float, high: float, signs: tuple[float, ...]) -> Iterator[_Detection]:
+def _detect(fine: Raster, radii: Pair, signs: tuple[float, ...]) -> list[_Marks]:
     """Search candidates on a coarse raster and measure them on the fine one, for each sign."""
-    coarse, coarse_size, coarse_origin = candidates.reduce_to(*fine[:2], 2 * low / candidates.ACROSS_COARSE)
-    responses = candidates.blob_responses(coarse, coarse_size, (low, high))
-    square = candidates.SQUARE * 2 * high
+    diameter = 2 * radii[1]
+    coarse = candidates.reduce_to(Raster(fine.image, fine.pixel_um), 2 * radii[0] / candidates.ACROSS_COARSE)
+    responses = candidates.blob_responses(coarse, radii)
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
     # The texture of the quietest quarter around: holes, dots and dirt have little influence. Too small rather than too
     # large, and nowhere above the median.
-    quiet = candidates.local_deviation(coarse, coarse_size, 2 * high, square, 0.25)
+    quiet = candidates.local_deviation(coarse, diameter, 0.25)
     quiet = quiet._replace(values=np.minimum(quiet.values, np.median(quiet.values)))
     # The response at the centre of a disc at its own radius.
-    ratio = responses[1].radius / responses[0].radius
-    disc = LEAST_CONTRAST * float(np.exp(-1 / ratio) - np.exp(-ratio))
+    smallest, second, *_ = responses
+    ratio = second / smallest
+    disc = criteria.LEAST_CONTRAST * float(np.exp(-1 / ratio) - np.exp(-ratio))
     faintest = quiet._replace(values=0.67 * disc * quiet.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
     # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
-    spreads = [candidates.local_spread(response.values, response.pixel_um, square, 0.5) for response in responses]
-    spreads = [s._replace(values=np.maximum(s.values, FAINTEST * float(np.median(s.values)))) for s in spreads]
+    spreads = [candidates.local_spread(response, candidates.SQUARE * diameter, 0.5) for response in responses.values()]
+    spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
+    # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
+    seen = 0.6 * criteria.LEAST_CONTRAST
+    marks: list[_Marks] = []
     for sign in signs:
-        points, standing, share, dropped = candidates.peaks(
-            responses, sign, faintest, spreads, criteria.WORTH_MEASURING
-        )
-        # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
-        worth = (
-            SEEN * share * LEAST_CONTRAST * quiet.at_points(points),
-            np.where(share < 1.0, 0.0, SEEN * LEAST_CONTRAST),
-        )
-        places = points + coarse_origin
-        measured = _measured(fine, places, sign, (low, high), worth)
+        points, standing, share, dropped = candidates.peaks(responses, sign, faintest, spreads)
+        least = 0.6 * share * criteria.LEAST_CONTRAST * quiet.at_points(points), np.where(share < 1.0, 0.0, seen)
+        places = points + coarse.origin_um
+        measured = _measure(fine, places, sign, radii, least)
         measured[:, k.STANDING] = standing
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
-        holes = measured[criteria.is_hole(measured, fine.pixel_um, low, high)]
+        holes = measured[criteria.is_hole(measured, fine.pixel_um, radii)]
         # Beyond a rim this much may be burnt.
-        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse_origin).T, holes[:, k.RADIUS] + 60.0], axis=1)
-        texture = candidates.texture(coarse, coarse_size, 2 * high, square, circles)
+        circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1)
+        texture = candidates.texture(coarse, diameter, circles)
         measured = measured[np.isfinite(measured[:, k.RADIUS])]
         _raise_texture(measured, texture)
-        holes = criteria.deepest_disjoint(measured[criteria.is_hole(measured, fine.pixel_um, low, high)])
+        holes = criteria.deepest_disjoint(measured[criteria.is_hole(measured, fine.pixel_um, radii)])
         holes = criteria.drop_unlike(holes[criteria.is_whole(holes, fine.image.shape, fine.pixel_um)], sign)
-        yield _Detection(sign, holes, measured, places, texture, dropped)
+        marks.append(_Marks(sign, holes, measured, places, texture, dropped))
+    return marks
+
+
+def _count_rejected(marks: _Marks, holes: Floats, fine: Raster, radii: Pair) -> dict[str, int]:
+    """Count by reason what was measured and lies on none of the holes.
+
+    Only what would be a hole but for a single fault: mottle has several. Of marks that overlap the one with the best
+    rim counts.
+    """
+    measured = marks.measured
+    is_whole = criteria.is_whole(measured, fine.image.shape, fine.pixel_um)
+    met = criteria.met_criteria(measured, fine.pixel_um, radii)
+    met["not_round"] |= ~is_whole  # a border that cuts a mark takes a part of its rim, too
+    is_near = np.sum([is_whole, *met.values()], axis=0) >= len(met)
+    rows = np.flatnonzero(is_near & ~criteria.overlaps_any(measured, holes))
+    counts = dict.fromkeys(REASONS, 0) | {"not_measured": marks.dropped}
+    for row in rows[criteria.best_rims(measured[rows])].tolist():
+        reason = next((name for name, is_met in met.items() if not is_met[row]), "unlike")
+        counts[reason if is_whole[row] else "cut"] += 1
+    return counts
 
 
 def _raise_texture(rows: Floats, texture: candidates.LocalLevels) -> None:
@@ -226,44 +215,52 @@ def _raise_texture(rows: Floats, texture: candidates.LocalLevels) -> None:
     rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], texture.at_points(rows[:, k.X : k.Y + 1]))
 
 
-def _measured(fine: Raster, places: Floats, sign: float, radii: Pair, worth: tuple[Floats, Floats]) -> Floats:
+def _measure(fine: Raster, places: Floats, sign: float, radii: Pair, least: tuple[Floats, Floats]) -> Floats:
     """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
-    image, size, _ = fine
     rows = np.full((len(places), k.COLUMNS), np.nan)
-    pairs = criteria.neighbour_pairs(places, 2 * radii[0])
-    first = np.asarray(criteria.greedy_disjoint(np.arange(len(places)), *pairs), dtype=np.intp)
-    for turn in (first, np.setdiff1d(np.arange(len(places)), first)):
+    every = np.arange(len(places))
+    first = np.asarray(criteria.greedy_disjoint(every, criteria.neighbour_pairs(places, 2 * radii[0])), dtype=np.intp)
+    for turn in (first, np.setdiff1d(every, first)):
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
-            clear = np.flatnonzero(criteria.is_round(rows, size) & ~criteria.is_doubtful(rows))
-        if clear.size:
-            away, nearest = KDTree(rows[clear][:, [k.X, k.Y]]).query(places[turn])
-            turn = turn[away > 0.5 * rows[clear][nearest, k.RADIUS]]
-        x, y = np.ascontiguousarray(places[turn].T)
-        rows[turn] = k.measure(image, size[1], size[0], x, y, sign, *radii, *(limit[turn] for limit in worth))
+            clear = rows[criteria.is_round(rows, fine.pixel_um) & ~criteria.is_doubtful(rows)]
+        turn = turn[_is_outside(places[turn], clear, 0.5)]
+        limits = (limit[turn] for limit in least)
+        rows[turn] = k.measure(*_image_and_places(fine, places[turn]), sign, *radii, *limits)
     return rows
 
 
 def _floors(fine: Raster, sign: float, places: Floats, holes: Floats) -> Floats:
     """Measure floors where no clear hole is."""
-    image, size, _ = fine
     typical = criteria.typical_hole(holes)
-    clear = holes[~criteria.is_doubtful(holes)]
-    if len(clear):
-        away, nearest = KDTree(clear[:, [k.X, k.Y]]).query(places)
-        places = places[away > clear[nearest, k.RADIUS]]
-    x, y = np.ascontiguousarray(places.T)
-    level = typical.floor + FLOOR_SHARES[0] * typical.depth
-    middles = k.middles_of_floors(image, size[1], size[0], x, y, sign, typical.radius, level)
+    places = places[_is_outside(places, holes[~criteria.is_doubtful(holes)], 1.0)]
+    shares = (0.2, 0.08, 0.13, 0.27, 0.35)  # of the depth of the holes, at which a floor may end
+    level = typical.floor + shares[0] * typical.depth
+    middles = k.middles_of_floors(*_image_and_places(fine, places), sign, typical.radius, level)
     middles = middles[np.isfinite(middles[:, 0])]
     # Places beside each other lead to one hole.
     pairs = criteria.neighbour_pairs(middles, 0.1 * typical.radius)
-    x, y = np.ascontiguousarray(middles[criteria.greedy_disjoint(np.arange(len(middles)), *pairs)].T)
-    levels = (typical.radius, typical.floor, typical.depth, FLOOR_SHARES)
-    floors = criteria.select_resembling(k.measure_floors(image, size[1], size[0], x, y, sign, *levels), holes, size)
+    middles = middles[criteria.greedy_disjoint(np.arange(len(middles)), pairs)]
+    levels = (typical.radius, typical.floor, typical.depth, shares)
+    floors = k.measure_floors(*_image_and_places(fine, middles), sign, *levels)
+    floors = criteria.select_resembling(floors, holes, fine.pixel_um)
     # A rim lies farther out than its floor.
     rims = floors.copy()
     rims[:, k.RADIUS] = np.maximum(rims[:, k.RADIUS], typical.radius)
-    return floors[criteria.is_whole(rims, image.shape, size)]
+    return floors[criteria.is_whole(rims, fine.image.shape, fine.pixel_um)]
+
+
+def _is_outside(places: Floats, holes: Floats, share: float) -> Bools:
+    """Return which places lie farther than a share of its radius from the middle of the nearest hole."""
+    if not len(holes):
+        return np.ones(len(places), bool)
+    distance, nearest = KDTree(holes[:, [k.X, k.Y]]).query(places)
+    return distance > share * holes[nearest, k.RADIUS]
+
+
+def _image_and_places(raster: Raster, places: Floats) -> tuple[Image, float, float, Floats, Floats]:
+    """Give what kernels take first: the image, its pixel size along x and y, and x and y of places."""
+    x, y = np.ascontiguousarray(places.T)
+    return raster.image, raster.pixel_um[1], raster.pixel_um[0], x, y
 
 
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:

@@ -10,7 +10,7 @@ from scipy import ndimage
 from planish.core.bands import band_of, bands, thinned
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Floats, Pair
-from planish.marks.candidates import reduce_to
+from planish.marks.candidates import Raster, reduce_to
 
 
 def hole_mask(grid: Grid, centres_um: Floats, radii_um: Floats) -> Bools:
@@ -117,7 +117,7 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     """
     whole = np.asarray(image, dtype=np.float32)
     # Dots are distinguished from holes with 40 pixels over the smallest hole.
-    small, size, _ = reduce_to(whole, pixel_um, least_um / 40.0)
+    small, size, _ = reduce_to(Raster(whole, pixel_um), least_um / 40.0)
     has_data = np.isfinite(small)
     if not has_data.any():
         return whole
