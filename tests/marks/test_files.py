@@ -275,7 +275,7 @@ def test_there_and_back(tmp_path, to, unit):
     own = to in ("json", "csv")
     again = read_any(*files, unit=unit, **({} if own else BACK))
     assert same(again, points(marks, "moving"), points(marks, "fixed"))
-    assert exchange.format_of(files[0]) == to
+    assert again.attrs["read_from"]["format"] == to
     if to in ("json", "csv", "bigwarp", "slicer"):
         assert again.label.values.tolist() == marks.label.values.tolist()
 

@@ -1,4 +1,3 @@
-from .convert import format_of as format_of
 from .convert import marks_text as marks_text
 from .convert import read_any as read_any
 from .convert import write_any as write_any

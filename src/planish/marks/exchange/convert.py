@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -61,9 +62,10 @@ def read_any(
     """
     places = [Path(path)] if second is None else [Path(path), Path(second)]
     name = " and ".join(place.name for place in places)
-    contents = [_read(place) for place in places]
-    first = contents[0][1]
-    if second is None and isinstance(first, xr.Dataset):
+    contents = [read_content(place) for place in places]
+    kinds = [_recognised(content) for content in contents]
+    parts: list[Any] = [module_of(kind).read(content) for kind, content in zip(kinds, contents, strict=True)]
+    if second is None and isinstance(marks := parts[0], xr.Dataset):
         if unit not in (None, "um"):
             raise SizeError(
                 f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct the file."
@@ -71,40 +73,30 @@ def read_any(
         if swap:
             raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
         # What is known of the layers beside what the file states.
-        layers = {layer: dict(about) for layer, about in first.attrs["layers"].items()}
+        layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
         for side, facts in (("moving", moving), ("volume", moving), ("fixed", fixed)):
             if side in layers:
                 layers[side] |= facts.about()
         if list(layers) == ["marks"]:
             layers["marks"] |= moving.about() | fixed.about()
-        marks, stated = first.assign_attrs(layers=layers), ("um", True)
+        marks, stated = marks.assign_attrs(layers=layers), ("um", True)
     else:
         lists: list[PointList] = []
-        for place, (_, content) in zip(places, contents, strict=True):
-            new = [_single_list(content, place.name)] if isinstance(content, xr.Dataset) else content
+        for content, part in zip(contents, parts, strict=True):
+            new = [_single_list(part, content.name)] if isinstance(part, xr.Dataset) else part
             if second is not None and len(new) != 1:
                 raise MarkError(
-                    f"{place.name} holds {len(new)} lists of points already. Give it alone, or two files with one each."
+                    f"{content.name} holds {len(new)} lists of points already. Give it alone, or two files with one "
+                    "each."
                 )
             lists += new
         marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
         stated = unit or lists[0].unit, all(point_list.stated for point_list in lists)
-    marks.attrs["read_from"] = {"format": contents[0][0], "unit": stated[0], "stated": stated[1]}
+    marks.attrs["read_from"] = {"format": kinds[0], "unit": stated[0], "stated": stated[1]}
     check_marks(marks, name)
     if unit != "um":
         check_plausible(marks, name)
     return marks
-
-
-def format_of(path: str | Path) -> str:
-    """Return which of `FORMATS` a file has.
-
-    Raises
-    ------
-    FileError
-        If it cannot be read or is in no known format.
-    """
-    return _recognised(read_content(path))
 
 
 def write_any(
@@ -166,7 +158,9 @@ def write_any(
     if form.unit is not None:
         marks, points = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
     parts: dict[str, bytes] = module_of(name).write(marks, points)
-    files = {place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: parts[end] for end in parts}
+    files = {
+        place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: content for end, content in parts.items()
+    }
     for file in files:
         if file.exists():
             raise FileError(f"{file} is already there; nothing is overwritten. Choose another name.")
@@ -181,12 +175,6 @@ def marks_text(marks: xr.Dataset) -> str:
     return module_of("json").write(marks, {})[""].decode()
 
 
-def _read(place: Path) -> tuple[str, xr.Dataset | list[PointList]]:
-    content = read_content(place)
-    name = _recognised(content)
-    return name, module_of(name).read(content)
-
-
 def _recognised(content: Content) -> str:
     for name in FORMATS:
         if module_of(name).looks_like(content):
@@ -196,7 +184,7 @@ def _recognised(content: Content) -> str:
             f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer as .mrk.json."
         )
     if content.json is not None:
-        keys = ", ".join(map(str, list(content.json)[:6])) or "nothing"
+        keys = ", ".join(list(content.json)[:6]) or "nothing"
         raise FileError(
             f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read: {known_formats()}."
         )
@@ -228,9 +216,7 @@ def _outgoing(
     single = len(names) == 1 and form.single
     sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
     if form.pairs_only:
-        keep = model.used_of(marks)
-        for side in sides:
-            keep &= np.isfinite(model.points_of(marks, side)).all(axis=1)
+        keep = model.used_of(marks) & model.in_layers(marks, sides)
         if not keep.any():
             raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
         marks = marks.isel(mark=np.flatnonzero(keep))
@@ -239,10 +225,8 @@ def _outgoing(
     outgoing: list[Floats] = []
     for layer, override, role in zip(sides, facts, ("moving", "fixed"), strict=False):
         about, points = about_layer(marks, layer), model.points_of(marks, layer)
-        pixel, first = about.get("pixel_um"), about.get("origin_um", {})
-        pixels = LayerPixels(
-            override.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first.get("x", 0.0), first.get("y", 0.0))
-        )
+        pixel, first = about.get("pixel_um"), about.get("origin_um", {"x": 0.0, "y": 0.0})
+        pixels = LayerPixels(override.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first["x"], first["y"]))
         origin, factor = pixels.frame(unit, points.shape[1], f"The file for {form.title}", role)
         outgoing.append((points - origin) / factor)
     return marks, dict(zip(names if single else ("moving", "fixed"), outgoing[::-1] if swap else outgoing, strict=True))

@@ -7,7 +7,7 @@ an error, because a misspelt one would be lost in silence.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -25,23 +25,12 @@ VERSION = 1
 _PAGE = "docs/marks-files.md describes the format."
 _POSITION = {"diameter": "diameter_um", "axis_ratio": "axis_ratio", "arc_coverage": "arc_coverage"}
 
-Source = Literal["detected", "clicked", "predicted", "imported"]
-LayerName = Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
+T = TypeVar("T")
 
 
-class _Sizes(Part):
-    x: PositiveFloat
-    y: PositiveFloat
-
-
-class _Point(Part):
-    x: float
-    y: float
-
-
-class _Count(Part):
-    x: Annotated[int, Field(gt=0, le=10**9)]
-    y: Annotated[int, Field(gt=0, le=10**9)]
+class _Pair(Part, Generic[T]):
+    x: T
+    y: T
 
 
 class _Axes(Part):
@@ -50,11 +39,11 @@ class _Axes(Part):
 
 
 class _Layer(Part):
-    name: LayerName
+    name: Annotated[str, Field(pattern=r"^[a-z][a-z0-9_]{0,31}$")]
     title: Annotated[str, Field(max_length=200)] | None = None
-    pixel_um: _Sizes | None = None
-    origin_um: _Point | None = None
-    size_px: _Count | None = None
+    pixel_um: _Pair[PositiveFloat] | None = None
+    origin_um: _Pair[float] | None = None
+    size_px: _Pair[Annotated[int, Field(gt=0, le=10**9)]] | None = None
     side: Literal["top", "bottom"] | None = None
     machine_direction_deg: float | None = None
 
@@ -67,7 +56,7 @@ class _Place(Part):
     diameter_um: PositiveFloat | None = None
     axis_ratio: Annotated[float, Field(ge=1)] | None = None
     arc_coverage: Annotated[float, Field(ge=0, le=1)] | None = None
-    source: Source
+    source: Literal["detected", "clicked", "predicted", "imported"]
 
 
 class _Mark(Part):
@@ -134,11 +123,12 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
         results = {f"{key}_um": float(marks[key].values[k]) for key in stated}
         rows.append({"label": label, "used": used, "at": positions} | results)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
-    # What is known of a layer in the same order whatever it came from.
-    head["layers"] = [
-        {key: about[key] for key in dict.fromkeys([*_Layer.model_fields, *about]) if key in about}
-        for about in ({"name": layer, **model.about_layer(marks, layer)} for layer in layers)
-    ]
+    head["layers"] = []
+    for layer in layers:
+        about = {"name": layer, **model.about_layer(marks, layer)}
+        # In the same order whatever it came from.
+        keys = dict.fromkeys([*_Layer.model_fields, *about])
+        head["layers"].append({key: about[key] for key in keys if key in about})
     if "registration" in marks.attrs:
         head["registration"] = marks.attrs["registration"]
     try:
@@ -183,7 +173,8 @@ def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
 def _cross_field_faults(file: _File, names: list[str]) -> list[str]:
     """List the faults that the fields alone do not show."""
     faults = [f"the layer {n} is there {names.count(n)} times" for n in sorted(set(names)) if names.count(n) > 1]
-    faults += [f"{n} cannot be the name of a layer" for n in names if n == RESIDUAL]
+    if RESIDUAL in names:
+        faults.append(f"{RESIDUAL} cannot be the name of a layer")
     has_z: dict[str, set[bool]] = {}
     for k, mark in enumerate(file.marks):
         for layer, place in mark.at.items():

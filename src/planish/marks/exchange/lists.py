@@ -20,8 +20,6 @@ from planish.marks.exchange.formats import Unit, known_formats
 from planish.marks.exchange.model import EXTRAS, MarkPlaces, make_marks
 
 MOST_MARKS = 100_000
-_BINARY = (b"MATLAB", b"\x89HDF\r\n\x1a\n")
-_NO_ROWS = Rows([], [], ",", [])
 
 
 class Part(BaseModel):
@@ -37,7 +35,7 @@ class Content:
     name: str
     data: bytes
     text: str = ""
-    rows: Rows = _NO_ROWS
+    rows: Rows = field(default_factory=lambda: Rows([], [], ",", []))
     json: Mapping[str, Any] | None = None
 
     @property
@@ -51,7 +49,7 @@ def read_content(path: str | Path) -> Content:
     place = Path(path)
     name, data = place.name, read_bytes(place, what="file of marks")
     # Version 4 of MATLAB has no heading that says what it is.
-    if data.startswith(_BINARY) or place.suffix.lower() == ".mat":
+    if data.startswith((b"MATLAB", b"\x89HDF\r\n\x1a\n")) or place.suffix.lower() == ".mat":
         return Content(name=name, data=data)
     text = decode_text(data, name, what="file of marks")
     if not text.strip():
@@ -98,11 +96,6 @@ def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
         key, count = Counter(key for key, _ in pairs).most_common(1)[0]
         raise ValueError(f"the key {key[:40]!r} stands {count} times in one object")
     return entries
-
-
-UNITS: dict[str, float] = {"um": 1.0, "mm": 1000.0}
-_FIRST_NAMES = ("moving", "from", "source", "volume")
-_SECOND_NAMES = ("fixed", "to", "target", "image")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -170,22 +163,20 @@ class LayerPixels:
 
     def about(self) -> dict[str, Any]:
         """Give the facts as they are kept with the marks."""
-        out: dict[str, Any] = {}
-        if self.pixel_um is not None:
-            out["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
-        if self.origin_um is not None:
-            out["origin_um"] = {"x": float(self.origin_um[0]), "y": float(self.origin_um[1])}
-        if self.shape is not None:
-            out["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
-        return out
+        facts = {
+            "pixel_um": self.pixel_um and (self.pixel_um[-1], self.pixel_um[-2:][0]),
+            "origin_um": self.origin_um and tuple(map(float, self.origin_um)),
+            "size_px": self.shape and tuple(map(int, self.shape))[::-1],
+        }
+        return {key: {"x": pair[0], "y": pair[1]} for key, pair in facts.items() if pair}
 
     def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
         """Give the place of the first pixel, and length of one unit, along x, y (and z) in um."""
         origin = np.zeros(axes)
         origin[:2] = self.origin_um or (0.0, 0.0)
         if unit != "pixel":
-            return origin, np.full(axes, UNITS[unit])
-        option = side if side in ("moving", "fixed") else "moving"
+            return origin, np.full(axes, 1000.0 if unit == "mm" else 1.0)
+        option = "fixed" if side == "fixed" else "moving"
         if self.pixel_um is None:
             raise SizeError(
                 f"{name} gives positions in pixels, and the pixel size of the {side} layer is not known. Give it in um "
@@ -222,7 +213,8 @@ def join_lists(
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
         titles = [point_list.title.strip().lower() for point_list in lists]
-        if swap != (titles[0] in _SECOND_NAMES and titles[1] in _FIRST_NAMES):
+        is_second = titles[0] in ("fixed", "to", "target", "image")
+        if swap != (is_second and titles[1] in ("moving", "from", "source", "volume")):
             first, last = last, first
         a, b = first.names, last.names
         if len(a) != len(b):
@@ -237,32 +229,36 @@ def join_lists(
                 "Points belong together in their order: sort one list, or rename its points."
             )
         layers = {"moving": (first, moving), "fixed": (last, fixed)}
-    places = {layer: _places(point_list, layer, facts, unit, name) for layer, (point_list, facts) in layers.items()}
-    about = {layer: dict(point_list.about) | facts.about() for layer, (point_list, facts) in layers.items()}
-    if "fixed" in places and places["fixed"].um.shape[1] == 3:
-        raise MarkError(
-            f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat "
-            "image; where the volume was the fixed or target one, give --swap."
-        )
-    if "moving" in places and places["moving"].um.shape[1] == 3:
-        places = {"volume": places["moving"], "fixed": places["fixed"]}
-        about = {"volume": about["moving"], "fixed": about["fixed"]}
-    every = np.ones(len(first.points), bool)
-    used = (np.asarray(point_list.used, bool) if point_list.used else every for point_list in (first, last))
-    return make_marks(first.names, places, used=np.logical_and(*used).tolist(), about=about)
+    places: dict[str, MarkPlaces] = {}
+    about: dict[str, dict[str, Any]] = {}
+    for side, (point_list, facts) in layers.items():
+        marks = _places(point_list, side, facts, unit, name)
+        has_z = marks.um.shape[1] == 3
+        if side == "fixed" and has_z:
+            raise MarkError(
+                f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat image; "
+                "where the volume was the fixed or target one, give --swap."
+            )
+        layer = "volume" if side == "moving" and has_z else side
+        places[layer], about[layer] = marks, dict(point_list.about) | facts.about()
+    used = np.ones(len(first.points), bool)
+    for point_list in (first, last):
+        if point_list.used:
+            used &= point_list.used
+    return make_marks(first.names, places, used=used.tolist(), about=about)
 
 
 def _places(point_list: PointList, side: str, facts: LayerPixels, unit: Unit | None, name: str) -> MarkPlaces:
     """Convert points to um, shape (n, 2), or (n, 3) where z says something; and what else is known, in um too."""
-    coordinates = np.asarray(point_list.points, dtype=np.float64)
+    coordinates = point_list.points
     if coordinates.shape[1] == 3:
         z = coordinates[:, 2][np.isfinite(coordinates[:, 2])]
         # A picture opened as a volume of one slice has z = 0; for the fixed side any one plane is a picture.
         if not z.any() or (side == "fixed" and np.ptp(z) == 0):
             coordinates = coordinates[:, :2]
     origin, factor = facts.frame(unit or point_list.unit, coordinates.shape[1], name, side)
-    powers = {"um": 1, "um2": 2}
-    extras = {k: v * factor[0] ** powers.get(EXTRAS[k][0], 0) for k, v in point_list.extras.items()}
+    powers = {"um": 1, "um2": 2, "1": 0}
+    extras = {k: v * factor[0] ** powers[EXTRAS[k][0]] for k, v in point_list.extras.items()}
     with np.errstate(over="ignore", invalid="ignore"):  # check_marks refuses what is too far away
         um = (0.0 if point_list.placed else origin) + coordinates * factor
         return MarkPlaces(um=um, source=point_list.source, extras=extras)

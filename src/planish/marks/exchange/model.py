@@ -19,7 +19,6 @@ from planish.core.errors import MarkError
 from planish.core.tables import raise_faults
 from planish.core.typing import Bools, Floats, Ints
 
-SOURCES = ("detected", "clicked", "predicted", "imported")
 NAME = re.compile(r"[a-z][a-z0-9_]{0,31}")
 
 EXTRAS: dict[str, tuple[str, str]] = {
@@ -44,7 +43,7 @@ class MarkPlaces:
     um : ndarray, shape (n, 2) or (n, 3), in um
         ``x, y`` or ``x, y, z``; NaN where a mark is not in this layer.
     source : sequence of str, length n, or one str for all
-        One of `SOURCES`.
+        ``detected``, ``clicked``, ``predicted`` or ``imported``.
     extras : mapping of str to ndarray, shape (n,)
         Any of `EXTRAS`; NaN where not known.
     """
@@ -94,7 +93,7 @@ def make_marks(
     MarkError
         If a layer's name cannot be used.
     """
-    is_used = np.ones(len(labels), bool) if used is None else np.array(list(used), dtype=bool)
+    is_used = np.ones(len(labels), bool) if used is None else np.array(used, dtype=bool)
     variables: dict[str, Any] = {
         "label": ("mark", np.array(list(labels), dtype=np.str_), {"long_name": "Name of the mark"}),
         "used": ("mark", is_used, {"long_name": "Takes part in the fit"}),
@@ -103,17 +102,17 @@ def make_marks(
         if not NAME.fullmatch(layer) or layer == RESIDUAL:
             raise MarkError(f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as map.")
         where = _TITLES.get(layer, f"in {layer}")
-        for axis, values in zip("xyz", places.um.T, strict=False):
-            text = {"units": "um", "long_name": f"Mark {where}, {axis}"}
-            variables[f"{layer}_{axis}"] = ("mark", np.ascontiguousarray(values, dtype=np.float64), text)
+        columns = {axis: (um, "um", f"Mark {where}, {axis}") for axis, um in zip("xyz", places.um.T, strict=False)}
         for name, (units, text) in EXTRAS.items():
             if name in places.extras and np.isfinite(places.extras[name]).any():
-                title = {"units": units, "long_name": f"{text}, {where}"}
-                variables[f"{layer}_{name}"] = ("mark", np.asarray(places.extras[name], dtype=np.float64), title)
-        source = [places.source] * len(labels) if isinstance(places.source, str) else list(places.source)
-        variables[f"{layer}_source"] = ("mark", np.array(source, dtype=np.str_), {"long_name": f"Found how, {where}"})
-    for name, values in (results or {}).items():
-        variables[name] = ("mark", np.asarray(values, dtype=np.float64), {"units": "um", "long_name": RESULTS[name]})
+                columns[name] = places.extras[name], units, f"{text}, {where}"
+        for name, (numbers, units, text) in columns.items():
+            column = np.ascontiguousarray(numbers, dtype=np.float64)
+            variables[f"{layer}_{name}"] = ("mark", column, {"units": units, "long_name": text})
+        source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(labels)).copy()
+        variables[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
+    for name, um in (results or {}).items():
+        variables[name] = ("mark", np.asarray(um, dtype=np.float64), {"units": "um", "long_name": RESULTS[name]})
     return xr.Dataset(variables, attrs={"layers": {layer: dict((about or {}).get(layer, {})) for layer in layers}})
 
 
@@ -127,35 +126,36 @@ def layer_names(marks: xr.Dataset) -> list[str]:
 
 def about_layer(marks: xr.Dataset, layer: str) -> dict[str, Any]:
     """Give what is known of a layer; empty where nothing is."""
-    listed: Mapping[str, Any] = marks.attrs.get("layers", {})
-    return dict(listed.get(layer, {}))
+    return dict(marks.attrs.get("layers", {}).get(layer, {}))
 
 
 def points_of(marks: xr.Dataset, layer: str) -> Floats:
     """Return positions in one layer, shape (n, 2) or (n, 3), in um; NaN where a mark is not in it."""
     axes = [f"{layer}_{axis}" for axis in "xyz" if f"{layer}_{axis}" in marks]
-    return np.stack([np.asarray(marks[name].values, dtype=np.float64) for name in axes], axis=1)
+    return np.stack([marks[name].values for name in axes], axis=1).astype(np.float64)
 
 
 def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     """Return positions in one layer with all that is known of them."""
-    extras = {name: np.asarray(marks[f"{layer}_{name}"].values) for name in EXTRAS if f"{layer}_{name}" in marks}
-    source = [str(v) for v in marks[f"{layer}_source"].values] if f"{layer}_source" in marks else "imported"
+    extras = {name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks}
+    source = marks[f"{layer}_source"].values.tolist() if f"{layer}_source" in marks else "imported"
     return MarkPlaces(um=points_of(marks, layer), source=source, extras=extras)
+
+
+def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
+    """Return which marks have a position in all layers."""
+    return np.all([np.isfinite(points_of(marks, layer)).all(axis=1) for layer in layers], axis=0)
 
 
 def labels_of(marks: xr.Dataset) -> list[str]:
     """Return the names of the marks; their numbers where they have none."""
-    if "label" in marks:
-        return [str(v) for v in marks["label"].values]
-    return [str(k + 1) for k in range(marks.sizes.get("mark", 0))]
+    labels = marks["label"].values if "label" in marks else np.arange(1, marks.sizes.get("mark", 0) + 1)
+    return labels.astype(np.str_).tolist()
 
 
 def used_of(marks: xr.Dataset) -> Bools:
     """Return which marks take part in a fit; all where it is not stated."""
-    if "used" in marks:
-        return np.asarray(marks["used"].values).astype(bool)
-    return np.ones(marks.sizes.get("mark", 0), dtype=bool)
+    return marks["used"].values.astype(bool) if "used" in marks else np.ones(marks.sizes.get("mark", 0), bool)
 
 
 def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | None = None) -> xr.Dataset:
@@ -183,11 +183,9 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
         If there is no such layer.
     """
     _check_layer(marks, layer)
-    in_layer = np.isfinite(points_of(marks, layer)).all(axis=1)
-    names: dict[Hashable, str] = {
-        f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS) if f"{layer}_{name}" in marks
-    }
-    return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layer))
+    names: dict[Hashable, str] = {f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS)}
+    names = {name: short for name, short in names.items() if name in marks}
+    return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layers(marks, [layer])))
 
 
 def used_pairs(
@@ -217,17 +215,17 @@ def used_pairs(
         If a layer is missing or too few marks are left.
     """
     first, second = pair_of_layers(marks, moving=moving, fixed=fixed, name=name)
-    a, b = points_of(marks, first), points_of(marks, second)[:, :2]
-    in_use = used_of(marks) & np.isfinite(a).all(axis=1) & np.isfinite(b).all(axis=1)
-    count = int(in_use.sum())
+    pairs = marks.isel(mark=np.flatnonzero(used_of(marks) & in_layers(marks, (first, second))))
+    count = pairs.sizes["mark"]
     if count < least:
         raise MarkError(
-            f"{name} holds {len(in_use)} marks, of which {count} are used and lie in both {first} and {second}. "
-            f"At least {least} are needed, far apart: add marks, or use those that are switched off."
+            f"{name} holds {marks.sizes['mark']} marks, of which {count} are used and lie in both {first} and "
+            f"{second}. At least {least} are needed, far apart: add marks, or use those that are switched off."
         )
-    side = "volume" if a.shape[1] == 3 else "moving"
-    labels = [label for label, keep in zip(labels_of(marks), in_use, strict=True) if keep]
-    pairs = make_marks(labels, {side: MarkPlaces(um=a[in_use]), "fixed": MarkPlaces(um=b[in_use])})
+    um = points_of(pairs, first)
+    side = "volume" if um.shape[1] == 3 else "moving"
+    places = {side: MarkPlaces(um=um), "fixed": MarkPlaces(um=points_of(pairs, second)[:, :2])}
+    pairs = make_marks(labels_of(pairs), places)
     return pairs.drop_vars(["used", f"{side}_source", "fixed_source"]).drop_attrs(deep=False)
 
 
@@ -236,13 +234,10 @@ def pair_of_layers(
 ) -> tuple[str, str]:
     """Return which layers are the moving and the fixed one."""
     names = layer_names(marks)
-    for wanted in (moving, fixed):
-        if wanted is not None:
-            _check_layer(marks, wanted)
-    if moving is None and fixed is None and "fixed" in names:
-        for side in ("moving", "volume"):
-            if side in names:
-                return side, "fixed"
+    for wanted in filter(None, (moving, fixed)):
+        _check_layer(marks, wanted)
+    if not moving and not fixed and "fixed" in names and {"moving", "volume"} & set(names):
+        return "moving" if "moving" in names else "volume", "fixed"
     if len(names) < 2:
         raise MarkError(
             f"{name} holds marks of one layer only ({', '.join(names) or 'none'}); pairs of a moving and a fixed layer "
@@ -263,10 +258,6 @@ def _check_layer(marks: xr.Dataset, layer: str) -> None:
         raise MarkError(f"The marks have no layer {layer!r}; they have {', '.join(names) or 'none'}.")
 
 
-FARTHEST_UM = 1e9  # positions beyond are errors of unit or of writing; within, no arithmetic overflows
-SLACK = 0.05  # marks may lie outside their layer by this share of it: borders are cut in many ways
-
-
 def check_marks(marks: xr.Dataset, name: str) -> None:
     """Refuse marks that are not unique or lie at no finite position."""
     labels, used = labels_of(marks), used_of(marks)
@@ -276,7 +267,8 @@ def check_marks(marks: xr.Dataset, name: str) -> None:
     for layer in layer_names(marks):
         points = points_of(marks, layer)
         missing = np.isnan(points)
-        wrong = (np.abs(points) > FARTHEST_UM).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
+        # Farther positions are errors of unit or of writing; within, no arithmetic overflows.
+        wrong = (np.abs(points) > 1e9).any(axis=1) | (missing.any(axis=1) & ~missing.all(axis=1))
         faults += [f"{labels[k]} has no position within a kilometre in {layer}" for k in np.flatnonzero(wrong)]
         first: dict[tuple[float, ...], int] = {}
         for k in np.flatnonzero(used & np.isfinite(points).all(axis=1)).tolist():
@@ -290,65 +282,58 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
     """Refuse marks that cannot be um in their layer, where its pixel size and its size in pixels are known."""
     stated = marks.attrs.get("read_from", {}).get("stated", True)
     for layer in layer_names(marks):
-        about = about_layer(marks, layer)
-        points = points_of(marks, layer)[:, :2]
-        points = points[np.isfinite(points).all(axis=1)]
-        if len(points) < 3 or not {"pixel_um", "size_px"} <= about.keys():
-            continue
-        if misfit := _misfit(points, about, stated=stated):
+        about = {"origin_um": {"x": 0.0, "y": 0.0}} | about_layer(marks, layer)
+        points = points_of(marks, layer)[in_layers(marks, [layer]), :2]
+        if len(points) >= 3 and {"pixel_um", "size_px"} <= about.keys() and (misfit := _misfit(points, about, stated)):
             raise MarkError(f"{name}: the marks in {layer} span {misfit}")
 
 
-def _misfit(points: Floats, about: dict[str, Any], *, stated: bool) -> str:
+def _misfit(points: Floats, about: dict[str, Any], stated: bool) -> str:
     """Describe why marks cannot be um in their layer; empty where they can."""
-    facts = {"origin_um": {"x": 0.0, "y": 0.0}} | about
     pixel, count, origin = (
-        np.array([facts[key][axis] for axis in "xy"], dtype=np.float64) for key in ("pixel_um", "size_px", "origin_um")
+        np.array([about[key][axis] for axis in "xy"], dtype=np.float64) for key in ("pixel_um", "size_px", "origin_um")
     )
-    size = pixel * count
-    placed = points - origin
-    spans = f"{_size(np.ptp(points, axis=0))}, the layer {_size(size)}"
-    is_inside = _inside(placed, size).all()
+    size, span, placed = pixel * count, np.ptp(points, axis=0), points - origin
+    spans = f"{_size(span)}, the layer {_size(size)}"
+    is_inside, pixels_fit = _inside(placed, size), _inside(points, count).all()
     are_halves = bool(np.all(points * 2 == np.round(points * 2)))
     # Places clicked on pixels and then turned into um are multiples of the pixel.
     are_pixels = bool(np.all(np.abs(placed / pixel - np.round(placed / pixel)) < 1e-6))
     # Pixels of nearly 1 um cannot be distinguished from um.
-    if are_halves and not are_pixels and pixel.max() > 1.5 and _inside(points, count).all():
+    if are_halves and not are_pixels and pixel.max() > 1.5 and pixels_fit:
         return (
             f"{spans}, and all positions are whole or half numbers: they look like pixels. "
             f"{_remedy('pixel', stated)} If they are um, write them with decimals."
         )
-    if is_inside and _inside(points * 1000, size).all() and np.ptp(points, axis=0).max() < 0.01 * size.max():
-        return f"{spans}: they look like mm. {_remedy('mm', stated)}"
-    if is_inside:
+    if is_inside.all():
+        if _inside(points * 1000, size).all() and span.max() < 0.01 * size.max():
+            return f"{spans}: they look like mm. {_remedy('mm', stated)}"
         return ""
     spans += f" from ({origin[0]:g}, {origin[1]:g}) um"
-    if _inside(points, count).all():
+    if pixels_fit:
         return f"{spans}: they look like pixels. {_remedy('pixel', stated)}"
     if _inside(placed[:, ::-1], size).all():
         return f"{spans}: they would fit with x and y exchanged. Exchange the columns: x runs to the right, y down"
-    far = int(np.count_nonzero(~_inside(placed, size)))
     return (
-        f"{spans}: {far} of {len(points)} lie outside it. Check the unit, the pixel size, and that they belong to this "
-        "image"
+        f"{spans}: {np.count_nonzero(~is_inside)} of {len(points)} lie outside it. Check the unit, the pixel size, and "
+        "that they belong to this image"
     )
 
 
 def _remedy(unit: str, stated: bool) -> str:
     """Advise what to do with positions in another unit than um."""
     if stated:
-        by = "the pixel size" if unit == "pixel" else "1000"
-        return f"The file says um: multiply them by {by}."
+        return f"The file says um: multiply them by {'the pixel size' if unit == 'pixel' else '1000'}."
     sizes = " with --moving-pixel-um and --fixed-pixel-um" if unit == "pixel" else ""
     return f"Convert them by planish marks convert --unit {unit}{sizes}."
 
 
 def _inside(points: Floats, size: Floats) -> Bools:
-    return np.all((points >= -SLACK * size) & (points <= (1 + SLACK) * size), axis=1)
+    """Return which points lie in a layer, or outside by a twentieth of it: borders are cut in many ways."""
+    return np.all((points >= -0.05 * size) & (points <= 1.05 * size), axis=1)
 
 
 def _size(um: Floats) -> str:
     """Write width and height: ``1.9 x 1.2 mm``."""
-    if max(um) < 100:
-        return f"{um[0]:.3g} x {um[1]:.3g} um"
-    return f"{um[0] / 1000:.3g} x {um[1] / 1000:.3g} mm"
+    unit, factor = ("um", 1) if max(um) < 100 else ("mm", 1000)
+    return f"{um[0] / factor:.3g} x {um[1] / factor:.3g} {unit}"

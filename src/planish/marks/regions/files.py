@@ -14,7 +14,8 @@ import math
 import struct
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
@@ -25,23 +26,71 @@ from planish.core.tables import decode_text, raise_faults, read_bytes
 from planish.marks.regions.model import MOST_POINTS, MOST_REGIONS, Region, Regions, Ring, nested, ring_of, text_of
 
 ROI, ZIP = b"Iout", b"PK"  # first bytes of a selection and of an archive
-_HEAD, _SECOND = 64, 52  # bytes of the two headers
-_SPLINE, _SUBPIXEL, _SUBPIXEL_FROM, _SUBPIXEL_BOX_FROM = 1, 128, 222, 223  # options, and versions from which they hold
+_HEAD = 64  # bytes
 _RECTANGLE, _OVAL, _POLYGONS = 1, 2, (0, 7, 8)  # drawn by points, freehand, traced
 _NO_AREA = {3: "a line", 4: "a freehand line", 5: "a segmented line", 6: "empty", 9: "an angle", 10: "points"}
 _OVERLAYS = {1: "a text", 2: "an arrow", 4: "an image"}
 _MOVE, _LINE, _QUADRATIC, _CUBIC, _CLOSE = range(5)  # codes of composite selections
 # ImageJ takes a pixel whose centre lies on a border where the region lies left of it, planish where it lies right.
 _NUDGE = np.array([2.0**-26, 2.0**-34])
-_WIDEST = 1e6  # pixels
 _DRAW = "Draw each region as a polygon, rectangle, oval or freehand selection, and save it again."
+_LARGEST_FILE = 64_000_000
+_TEXTS = ("name", "reason", "author")
 
 
-def _unpacked(data: bytes, name: str, *, most: int) -> list[tuple[str, bytes]]:
-    """Names and bytes of an archive of selections, unpacked at most ``most`` bytes."""
+def read_regions(path: str | Path) -> Regions:
+    """Read regions of GeoJSON, or of ImageJ: a selection or an archive of them.
+
+    Parameters
+    ----------
+    path : path
+
+    Returns
+    -------
+    Regions
+        In um of GeoJSON; of ImageJ in pixels, which :meth:`Regions.on` turns into um.
+
+    Raises
+    ------
+    FileError
+        If the file cannot be read, is damaged, too large, or holds something else than polygons; all faults are named.
+    """
+    name = Path(path).name
+    content = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
+    faults: list[str] = []
+    readers: list[tuple[str, Callable[[], Region]]] = []
+    if is_imagej := content.startswith((ZIP, ROI)):
+        remedy = _DRAW
+        for part, data in _unpacked(content, name) if content.startswith(ZIP) else [(name, content)]:
+            readers.append((repr(part[:80]), partial(_selection, data, PurePosixPath(part).stem)))
+    else:
+        remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
+        for k, feature in enumerate(_features(content, name, faults), 1):
+            readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
+    regions: list[Region] = []
+    for title, read in readers:
+        try:
+            regions.append(read())
+        except (ValueError, struct.error) as error:
+            faults.append(f"{title}: {'it ends early' if isinstance(error, struct.error) else error}")
+    raise_faults(name, faults, remedy, error=FileError)
+    points = sum(len(ring) for region in regions for rings in region.polygons for ring in rings)
+    if not regions:
+        raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
+    if len(regions) > MOST_REGIONS or points > MOST_POINTS:
+        raise FileError(
+            f"{name} holds {len(regions)} regions with {points} points; {MOST_REGIONS} regions with {MOST_POINTS} "
+            "points are the most. Simplify them, or join them to MultiPolygons."
+        )
+    return Regions(declared=tuple(regions), in_pixels=is_imagej)
+
+
+def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
+    """Names and bytes of an archive of selections."""
     if data.count(b"PK\1\2") > 2 * MOST_REGIONS:  # entries of its table of contents, before that is read
         raise FileError(f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of ImageJ.")
     parts: list[tuple[str, bytes]] = []
+    most = _LARGEST_FILE
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for entry in archive.infolist():
@@ -62,55 +111,43 @@ def _unpacked(data: bytes, name: str, *, most: int) -> list[tuple[str, bytes]]:
     return parts
 
 
-def _read_selections(parts: list[tuple[str, bytes]], name: str) -> Regions:
-    faults: list[str] = []
-    regions: list[Region] = []
-    for part, data in parts:
-        try:
-            regions.append(_selection(data, PurePosixPath(part).stem))
-        except (ValueError, struct.error) as error:
-            why = "it ends early" if isinstance(error, struct.error) else error
-            faults.append(f"{part[:80]!r}: {why}")
-    raise_faults(name, faults, _DRAW, error=FileError)
-    return Regions(declared=tuple(regions), in_pixels=True)
-
-
 def _selection(data: bytes, default_name: str) -> Region:
-    """Make a region of a selection; ValueError or struct.error where it is none."""
+    """Make a region of a selection; ValueError where it is none, struct.error where it ends early."""
     if not data.startswith(ROI):
         raise ValueError("it is no selection of ImageJ")
     version, kind = struct.unpack_from(">hB", data, 4)
     (composite,) = struct.unpack_from(">i", data, 36)
-    subtype, options, _, rounded, _, second_header = struct.unpack_from(">hhhhii", data, 48)
+    subtype, options, rounded, second_header = struct.unpack_from(">hh2xh4xi", data, 48)
     if kind in _NO_AREA or subtype in _OVERLAYS:
         raise ValueError(f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(kind)}, which covers no area")
-    subpixel_version = version if options & _SUBPIXEL else 0
+    subpixel_version = version if options & 128 else 0
     if composite > 0:
         polygons = nested([ring_of(ring) for ring in _composite_rings(data, composite)])
     elif kind in (_RECTANGLE, _OVAL):
         if kind == _RECTANGLE and rounded > 0:
             raise ValueError("it is a rectangle with rounded corners")
-        polygons = ((ring_of(_box(data, kind, is_subpixel=subpixel_version >= _SUBPIXEL_BOX_FROM)),),)
+        polygons = ((ring_of(_box(data, kind, is_subpixel=subpixel_version >= 223)),),)
     elif kind in _POLYGONS:
-        if options & _SPLINE:
+        if options & 1:
             raise ValueError("it is fitted with a spline; take points along it (Edit, Selection, Interpolate)")
-        polygons = ((ring_of(_polygon(data, is_subpixel=subpixel_version >= _SUBPIXEL_FROM)),),)
+        polygons = ((ring_of(_polygon(data, is_subpixel=subpixel_version >= 222)),),)
     else:
         raise ValueError(f"it is of the unknown type {kind}")
-    label, properties = "", dict[str, str]()
-    if _HEAD <= second_header <= len(data) - _SECOND:
-        label = _text(data, *struct.unpack_from(">ii", data, second_header + 16))
-        lines = _text(data, *struct.unpack_from(">ii", data, second_header + 40)).splitlines()
-        properties = {key.strip().lower(): value for key, sign, value in (k.partition(":") for k in lines) if sign}
-    texts = {"name": label or default_name} | {k: properties[k] for k in ("reason", "author") if k in properties}
-    return Region(polygons=polygons, **{key: text_of(value, key) for key, value in texts.items()})
+    texts = {"name": default_name}
+    if _HEAD <= second_header <= len(data) - 52:
+        texts["name"] = _text(data, second_header + 16) or default_name
+        for line in _text(data, second_header + 40).splitlines():
+            key, _, text = line.partition(":")
+            if key.strip().lower() in _TEXTS[1:]:
+                texts[key.strip().lower()] = text
+    return Region(polygons=polygons, **{key: text_of(text, key) for key, text in texts.items()})
 
 
 def _box(data: bytes, kind: int, *, is_subpixel: bool) -> Ring:
     """Give the corners of a rectangle; or an oval, as a polygon with its points on it."""
     top, left, bottom, right = map(_short, struct.unpack_from(">4h", data, 8))
     x, y, w, h = struct.unpack_from(">4f", data, 18) if is_subpixel else (left, top, right - left, bottom - top)
-    if not (0 < w <= _WIDEST and 0 < h <= _WIDEST):
+    if not (0 < w <= 1e6 and 0 < h <= 1e6):
         raise ValueError(f"it is {w:g} x {h:g} pixels large")
     if kind == _RECTANGLE:
         return np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
@@ -122,16 +159,14 @@ def _box(data: bytes, kind: int, *, is_subpixel: bool) -> Ring:
 
 def _polygon(data: bytes, *, is_subpixel: bool) -> Ring:
     """Give the places of the points: whole pixels within the box of the selection, or finer ones."""
-    y0, x0, _, _, count = struct.unpack_from(">4hH", data, 8)
+    y0, x0, count = struct.unpack_from(">2h4xH", data, 8)
     if count == 0:  # more than two bytes can count
         (count,) = struct.unpack_from(">i", data, 18)
     if not 3 <= count <= MOST_POINTS:
         raise ValueError(f"it has {count} points; 3 to {MOST_POINTS} are possible")
-    begin, kind = (_HEAD + 4 * count, ">f4") if is_subpixel else (_HEAD, ">i2")
-    size = 2 * count * np.dtype(kind).itemsize
-    if len(data) < begin + size:
-        raise ValueError("it ends early")
-    places = np.frombuffer(data, kind, 2 * count, begin).reshape(2, count).T.astype(np.float64)
+    begin, kind = (_HEAD + 4 * count, "f") if is_subpixel else (_HEAD, "h")
+    numbers = struct.unpack_from(f">{2 * count}{kind}", data, begin)
+    places = np.array(numbers, dtype=np.float64).reshape(2, count).T
     if not is_subpixel:
         places = np.maximum(np.where(places < -5000, places + 65536, places), 0)
         places = places + np.array([_short(x0), _short(y0)])
@@ -142,9 +177,7 @@ def _composite_rings(data: bytes, count: int) -> Iterator[Ring]:
     """Yield the borders of a composite selection: moves, lines and ends, each a code and its place."""
     if count > 3 * MOST_POINTS:
         raise ValueError(f"it has {count} numbers; {MOST_POINTS} points are possible")
-    if len(data) < _HEAD + 4 * count:
-        raise ValueError("it ends early")
-    numbers = np.frombuffer(data, ">f4", count, _HEAD).astype(np.float64)
+    numbers = np.array(struct.unpack_from(f">{count}f", data, _HEAD))
     position, begins = 0, list[list[int]]()
     while position < count:
         code = numbers[position]
@@ -165,64 +198,21 @@ def _composite_rings(data: bytes, count: int) -> Iterator[Ring]:
             yield ring + _NUDGE
 
 
-def _short(value: int) -> int:
+def _short(place: int) -> int:
     """Undo the overflow of a place beyond 32767, as ImageJ does."""
-    return value + 65536 if value < -5000 else value
+    return place + 65536 if place < -5000 else place
 
 
-def _text(data: bytes, begin: int, length: int) -> str:
+def _text(data: bytes, offset: int) -> str:
+    """Give the text whose place and length stand at an offset."""
+    begin, length = struct.unpack_from(">ii", data, offset)
     if begin <= 0 or length <= 0:
         return ""
-    if begin + 2 * length > len(data):
-        raise ValueError("it ends early")
-    return data[begin : begin + 2 * length].decode("utf-16-be", "replace")
+    return struct.unpack_from(f"{2 * length}s", data, begin)[0].decode("utf-16-be", "replace")
 
 
-_LARGEST_FILE = 64_000_000
-_REMEDY = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
-_TEXTS = ("name", "reason", "author")
-
-
-def read_regions(path: str | Path) -> Regions:
-    """Read regions of GeoJSON, or of ImageJ: a selection or an archive of them.
-
-    Parameters
-    ----------
-    path : path
-
-    Returns
-    -------
-    Regions
-        In um of GeoJSON; of ImageJ in pixels, which :meth:`Regions.on` turns into um.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged, too large, or holds something else than polygons.
-    """
-    name = Path(path).name
-    content = read_bytes(path, what="file of regions", most=_LARGEST_FILE)
-    if content.startswith((ZIP, ROI)):
-        parts = _unpacked(content, name, most=_LARGEST_FILE) if content.startswith(ZIP) else [(name, content)]
-        regions = _read_selections(parts, name)
-    else:
-        regions = _read_geojson(content, name)
-    points = sum(len(ring) for region in regions.declared for rings in region.polygons for ring in rings)
-    if not regions.declared:
-        raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
-    if len(regions.declared) > MOST_REGIONS or points > MOST_POINTS:
-        raise FileError(
-            f"{name} holds {len(regions.declared)} regions with {points} points; {MOST_REGIONS} regions with "
-            f"{MOST_POINTS} points are the most. Simplify them, or join them to MultiPolygons."
-        )
-    return regions
-
-
-def _read_geojson(data: bytes, name: str) -> Regions:
-    """Read a FeatureCollection, a Feature, or a bare Polygon or MultiPolygon.
-
-    FileError if it is no GeoJSON, damaged, or holds something else than polygons; all faults are named.
-    """
+def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
+    """Read the features of a FeatureCollection or a Feature; a bare Polygon or MultiPolygon becomes one."""
     text = decode_text(data, name, what="file of regions")
     # Every point has a bracket: what has far more of them would fill the memory when it is decoded.
     if max(text.count("["), text.count("{")) > 2 * MOST_POINTS:
@@ -233,50 +223,35 @@ def _read_geojson(data: bytes, name: str) -> Regions:
         raise FileError(f"{name} is nested too deeply for GeoJSON. Save the regions again.") from error
     except ValueError as error:
         raise FileError(f"{name} is neither GeoJSON nor a file of ImageJ: {error}. Save the regions again.") from error
-    faults: list[str] = []
-    regions: list[Region] = []
-    for k, feature in enumerate(_features(content, name, faults), 1):
-        try:
-            regions.append(_region(feature, f"region {k}"))
-        except ValueError as error:
-            faults.append(f"region {k}: {error}")
-    raise_faults(name, faults, _REMEDY, error=FileError)
-    return Regions(declared=tuple(regions))
-
-
-def _features(content: object, name: str, faults: list[str]) -> Iterator[dict[str, Any]]:
-    """Yield all features of a file; a bare geometry becomes one."""
-    top = _object(content) or {}
-    kind = top.get("type")
+    top = _object(content)
+    kind, features = top.get("type"), top.get("features")
     if top.get("units", "um") != "um":
         faults.append("its units are not um")
     if kind in ("Polygon", "MultiPolygon"):
-        yield {"geometry": top}
-    elif kind == "Feature":
-        yield top
-    elif kind == "FeatureCollection" and isinstance(top.get("features"), list):
-        yield from (_object(feature) or {} for feature in cast("list[object]", top["features"]))
-    else:
-        raise FileError(
-            f"{name} is JSON, but no GeoJSON of regions: a FeatureCollection, a Feature, a Polygon or a MultiPolygon "
-            "is needed. Draw the regions as polygons and save them as GeoJSON."
-        )
+        return [{"geometry": top}]
+    if kind == "Feature":
+        return [top]
+    if kind == "FeatureCollection" and isinstance(features, list):
+        return cast("list[Any]", features)
+    raise FileError(
+        f"{name} is JSON, but no GeoJSON of regions: a FeatureCollection, a Feature, a Polygon or a MultiPolygon is "
+        "needed. Draw the regions as polygons and save them as GeoJSON."
+    )
 
 
-def _region(feature: dict[str, Any], default_name: str) -> Region:
-    geometry, properties = _object(feature.get("geometry")) or {}, feature.get("properties")
+def _region(feature: object, default_name: str) -> Region:
+    geometry, properties = _object(_object(feature).get("geometry")), _object(feature).get("properties")
     kind, places = geometry.get("type"), geometry.get("coordinates")
     if kind not in ("Polygon", "MultiPolygon"):
         described = repr(kind[:40]) if isinstance(kind, str) else "none"
         raise ValueError(f"its geometry is {described}; a Polygon or MultiPolygon is needed")
-    if properties is not None and _object(properties) is None:
+    if not isinstance(properties, dict | None):
         raise ValueError("its properties are no object")
-    texts = {key: text_of((properties or {}).get(key), key) for key in _TEXTS}
-    polygons = tuple(
-        tuple(_ring(ring) for ring in _list(rings, "a polygon"))
-        for rings in (_list(places, "coordinates") if kind == "MultiPolygon" else [places])
-    )
-    return Region(polygons=polygons, **(texts | {"name": texts["name"] or default_name}))
+    texts = {key: text_of(_object(properties).get(key), key) for key in _TEXTS}
+    texts["name"] = texts["name"] or default_name
+    polygons = _list(places, "coordinates") if kind == "MultiPolygon" else [places]
+    borders = (map(_ring, _list(polygon, "a polygon")) for polygon in polygons)
+    return Region(polygons=tuple(map(tuple, borders)), **texts)
 
 
 def _ring(points: object) -> Ring:
@@ -286,19 +261,20 @@ def _ring(points: object) -> Ring:
         if not isinstance(place, list) or len(place) not in (2, 3) or any(type(v) not in (int, float) for v in place):
             raise ValueError(f"position {k} of a border is not [x, y]")
     try:
-        return ring_of(np.array([p[:2] for p in listed], dtype=np.float64))
+        return ring_of(np.array([place[:2] for place in listed], dtype=np.float64))
     except OverflowError as error:
         raise ValueError("a coordinate is beyond all numbers") from error
 
 
-def _list(value: object, title: str) -> list[Any]:
-    if not isinstance(value, list) or not value:
+def _list(content: object, title: str) -> list[Any]:
+    if not isinstance(content, list) or not content:
         raise ValueError(f"{title} is no list, or empty")
-    return cast("list[Any]", value)
+    return cast("list[Any]", content)
 
 
-def _object(value: object) -> dict[str, Any] | None:
-    return cast("dict[str, Any]", value) if isinstance(value, dict) else None
+def _object(content: object) -> dict[str, Any]:
+    """Give an object of a file; an empty one where it is none."""
+    return cast("dict[str, Any]", content) if isinstance(content, dict) else {}
 
 
 def geojson_text(regions: Regions) -> str:

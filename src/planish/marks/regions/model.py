@@ -69,11 +69,10 @@ class Regions:
             return self
         down, across = grid.pixel_um
         size, origin = np.array([across, down]), np.array(grid.origin_um)
-        polygons = [
-            tuple(tuple((ring - 0.5) * size + origin for ring in rings) for rings in region.polygons)
-            for region in self.declared
-        ]
-        in_um = [replace(region, polygons=rings) for region, rings in zip(self.declared, polygons, strict=True)]
+        in_um: list[Region] = []
+        for region in self.declared:
+            polygons = (tuple((ring - 0.5) * size + origin for ring in rings) for rings in region.polygons)
+            in_um.append(replace(region, polygons=tuple(polygons)))
         return Regions(declared=tuple(in_um))
 
     def inside(self, grid: Grid) -> Bools:
@@ -104,13 +103,14 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
     """
     if not 0 < len(rings) <= MOST_REGIONS:
         raise ValueError(f"it has {len(rings)} borders; 1 to {MOST_REGIONS} are possible")
-    boxes = np.array([[*ring.min(axis=0), *ring.max(axis=0)] for ring in rings])
+    lows, highs = np.array([(ring.min(axis=0), ring.max(axis=0)) for ring in rings]).swapaxes(0, 1)
     around: list[list[int]] = []
     for k, ring in enumerate(rings):
         # Borders may touch, so that single places of one may lie on another: most of a few decide.
         probes = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // 5)]
-        within = (boxes[:, :2] <= boxes[k, :2]).all(axis=1) & (boxes[:, 2:] >= boxes[k, 2:]).all(axis=1)
-        candidates = [j for j in np.flatnonzero(within).tolist() if j != k]
+        is_within = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
+        is_within[k] = False
+        candidates = np.flatnonzero(is_within).tolist()
         around.append([j for j in candidates if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)])
     polygons: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(around[k]) % 2 == 0}
     for k, ring in enumerate(rings):
