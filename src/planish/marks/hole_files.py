@@ -75,9 +75,9 @@ def holes_to_json(holes: xr.Dataset) -> dict[str, Any]:
         else:
             attributes = _plain(variable.attrs, str(name), faults)
             variables[str(name)] = {"type": kind, "attributes": attributes, "values": _plain(variable.values)}
-    attributes = _plain({k: v for k, v in holes.attrs.items() if k != "plane"}, "the holes", faults)
+    attributes = _plain(holes.attrs, "the holes", faults)
     refuse("The holes cannot be written", faults, f"Types are {', '.join(_COLUMN_TYPES)}, along 'mark'.")
-    head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": holes.attrs.get("plane")}
+    head = {"format": FORMAT, "version": VERSION, "units": "um", "plane": attributes.pop("plane", None)}
     return head | {"attributes": attributes, "variables": variables}
 
 
@@ -104,24 +104,23 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
             "find the holes again."
         )
     where: tuple[str, ...] = ()
+    variables: dict[str, Any] = {}
     try:
         file = _File.model_validate(dict(content))
         for key, variable in file.variables.items():
             where = ("variables", key, "values")
-            TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
+            numbers = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
+            dtype = np.str_ if variable.type == "str" else variable.type
+            column = np.array(_missing_as_nan(numbers), dtype=dtype)
+            variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     except ValidationError as error:
         refuse(name, model_faults(error, where), _REMEDY)
         raise
     counts = sorted({len(variable.values) for variable in file.variables.values()})
-    faults = [f"no {key}" for key in "xy" if key not in file.variables]
+    faults = [f"no {key}" for key in "xy" if key not in variables]
     if len(counts) > 1:
         faults.append(f"variables have {', '.join(map(str, counts))} values; as many of each are needed")
     refuse(name, faults, _REMEDY)
-    variables: dict[str, Any] = {}
-    for key, variable in file.variables.items():
-        dtype = np.str_ if variable.type == "str" else variable.type
-        column = np.array(_missing_as_nan(variable.values), dtype=dtype)
-        variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     plane = {} if file.plane is None else {"plane": file.plane}
     return xr.Dataset(variables, attrs=_missing_as_nan(file.attributes) | plane)
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -9,7 +11,7 @@ from scipy import ndimage
 
 from planish.core.bands import band_of, bands, thinned
 from planish.core.grid import Grid
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.marks.candidates import Raster, reduce_to
 
 
@@ -53,40 +55,37 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         the floor of the whole holes, and has a tenth of their area or more. What is wider than twice the largest of
         them is none.
     """
+    grid = Grid.of(image)
+    centres, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
     circles: list[tuple[float, float, float]] = []
-    if holes.sizes["mark"]:
-        grid = Grid.of(image)
-        centres, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
-        inner, outer = (hole_mask(grid, centres, factor * radius) for factor in (0.6, 1.5))
-        _, (greys, inner, outer) = thinned(image, inner, outer)
-        floor, sheet = (float(np.nanmedian(greys[use])) if use.any() else np.nan for use in (inner, ~outer))
-        if np.isfinite(floor - sheet) and floor != sheet:
-            # Beyond half way from the sheet to the floor of the holes.
-            parts = (band_of(image, rows) for rows in bands(grid.shape[0]))
-            is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in parts]
-            circles = _border_circles(np.concatenate(is_beyond), grid, radius)
+    for rows, cols in _border_regions(image, grid, centres, radius) if len(radius) else ():
+        points = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
+        x, y = points.mean(axis=0).tolist()
+        reach = float(np.hypot(*(points - (x, y)).T).max())
+        if reach <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
+            circles.append((x, y, 2 * reach))
     columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
     return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), columns, strict=True)})
 
 
-def _border_circles(is_beyond: Bools, grid: Grid, radius: Floats) -> list[tuple[float, float, float]]:
-    """Give circles around the regions that touch the border."""
-    labels = np.asarray(ndimage.label(is_beyond)[0])
+def _border_regions(image: xr.DataArray, grid: Grid, centres: Floats, radius: Floats) -> Iterator[tuple[Ints, Ints]]:
+    """Yield rows and columns of what touches the border and is beyond half way from the sheet to the floor of holes."""
+    inner, outer = (hole_mask(grid, centres, factor * radius) for factor in (0.6, 1.5))
+    _, (greys, inner, outer) = thinned(image, inner, outer)
+    floor, sheet = (float(np.nanmedian(greys[use])) if use.any() else np.nan for use in (inner, ~outer))
+    if not np.isfinite(floor - sheet) or floor == sheet:
+        return
+    parts = (band_of(image, rows) for rows in bands(grid.shape[0]))
+    is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in parts]
+    labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    down, across = grid.pixel_um
-    least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (down * across)
-    circles: list[tuple[float, float, float]] = []
+    least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (grid.pixel_um[0] * grid.pixel_um[1])
     boxes = ndimage.find_objects(labels)
     for label in border[border > 0]:
         box = boxes[label - 1]
         rows, cols = (index + side.start for index, side in zip(np.nonzero(labels[box] == label), box, strict=True))
         if rows.size >= least:
-            points = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
-            x, y = points.mean(axis=0).tolist()
-            reach = float(np.hypot(*(points - (x, y)).T).max())
-            if reach <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
-                circles.append((x, y, 2 * reach))
-    return circles
+            yield rows, cols
 
 
 def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -> NDArray[np.float32]:
@@ -116,7 +115,7 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     Otsu (1979), IEEE Trans. Syst. Man Cybern. 9, 62, doi:10.1109/TSMC.1979.4310076.
     """
     whole = np.asarray(image, dtype=np.float32)
-    # Dots are distinguished from holes with 40 pixels over the smallest hole.
+    # 40 pixels across the smallest hole distinguish dots from holes.
     small, size, _ = reduce_to(Raster(whole, pixel_um), least_um / 40.0)
     has_data = np.isfinite(small)
     if not has_data.any():
@@ -135,14 +134,14 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     middle = dark & (depth[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(size))
     # A hole grows back beyond the discs in it: its rim stays as it is.
     reach = least_um / 2 + 1.5 * max(size)
-    hole = np.zeros_like(dark)
+    hole = middle
     if middle.any():
         hole = np.asarray(ndimage.distance_transform_edt(~middle, sampling=size)) < reach
     # Two pixels around a dot are not yet as bright as paper.
     dots = ndimage.binary_dilation(dark & ~hole, iterations=2) & ~hole
-    factors = [round(a / b) for a, b in zip(size, pixel_um, strict=True)]
     rows, cols = (
-        np.minimum(np.arange(n) // k, m - 1) for n, k, m in zip(whole.shape, factors, dots.shape, strict=True)
+        np.minimum(np.arange(n) // round(coarse / fine), m - 1)
+        for n, m, coarse, fine in zip(whole.shape, dots.shape, size, pixel_um, strict=True)
     )
     out = whole.copy()
     out[dots[np.ix_(rows, cols)] & np.isfinite(whole)] = np.median(small[has_data & ~dark])

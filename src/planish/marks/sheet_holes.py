@@ -19,20 +19,15 @@ from planish.core.typing import Floats, Ints, Pair
 from planish.marks.find import find_holes
 from planish.marks.params import HoleParams
 
-MAPS = {"top": "presence", "centre": "presence_centre", "bottom": "presence_bottom"}
-PLACES = {"top": "below the top face", "centre": "at the centre surface", "bottom": "above the bottom face"}
-THROUGH, CLOSED, UNCLEAR = 0, 1, 2
-OTHER_SIDE = {THROUGH: "through", CLOSED: "closed", UNCLEAR: "unclear"}
-# A tapered hole is narrower, or wider, on the other side than what was asked for.
-OTHER_DIAMETER = 1.4
-# From one layer to another a hole moves by less than this share of its diameter: one that is more oblique is not round.
-REACH = 0.5
-# The middle of a hole, as a share of its diameter, and how much material in it closes a hole.
-MIDDLE, MATERIAL = 0.25, 0.5
-# Error of a median over that of a mean.
-MEDIAN_TO_MEAN = 1.2533
-# Holes found on both sides: the median offset of fewer is no better than none. It counts from so many standard errors.
-ENOUGH_THROUGH, STANDS_OUT = 4, 3.0
+LAYERS = {
+    "top": ("presence", "below the top face"),
+    "centre": ("presence_centre", "at the centre surface"),
+    "bottom": ("presence_bottom", "above the bottom face"),
+}
+OTHER_SIDE = ("through", "closed", "unclear")
+THROUGH, CLOSED, UNCLEAR = range(3)
+# How much material in the middle of a hole closes it.
+MATERIAL = 0.5
 
 
 def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side: Side = "top") -> xr.Dataset:
@@ -90,30 +85,32 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     """
     if side not in ("top", "bottom"):
         raise MarkError(f"The side is {side!r}; an image shows the 'top' or the 'bottom'.")
-    layers = {layer: maps[name].values for layer, name in MAPS.items() if name in maps}
+    layers = {layer: maps[name].values for layer, (name, _) in LAYERS.items() if name in maps}
     other: Side = "bottom" if side == "top" else "top"
     if side not in layers:
         side, other = other, side
     if side not in layers:
         raise MarkError(
-            f"The maps hold no layer of the material at a face of the sheet ({MAPS['top']} or {MAPS['bottom']}). Make "
-            "them again from the volume."
+            "The maps hold no layer of the material at a face of the sheet (presence or presence_bottom). Make them "
+            "again from the volume."
         )
     low, high = (params or HoleParams()).hole_um
     grid = Grid.of(maps)
-    ranges = dict.fromkeys(layers, (low / OTHER_DIAMETER, high * OTHER_DIAMETER)) | {side: (low, high)}
-    holes = {
-        layer: find_holes(share, pixel_um=grid.pixel_um, diameter_um=ranges[layer], polarity="dark")
-        for layer, share in layers.items()
-    }
+    holes: dict[str, xr.Dataset] = {}
+    for layer, share in layers.items():
+        # A tapered hole is narrower, or wider, on the other side than what was asked for.
+        diameter_um = (low, high) if layer == side else (low / 1.4, high * 1.4)
+        holes[layer] = find_holes(share, pixel_um=grid.pixel_um, diameter_um=diameter_um, polarity="dark")
     centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
-    rows = {layer: np.arange(len(centres)) if layer == side else np.full(len(centres), -1) for layer in MAPS}
+    count = len(centres)
+    rows = {layer: np.arange(count) if layer == side else np.full(count, -1) for layer in LAYERS}
     for layer in layers.keys() - {side}:
-        rows[layer] = _partners(centres, _xy(holes[layer]), REACH * diameters)
-    state, alone = np.full(len(centres), UNCLEAR, dtype=np.uint8), 0
+        # From one layer to another a hole moves by less than half its diameter: one that is more oblique is not round.
+        rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
+    state, unpaired = np.full(count, UNCLEAR, dtype=np.uint8), 0
     if other in layers:
-        alone = holes[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0))
-        state = _other_side(layers[other], grid.pixel_um, centres, diameters, _xy(holes[other]), rows[other])
+        unpaired = holes[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0))
+        state = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], rows[other])
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
     of_layers = _by_layer(holes, rows)
     offsets = _xy(of_layers, "_bottom") - _xy(of_layers, "_top")
@@ -122,34 +119,35 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     for axis, along, offset in zip("xy", ("along the columns", "down the rows"), offsets.T, strict=True):
         text = {"units": "um", "long_name": f"Offset from the top to the bottom {along}"}
         out[f"offset_{axis}"] = ("mark", offset, text)
-    flags = {"flag_values": list(OTHER_SIDE), "flag_meanings": " ".join(OTHER_SIDE.values())}
+    flags = {"flag_values": list(range(3)), "flag_meanings": " ".join(OTHER_SIDE)}
     out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"} | flags)
     # What is as large as a circle of this share of the holes' diameter is an opening that should be one.
-    least_um = 0.6 * float(np.median(diameters if len(centres) else [low]))
+    least_um = 0.6 * float(np.median(diameters if count else [low]))
     out.attrs |= {
         "side": side,
         "layers": list(layers),
         "openings": _openings(layers[side], grid.pixel_um, centres, least_um),
-        **{word: int(np.count_nonzero(state == k)) for k, word in OTHER_SIDE.items()},
-        "other_side_only": alone,
+        **{word: int(np.count_nonzero(state == k)) for k, word in enumerate(OTHER_SIDE)},
+        "other_side_only": unpaired,
         **statistics,
     }
     return out
 
 
 def _other_side(
-    share: NDArray[np.generic], pixel: Pair, centres: Floats, diameters: Floats, partners: Floats,
-    rows: Ints,
-) -> NDArray[np.uint8]:  # fmt: skip
+    share: NDArray[np.generic], pixel: Pair, holes: xr.Dataset, partners: xr.Dataset, rows: Ints
+) -> NDArray[np.uint8]:
     """Return the state of each hole on the other side, whose holes are ``partners`` and whose material is ``share``."""
-    is_through = rows >= 0
+    is_through, centres = rows >= 0, _xy(holes)
     state = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.
-    shift = np.median(partners[rows[is_through]] - centres[is_through], axis=0) if is_through.any() else np.zeros(2)
+    shift = np.zeros(2)
+    if is_through.any():
+        shift = np.median(_xy(partners)[rows[is_through]] - centres[is_through], axis=0)
     axes = [np.arange(n) * step for n, step in zip(share.shape, pixel, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
-        # The shares of the map within a radius of a place, without those that are missing.
-        radius = MIDDLE * float(diameters[k])
+        # The shares of the map in the middle of the hole, without those that are missing.
+        radius = 0.25 * float(holes["diameter"].values[k])
         down, along = (axis - place for axis, place in zip(axes, (centres[k] + shift)[::-1], strict=True))
         near = [np.flatnonzero(np.abs(d) <= radius) for d in (down, along)]
         distance = np.hypot(down[near[0]][:, None], along[near[1]][None])
@@ -162,22 +160,21 @@ def _other_side(
 def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[dict[str, Any], Floats]:
     """Summarise the offsets from top to bottom, as attributes, and give the move from the layer to its face."""
     measured = offsets[np.isfinite(offsets).all(axis=1)]
-    nothing = np.full(2, np.nan)
-    offset = np.median(measured, axis=0) if len(measured) else nothing
-    spread = MAD_TO_SD * np.median(np.abs(measured - offset), axis=0) if len(measured) > 1 else nothing
-    error = MEDIAN_TO_MEAN * spread / np.sqrt(max(len(measured), 1))
+    offset = spread = np.full(2, np.nan)
+    if len(measured):
+        offset = np.median(measured, axis=0)
+    if len(measured) > 1:
+        spread = MAD_TO_SD * np.median(np.abs(measured - offset), axis=0)
+    # The error of a median over that of a mean.
+    error = 1.2533 * spread / np.sqrt(max(len(measured), 1))
     to_face = np.zeros(2)
-    is_sure = len(measured) >= ENOUGH_THROUGH and np.hypot(*offset) > STANDS_OUT * np.hypot(*error)
+    # The median offset of fewer holes is no better than none; it counts from three standard errors.
+    is_sure = len(measured) >= 4 and np.hypot(*offset) > 3.0 * np.hypot(*error)
     if is_sure and maps.attrs.get("layer_to_face"):
         outward = float(maps.attrs["layer_to_face"])
         to_face = (-outward if side == "top" else outward) * offset
-    statistics = {
-        "offset_count": len(measured),
-        "offset_um": offset.tolist(),
-        "offset_spread_um": spread.tolist(),
-        "offset_error_um": error.tolist(),
-        "to_face_um": to_face.tolist(),
-    }
+    arrays = {"offset_um": offset, "offset_spread_um": spread, "offset_error_um": error, "to_face_um": to_face}
+    statistics = {"offset_count": len(measured)} | {name: pair.tolist() for name, pair in arrays.items()}
     if (thickness_um := maps.attrs.get("layers_apart_um")) is not None:
         statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset, thickness_um)).tolist()
     return statistics, to_face
@@ -187,18 +184,16 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
     """Summarise how the holes of :func:`find_sheet_holes` run through the sheet; None for holes of no sheet."""
     if holes is None or "through" not in holes.attrs:
         return None
-    count, closed = int(holes.attrs["offset_count"]), int(holes.attrs["closed"])
-    offset, error = (np.array(holes.attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
+    attrs = holes.attrs
+    offset, error = (np.array(attrs[k], dtype=np.float64) for k in ("offset_um", "offset_error_um"))
     text = "No hole was found on both sides of the sheet."
     if np.isfinite(offset).all():
-        text = (
-            f"{count} holes run through the sheet, shifted by {np.hypot(*offset):.1f} um from its upper to its lower "
-            "third"
-        )
+        text = f"{attrs['offset_count']} holes run through the sheet, shifted by {np.hypot(*offset):.1f} um from its"
+        text += " upper to its lower third"
         text += f" (± {np.sqrt(np.mean(error**2)):.1f} um)." if np.isfinite(error).all() else "."
-    if closed:
+    if closed := attrs["closed"]:
         text += f" {closed} {'is' if closed == 1 else 'are'} closed on the other side."
-    facts = {k: v for k, v in holes.attrs.items() if k in HoleTiltFacts.model_fields}
+    facts = {k: v for k, v in attrs.items() if k in HoleTiltFacts.model_fields}
     return HoleTiltFacts.model_validate({**facts, "sentence": text})
 
 
@@ -231,10 +226,8 @@ def _openings(share: NDArray[np.generic], pixel: Pair, centres: Floats, least_um
     regions: Ints = labelled[0]
     sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel[0] * pixel[1]
     sizes[np.unique(np.concatenate([regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~has_data]]))] = 0.0
-    hole_pixels = tuple(
-        np.clip(np.rint(centres[:, k] / pixel[1 - k]).astype(int), 0, share.shape[1 - k] - 1) for k in (1, 0)
-    )
-    sizes[regions[hole_pixels]] = 0.0
+    rows, cols = np.rint(centres[:, ::-1] / pixel).clip(0, np.array(share.shape) - 1).astype(np.intp).T
+    sizes[regions[rows, cols]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 
 
@@ -242,12 +235,11 @@ def _by_layer(holes: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset
     """Collect each layer's variables of the holes, NaN where a hole is missing."""
     variables: dict[str, tuple[str, Floats, dict[str, str]]] = {}
     template = next(iter(holes.values()))
-    for layer, place in PLACES.items():
-        is_present = rows[layer] >= 0
+    for layer, (_, place) in LAYERS.items():
         for name in ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter"):
-            column = np.full(is_present.shape, np.nan)
-            if is_present.any():
-                column[is_present] = holes[layer][name].values[rows[layer][is_present]]
+            numbers = holes[layer][name].values if layer in holes else np.empty(0)
             units, text = template[name].attrs["units"], f"{template[name].attrs['long_name']}, {place}"
+            # The last row is that of the holes that are missing, -1.
+            column = np.append(numbers, np.nan)[rows[layer]]
             variables[f"{name}_{layer}"] = ("mark", column, {"units": units, "long_name": text})
     return xr.Dataset(variables)
