@@ -247,7 +247,19 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
             raise MarkError(
                 f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error.text}."
             ) from error
-    return machine.dry_run()
+    if machine.on:
+        raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
+    if not machine.done & {"M2", "M30"}:
+        raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
+    if not machine.fired:
+        raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
+    return DryRun(
+        fired_um=np.array(machine.fired),
+        pulse_s=np.array(machine.pulses),
+        path_um=np.array(machine.path),
+        least_pause_s=float(min(np.diff(machine.switched_s)[1::2], default=math.nan)),
+        time_s=machine.clock_s,
+    )
 
 
 @dataclass
@@ -257,7 +269,6 @@ class _Machine:
     place: dict[str, float] = field(default_factory=dict[str, float])
     speed: float | None = None
     done: set[str] = field(default_factory=set[str])  # commands so far
-    moves: bool = False  # whether a position without a command is a move
     on: str = ""  # the command that switched the laser on
     clock_s: float = 0.0
     lit_s: float = 0.0  # how long the laser has been on
@@ -272,41 +283,40 @@ class _Machine:
             raise MarkError("the program goes on after its end; remove what follows M2")
         if foreign := _WORD.sub("", text):
             raise MarkError(f"{foreign[:20]!r} is not in the dialect ({_KNOWN})")
-        words = [(letter, float(value)) for letter, value in _WORD.findall(text) if letter != "N"]  # number of a line
-        commands = [f"{letter}{value:g}" for letter, value in words if letter in "GM"]
-        numbers = {letter: value for letter, value in words if letter not in "GM"}
+        words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]  # of a line
+        commands = [f"{letter}{number:g}" for letter, number in words if letter in "GM"]
+        numbers = {letter: number for letter, number in words if letter not in "GM"}
         if unknown := [command for command in commands if command not in _COMMANDS]:
             raise MarkError(f"{unknown[0]} is not known; the dialect has {_KNOWN}")
         if len(numbers) + len(commands) != len(words):
             raise MarkError("a letter is given twice")
         if sum(command not in ("G21", "G90") for command in commands) > 1:
             raise MarkError("two commands stand in one line; give each a line of its own")
-        allowed = "".join(_COMMANDS[command] for command in commands)
-        if not commands:
-            allowed = "XYF" if self.moves else "F"
+        # After the first move a position without a command is one, too.
+        if not commands and self.done & {"G0", "G1"}:
+            commands = ["G0"] if numbers.keys() & {"X", "Y"} else []
+        allowed = "".join(_COMMANDS[command] for command in commands) or "F" * (not commands)
         if meaningless := [letter for letter in numbers if letter not in allowed]:
             raise MarkError(f"{meaningless[0]} has no meaning here")
-        if "F" in numbers:
-            if numbers["F"] <= 0:
-                raise MarkError("the speed F is not positive")
-            self.speed = numbers["F"]
+        if numbers.get("F", 1.0) <= 0:
+            raise MarkError("the speed F is not positive")
+        self.speed = numbers.get("F", self.speed)
         self.done |= set(commands)
-        for command in commands or [""]:
+        for command in commands:
             self._command(command, numbers)
 
     def _command(self, command: str, numbers: dict[str, float]) -> None:
-        if command in ("", "G0", "G1"):
-            self.moves |= bool(command)
+        if command in ("G0", "G1"):
             if numbers.keys() & {"X", "Y"}:
                 self._move(numbers)
-            elif command and "F" not in numbers:
+            elif "F" not in numbers:
                 raise MarkError("a move without a position")
         elif command == "G4":
             seconds = numbers.get("P", -1.0)
             if seconds < 0:
                 raise MarkError("G4 needs a time P in seconds")
             self.clock_s += seconds
-            self.lit_s += seconds if self.on else 0.0
+            self.lit_s += seconds
             if self.on and self.lit_s > self.longest_s + 1e-12:
                 raise MarkError(
                     f"a pulse of {self.lit_s:g} s is longer than {self.longest_s:g} s and would burn the sheet; P is "
@@ -343,14 +353,14 @@ class _Machine:
         if self.on:
             raise MarkError("a move with the laser on; it would cut the sheet")
         for letter, low, high in zip("XY", self.range_um[:2], self.range_um[2:], strict=True):
-            if letter not in numbers:
-                continue
-            um = self.place[letter] = 1000 * numbers[letter]
-            if not low - 1e-3 <= um <= high + 1e-3:
+            um = 1000 * numbers.get(letter, math.nan)
+            if um < low - 1e-3 or um > high + 1e-3:
                 raise MarkError(
                     f"{letter} {um / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "
                     "move the origin or give the stage's own range"
                 )
+            if letter in numbers:
+                self.place[letter] = um
         if len(self.place) < 2:
             return
         target = self.place["X"], self.place["Y"]
@@ -359,20 +369,3 @@ class _Machine:
                 raise MarkError("a move before a speed F")
             self.clock_s += 60 * math.dist(target, self.path[-1]) / 1000 / self.speed
         self.path.append(target)
-
-    def dry_run(self) -> DryRun:
-        """Give the dry run, if the program is whole."""
-        if self.on:
-            raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
-        if not self.done & {"M2", "M30"}:
-            raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
-        if not self.fired:
-            raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
-        pauses = np.diff(self.switched_s)[1::2].tolist()
-        return DryRun(
-            fired_um=np.array(self.fired),
-            pulse_s=np.array(self.pulses),
-            path_um=np.array(self.path),
-            least_pause_s=min(pauses, default=math.nan),
-            time_s=self.clock_s,
-        )
