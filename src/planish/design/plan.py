@@ -12,7 +12,6 @@ rate of its own.
 from __future__ import annotations
 
 from itertools import combinations
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,40 +33,29 @@ from planish.design.rules import (
 Steps = NDArray[np.int64]
 
 STEP_UM = 50.0
-_BATCH = 4000
 
 
-class Ruler(NamedTuple):
-    """One side of the frame in steps: holes between its corners lie from ``low`` to ``high`` and keep ``spacing``.
-
-    ``corners`` counts the holes at its start and at its end, ``length`` apart; ``view``, its ``border`` and a hole's
-    ``radius`` are lengths, too.
-    """
-
-    corners: tuple[int, int]
-    length: int
-    low: int
-    high: int
-    spacing: int
-    view: float
-    border: float
-    radius: float
-
-
-def _side(ruler: Ruler, count: int, rate: float, used: set[int], rng: np.random.Generator) -> Steps | None:
-    """Place ``count`` holes on a side and give them with those in its corners; None if nothing fits.
+def _place_side(
+    blank: Pattern, side: int, length: int, count: int, rate: float, used: set[int], rng: np.random.Generator
+) -> Steps | None:
+    """Place ``count`` holes between the corners of a side and give them with those in the corners; None if none fit.
 
     ``rate`` is that of the pitch, 0 for a code, which repeats as few as it can of the distances ``used`` before.
     """
+    spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
+    marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
+    # The corner between the last side and the first stays empty.
+    start, end = int(side != 0), int(side != 3)
+    low, high = spacing if start else marker, length - (spacing if end else marker)
     for _ in range(1 if rate else 6):
         if rate:
             pitch = 1 + rate * np.arange(count + 1) / count
-            drawn = np.round(ruler.length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[None, :-1]
+            inner = np.round(length * np.cumsum(pitch) / pitch.sum()).astype(np.int64)[None, :-1]
         else:
-            drawn = _draw_positions(ruler, count, rng)
-        holes = np.pad(drawn, [(0, 0), ruler.corners], constant_values=(0, ruler.length))
-        fits = np.all(np.diff(holes, axis=1) >= ruler.spacing, axis=1)
-        holes = holes[fits & (drawn[:, 0] >= ruler.low) & (drawn[:, -1] <= ruler.high)]
+            inner = _draw_positions(blank, side, low, count, rng)
+        holes = np.pad(inner, [(0, 0), (start, end)], constant_values=(0, length))
+        fits = np.all(np.diff(holes, axis=1) >= spacing, axis=1)
+        holes = holes[fits & (inner[:, 0] >= low) & (inner[:, -1] <= high)]
         distances = _distances(holes)
         if not rate:
             is_golomb = np.all(np.diff(np.sort(distances, axis=1), axis=1) > 0, axis=1)
@@ -79,20 +67,21 @@ def _side(ruler: Ruler, count: int, rate: float, used: set[int], rng: np.random.
     return None
 
 
-def _draw_positions(ruler: Ruler, count: int, rng: np.random.Generator) -> Steps:
-    """Draw sorted positions (batch, count) of which at least four survive every crop that keeps the side.
+def _draw_positions(blank: Pattern, side: int, low: int, count: int, rng: np.random.Generator) -> Steps:
+    """Draw sorted positions (4000, count) of which at least four survive every crop that keeps the side.
 
     A window of 70 % of the view slides along the side. The holes in the middle 40 % are always in it; each other hole
     near the start has a partner not quite a window's length away, so that one enters before the other leaves.
     """
+    view, border = float(blank.view_um[side % 2]) / STEP_UM, blank.border_um / STEP_UM
+    radius = 0.5 * blank.diameter_um / STEP_UM
+    window, edge = 0.7 * view, 0.3 * view
     middle = min(count, max(8 - count, count % 2))
-    pairs = (count - middle) // 2
-    window, edge = 0.7 * ruler.view, 0.3 * ruler.view
-    first = rng.uniform(ruler.low, max(edge - ruler.border, ruler.low + 1), (_BATCH, pairs))
-    reach = window - 2 * ruler.radius - 1
-    second = first + reach - rng.uniform(0, 0.4, (_BATCH, pairs)) ** 2 * ruler.view
-    low, high = edge - ruler.border + ruler.radius, window - ruler.border - ruler.radius
-    third = rng.uniform(low, max(high, low + 1), (_BATCH, middle))
+    pairs = (4000, (count - middle) // 2)
+    first = rng.uniform(low, max(edge - border, low + 1), pairs)
+    second = first + (window - 2 * radius - 1) - rng.uniform(0, 0.4, pairs) ** 2 * view
+    begin, end = edge - border + radius, window - border - radius
+    third = rng.uniform(begin, max(end, begin + 1), (4000, middle))
     return np.sort(np.round(np.concatenate([first, second, third], axis=1)).astype(np.int64), axis=1)
 
 
@@ -221,8 +210,6 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     """Draw one pattern; None where a side has no room."""
     width, height = (round(side / STEP_UM) for side in blank.frame_um)
     lengths = (width, height, width, height)
-    spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
-    marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
     # Three corners hold holes too.
     shares = [min(4, max(1, (count - 3) // 4))] * 4
     for _ in range(max(0, count - 3 - sum(shares))):
@@ -236,19 +223,13 @@ def _draw_pattern(blank: Pattern, count: int, rng: np.random.Generator) -> Patte
     corners = np.array([(0, 0), (width, 0), (width, height), (0, height)])
     direction = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
     for side, (length, share) in enumerate(zip(lengths, shares, strict=True)):
-        # The corner between the last side and the first stays empty.
-        start, end = side != 0, side != 3
-        ruler = Ruler(
-            (int(start), int(end)), length, spacing if start else marker, length - (spacing if end else marker),
-            spacing, float(blank.view_um[side % 2]) / STEP_UM, blank.border_um / STEP_UM,
-            0.5 * blank.diameter_um / STEP_UM,
-        )  # fmt: skip
-        holes = _side(ruler, share, float(rates[side]) if blank.layout == "line" else 0.0, used, rng)
+        rate = float(rates[side]) if blank.layout == "line" else 0.0
+        holes = _place_side(blank, side, length, share, rate, used, rng)
         if holes is None:
             return None
         used |= set(_distances(holes[None])[0].tolist())
         # The hole at the end is the first one of the next side.
-        holes = holes[: len(holes) - end]
+        holes = holes[:-1] if side != 3 else holes
         points.append(corners[side] + holes[:, None] * direction[side])
         lines += [SIDES[side]] * len(holes)
     return blank.with_holes(STEP_UM * np.concatenate(points) + blank.frame_low_um, lines)

@@ -48,7 +48,9 @@ def reduce_to(raster: Raster, target_um: float) -> Raster:
     if down == across == 1:
         return raster
     shift = np.array([(across - 1) / 2 * width, (down - 1) / 2 * height])
-    return Raster(_block_means(image, [down, across], least=0.5)[0], (height * down, width * across), origin + shift)
+    means, share = _block_means(image, (down, across))
+    means = np.where(share >= 0.5, means, np.float32(np.nan))
+    return Raster(means, (height * down, width * across), origin + shift)
 
 
 def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
@@ -161,9 +163,11 @@ def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int,
     It is so smooth that a quarter of its width is fine enough a raster to compute it on. Every ``steps``-th row and
     column is given.
     """
-    factors = [max(1, int(width_um / 4 / size)) for size in pixel_um]
-    sigmas = tuple(width_um / size / factor for size, factor in zip(pixel_um, factors, strict=True))
-    means, share = _block_means(image, factors)
+    down, across = (max(1, int(width_um / 4 / size)) for size in pixel_um)
+    # The last blocks may reach beyond the image, where there is no data.
+    padding = [(0, -image.shape[0] % down), (0, -image.shape[1] % across)]
+    means, share = _block_means(np.pad(image, padding, constant_values=np.nan), (down, across))
+    sigmas = width_um / pixel_um[0] / down, width_um / pixel_um[1] / across
     share, sums = (ndimage.gaussian_filter(array, sigmas, truncate=3.0) for array in (share, means * share))
     near = share > 1e-3
     # At most half a million of the values, from all over the image.
@@ -171,7 +175,7 @@ def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int,
     sample = sample[np.isfinite(sample)]
     typical = np.float32(np.median(sample)) if sample.size else np.float32(0)
     mean = np.where(near, sums / np.where(near, share, np.float32(1)), typical)
-    for n, factor, step in zip(image.shape, factors, steps, strict=True):
+    for n, factor, step in zip(image.shape, (down, across), steps, strict=True):
         # Linear between the middles of the blocks.
         place = np.clip((np.arange(0, n, step) + 0.5) / factor - 0.5, 0.0, len(mean) - 1.0)
         low = np.minimum(place.astype(np.intp), max(0, len(mean) - 2))
@@ -181,22 +185,14 @@ def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int,
     return mean
 
 
-def _block_means(image: Image, factors: list[int], least: float | None = None) -> tuple[Image, Image]:
-    """Give the means over blocks of pixels, and the share of each block that has data.
-
-    With ``least`` only whole blocks count, and means over less than that share are NaN; otherwise the last blocks may
-    reach beyond the image, where there is no data, and means over nothing are 0.
-    """
-    if least is None:
-        beyond = [(0, -n % f) for n, f in zip(image.shape, factors, strict=True)]
-        image = np.pad(image, beyond, constant_values=np.nan)
-    rows, cols = (n // f for n, f in zip(image.shape, factors, strict=True))
+def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
+    """Give the means over whole blocks of pixels, 0 over nothing, and the share of each block that has data."""
+    rows, cols = (n // factor for n, factor in zip(image.shape, factors, strict=True))
     blocks = image[: rows * factors[0], : cols * factors[1]].reshape(rows, factors[0], cols, factors[1])
     has_data = np.isfinite(blocks)
     share = has_data.mean(axis=(1, 3), dtype=np.float32)
     sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
-    means = (sums / np.maximum(share, 1e-12)).astype(np.float32)
-    return means if least is None else np.where(share >= least, means, np.float32(np.nan)), share
+    return (sums / np.maximum(share, 1e-12)).astype(np.float32), share
 
 
 def peaks(

@@ -15,6 +15,7 @@ from planish.marks import _measure_kernels as k
 from planish.marks import candidates
 from planish.marks import hole_criteria as criteria
 from planish.marks.candidates import Image, Raster
+from planish.marks.exchange.model import EXTRAS
 
 REASONS = {
     "not_measured": "not measured",
@@ -266,34 +267,28 @@ def _image_and_places(raster: Raster, places: Floats) -> tuple[Image, float, flo
 def _dataset(rows: Floats, sign: float) -> xr.Dataset:
     radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
     # Texture below a thousandth of the step is rounding; it would make the ratio meaningless.
-    step = rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
-    columns = (
-        ("x", rows[:, k.X], "um", "Hole centre along the columns"),
-        ("y", rows[:, k.Y], "um", "Hole centre down the rows"),
-        ("cov_xx", rows[:, k.COV_XX], "um2", "Variance of x"),
-        ("cov_yy", rows[:, k.COV_YY], "um2", "Variance of y"),
-        ("cov_xy", rows[:, k.COV_XY], "um2", "Covariance of x and y"),
-        ("diameter", 2 * radius, "um", "Mean diameter of the rim"),
-        ("axis_ratio", (radius + half) / (radius - half), "1", "Longer over shorter axis of the rim"),
-        ("arc_coverage", rows[:, k.COVERAGE], "1", "Share of the rim that was found"),
-        ("contrast", -sign * step / np.maximum(rows[:, k.TEXTURE], 1e-3 * step), "1",
-         "Step at the hole over the texture of the sheet around"),
-    )  # fmt: skip
-    return xr.Dataset(
-        {name: ("mark", values, {"units": unit, "long_name": text}) for name, values, unit, text in columns},
-        attrs={"polarity": "dark" if sign > 0 else "bright"},
-    )
+    step = criteria.depth(rows)
+    contrast = -sign * step / np.maximum(rows[:, k.TEXTURE], 1e-3 * step)
+    texts = {"x": ("um", "Hole centre along the columns"), "y": ("um", "Hole centre down the rows"), **EXTRAS}
+    texts["contrast"] = "1", "Step at the hole over the texture of the sheet around"
+    columns = [*rows[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T, 2 * radius, (radius + half) / (radius - half)]
+    columns += [rows[:, k.COVERAGE], contrast]
+    variables = {
+        name: ("mark", column, {"units": unit, "long_name": text})
+        for (name, (unit, text)), column in zip(texts.items(), columns, strict=True)
+    }
+    return xr.Dataset(variables, attrs={"polarity": "dark" if sign > 0 else "bright"})
 
 
 def _grey(image: ArrayLike) -> Image:
-    values = np.asarray(image)
-    if values.ndim != 2:
-        raise MarkError(f"The image has shape {values.shape}; holes are found in one grey channel, (rows, columns).")
-    if values.dtype.kind not in "biuf":
-        raise MarkError(f"The image holds {values.dtype} values; holes are found in real grey values.")
-    if values.dtype.kind == "f":
-        is_finite = np.isfinite(values)
-        middle = float(np.median(values[is_finite])) if np.any(is_finite) else 0.0
+    grey = np.asarray(image)
+    if grey.ndim != 2:
+        raise MarkError(f"The image has shape {grey.shape}; holes are found in one grey channel, (rows, columns).")
+    if grey.dtype.kind not in "biuf":
+        raise MarkError(f"The image holds {grey.dtype} values; holes are found in real grey values.")
+    if grey.dtype.kind == "f":
+        is_finite = np.isfinite(grey)
+        middle = float(np.median(grey[is_finite])) if np.any(is_finite) else 0.0
         # Large offsets would cost float32 its digits.
-        return np.ascontiguousarray(np.where(is_finite, values - middle, np.nan), dtype=np.float32)
-    return np.ascontiguousarray(values, dtype=np.float32)
+        grey = np.where(is_finite, grey - middle, np.nan)
+    return np.ascontiguousarray(grey, dtype=np.float32)

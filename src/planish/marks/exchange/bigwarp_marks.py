@@ -34,47 +34,45 @@ def read(content: Content) -> list[PointList]:
     name = content.name
     rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
     if content.json is not None:  # alone or in a project
-        inner: object = content.json.get("landmarks", content.json)
+        inner: Any = content.json.get("landmarks", content.json)
         marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
-        axes, columns = marks.get("numDimensions"), list[list[Any]]()
-        for key in ("movingPoints", "fixedPoints", "names", "active"):
-            column: Any = marks.get(key)
+        axes = marks.get("numDimensions")
+        columns: list[list[Any]] = []
+        for key in ("names", "active", "movingPoints", "fixedPoints"):
+            column = marks.get(key)
             columns.append(column if isinstance(column, list) else [])
-            is_valid = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
-            if key.endswith("Points") and not (is_valid and axes in (2, 3)):
+            if not key.endswith("Points"):
+                continue
+            are_points = isinstance(column, list) and all(isinstance(row, list) and len(row) == axes for row in column)
+            if not are_points or axes not in (2, 3):
                 raise MarkError(
                     f"{name}: {key} is no list of positions with numDimensions ({axes!r}) numbers each; 2 or 3 are "
                     f"needed. {_AGAIN}"
                 )
-        counts = [len(column) for column in columns]
-        if len(set(counts)) > 1 or not counts[0]:
+        labels, active, moving, fixed = map(len, columns)
+        if not labels == active == moving == fixed > 0:
             raise MarkError(
-                f"{name} holds {counts[0]} moving points, {counts[1]} fixed points, {counts[2]} names and {counts[3]} "
-                f"of active; as many of each are needed. {_AGAIN}"
+                f"{name} holds {moving} moving points, {fixed} fixed points, {labels} names and {active} of active; as "
+                f"many of each are needed. {_AGAIN}"
             )
-        listed = enumerate(zip(*columns, strict=True), 1)
-        rows = [(k, [label, active, *moving, *fixed]) for k, (moving, fixed, label, active) in listed]
+        rows = [(k, [*row[:2], *row[2], *row[3]]) for k, row in enumerate(zip(*columns, strict=True), 1)]
     first, width = rows[0][0], len(rows[0][1])
     if width not in (6, 8):
         raise MarkError(f"{name}, row {first} has {width} columns. BigWarp writes {_NEEDED}. {_AGAIN}")
-    labels: list[str] = []
-    used: list[bool] = []
-    points: list[list[float]] = []
+    points: list[list[float | None]] = []
     faults = list(content.rows.faults)
     for number, row in rows:
         if len(row) != width:
             faults.append(f"row {number} has {len(row)} columns, the first {width}")
             continue
-        active = str(row[1]).lower()
-        if active not in ("true", "false"):
+        if str(row[1]).lower() not in ("true", "false"):
             faults.append(f"row {number}: active is {row[1]!r}, not true or false")
-        numbers = [np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v) for v in row[2:]]
-        if None in numbers:
-            faults.append(f"row {number}: {row[2 + numbers.index(None)]!r} is no number")
-        labels.append(str(row[0]) or f"row {number}")
-        used.append(active == "true")
-        points.append([np.nan if value is None else value for value in numbers])
+        points.append([np.inf if str(v).lstrip("+-").lower() in ("infinity", "inf") else finite(v) for v in row[2:]])
+        if None in points[-1]:
+            faults.append(f"row {number}: {row[2 + points[-1].index(None)]!r} is no number")
     refuse(name, faults, f"BigWarp writes {_NEEDED}.")
+    labels = [str(row[0]) or f"row {number}" for number, row in rows]
+    used = [str(row[1]).lower() == "true" for _, row in rows]
     # One coordinate that is not set leaves the point without a position.
     sides = np.array(points, dtype=np.float64).reshape(len(points), 2, -1)
     sides = np.where(np.isfinite(sides).all(axis=2, keepdims=True), sides, np.nan)

@@ -46,14 +46,12 @@ def read(content: Content) -> list[PointList]:
         raise MarkError(f"{name} holds no point. elastix reads {_NEEDED}.")
     axes = len(lines[0])
     faults: list[str] = []
-    points: list[list[float]] = []
-    for k, cells in enumerate(lines, 1):
-        numbers = [finite(cell) for cell in cells]
+    points = [[finite(cell) for cell in cells] for cells in lines]
+    for k, (cells, numbers) in enumerate(zip(lines, points, strict=True), 1):
         if axes not in (2, 3) or len(cells) != axes:
             faults.append(f"point {k} has {len(cells)} numbers")
         elif None in numbers:
             faults.append(f"point {k}: {cells[numbers.index(None)]!r} is no finite number")
-        points.append([v for v in numbers if v is not None])
     refuse(name, faults, f"elastix reads {_NEEDED}.")
     unit, stated = ("mm", False) if word == "point" else ("pixel", True)
     return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]

@@ -143,8 +143,7 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
 
 def _column(parts: Sequence[Part | None], key: str) -> Floats:
     """Give the numbers of one field; NaN where it is not there."""
-    numbers = [getattr(part, key, None) for part in parts]
-    return np.array([np.nan if number is None else number for number in numbers], dtype=np.float64)
+    return np.array([getattr(part, key, None) for part in parts], dtype=np.float64)
 
 
 def _places(parts: Sequence[_Place | None]) -> MarkPlaces:
@@ -153,21 +152,20 @@ def _places(parts: Sequence[_Place | None]) -> MarkPlaces:
     spread = np.array([(place and place.covariance_um2) or unknown for place in parts]).reshape(-1, 2, 2)
     return MarkPlaces(
         um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
-        source=["imported" if place is None else place.source for place in parts],
+        source=[place.source if place else "imported" for place in parts],
         extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
         | {name: _column(parts, key) for name, key in _POSITION.items()},
     )
 
 
 def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
-    row: dict[str, Any] = {axis: float(v) for axis, v in zip("xyz", places.um[k], strict=False)}
-    extras = {name: float(values[k]) for name, values in places.extras.items() if np.isfinite(values[k])}
+    row: dict[str, Any] = dict(zip("xyz", places.um[k].tolist(), strict=False))
+    extras = {name: float(column[k]) for name, column in places.extras.items() if np.isfinite(column[k])}
     if {"cov_xx", "cov_xy", "cov_yy"} <= set(extras):
         xy = extras["cov_xy"]
         row["covariance_um2"] = [[extras["cov_xx"], xy], [xy, extras["cov_yy"]]]
     row |= {key: extras[name] for name, key in _POSITION.items() if name in extras}
-    row["source"] = places.source if isinstance(places.source, str) else str(places.source[k])
-    return row
+    return row | {"source": places.source if isinstance(places.source, str) else str(places.source[k])}
 
 
 def _cross_field_faults(file: _File, names: list[str]) -> list[str]:

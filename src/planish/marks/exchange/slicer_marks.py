@@ -24,7 +24,6 @@ SCHEMA = (
     "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/Markups/Resources/Schema/"
     "markups-schema-v1.0.3.json#"
 )
-SIGNS = {"LPS": (1.0, 1.0, 1.0), "RAS": (-1.0, -1.0, 1.0)}
 
 
 def looks_like(content: Content) -> bool:
@@ -52,14 +51,13 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     markups: list[dict[str, Any]] = []
     for role, places in points.items():
         controls: list[dict[str, Any]] = []
-        for k, label in enumerate(labels):
-            is_set = bool(np.isfinite(places[k]).all())
-            position = [*places[k].tolist(), 0.0][:3] if is_set else [0.0, 0.0, 0.0]
+        for k, place in enumerate(places.tolist()):
+            is_set = bool(np.isfinite(place).all())
             controls.append(
                 {
-                    "id": str(k + 1), "label": label, "description": "", "associatedNodeID": "",
-                    "position": position, "selected": used[k], "locked": False, "visibility": True,
-                    "positionStatus": "defined" if is_set else "undefined",
+                    "id": str(k + 1), "label": labels[k], "description": "", "associatedNodeID": "",
+                    "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0], "selected": used[k],
+                    "locked": False, "visibility": True, "positionStatus": "defined" if is_set else "undefined",
                 }
             )  # fmt: skip
         markups.append(
@@ -76,35 +74,32 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
 def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     title = str(markup.get("name") or f"list {k + 1}")
     system: object = markup.get("coordinateSystem", "LPS")
-    if not isinstance(system, str) or system not in SIGNS:
+    if system not in ("LPS", "RAS"):
         raise MarkError(f"{name}: {title} is in {system!r}; LPS or RAS is needed. Save it so in Slicer.")
     code: Any = markup.get("coordinateUnits", "mm")
     unit = code[0] if isinstance(code, list) and code else code
     if unit not in ("mm", "um"):
         raise MarkError(f"{name}: {title} is in {unit!r}; mm or um is needed. Save it so in Slicer.")
     listed: Any = markup["controlPoints"]
-    faults: list[str] = []
-    labels: list[str] = []
-    used: list[bool] = []
-    points: list[list[float]] = []
     controls: list[Any] = listed if isinstance(listed, list) else [None]
+    faults: list[str] = []
+    points: list[list[float | None]] = []
     for number, control in enumerate(controls, 1):
         if not isinstance(control, Mapping):
             faults.append(f"point {number} of {title} is malformed")
             continue
-        state: Any = control.get("positionStatus", "defined")
-        position: Any = control.get("position")
+        state, position = control.get("positionStatus", "defined"), control.get("position")
         is_valid = isinstance(position, list) and len(position) == 3
-        numbers = [None if isinstance(v, str) else finite(v) for v in position] if is_valid else [None]
+        point = [None if isinstance(v, str) else finite(v) for v in position] if is_valid else [None]
         if state not in ("defined", "undefined", "preview"):
             faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
-        if state == "defined" and None in numbers:
+        if state == "defined" and None in point:
             faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
-        point = [v for v in numbers if v is not None] if state == "defined" and None not in numbers else [np.nan] * 3
-        labels.append(str(control.get("label") or f"{title} {number}"))
-        used.append(control.get("selected", True) is not False)
-        points.append([sign * v for sign, v in zip(SIGNS[system], point, strict=True)])
+        points.append(point if state == "defined" else [None] * 3)
     refuse(name, faults, "Save the list in Slicer again.")
+    signs = np.array([1.0, 1.0, 1.0] if system == "LPS" else [-1.0, -1.0, 1.0])
     return PointList(
-        title=title, labels=labels, points=np.array(points, dtype=np.float64), used=used, unit=unit, stated=True
-    )
+        title=title, points=signs * np.array(points, dtype=np.float64), unit=unit, stated=True,
+        labels=[str(control.get("label") or f"{title} {number}") for number, control in enumerate(controls, 1)],
+        used=[control.get("selected", True) is not False for control in controls],
+    )  # fmt: skip
