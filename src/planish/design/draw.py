@@ -135,7 +135,7 @@ def drawing_page(pattern: Pattern) -> Page:
     _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
     for dx, dy, name in ((1, 0, "x"), (0, 1, "y")):
         end = (x + 11 * mm * dx, y + 11 * mm * dy)
-        _arrow(axes, (x, y), end, color=ACCENT, lw=1.1, annotation_clip=False)
+        _arrow(axes, (x, y), end, color=ACCENT, lw=1.1)
         _write(axes, end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
     if pattern.layout != "own":
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
@@ -297,9 +297,9 @@ def _write(axes: Axes, place: Point, text: str, away: Point = (0, 0), **options:
     axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **style)
 
 
-def _arrow(axes: Axes, start: Point, end: Point, *, color: str, lw: float, annotation_clip: bool | None = None) -> None:
-    style = {"arrowstyle": "-|>", "lw": lw, "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, "color": color}
-    axes.annotate("", (end[0], end[1]), (start[0], start[1]), annotation_clip=annotation_clip, arrowprops=style)
+def _arrow(axes: Axes, start: Point, end: Point, **options: Any) -> None:
+    style = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, **options}
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), annotation_clip=False, arrowprops=style)
 
 
 def _box(axes: Axes, low: Point, size: Point, **options: Any) -> None:

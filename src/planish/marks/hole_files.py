@@ -15,7 +15,7 @@ from planish.core.errors import FileError, MarkError
 from planish.core.files import write_whole
 from planish.core.tables import model_faults, parse_table, read_text
 from planish.marks.exchange.csv_marks import holes_text
-from planish.marks.exchange.lists import Part, json_text, read_object, refuse
+from planish.marks.exchange.lists import Part, json_file, json_text, read_object, refuse
 
 FORMAT, VERSION = "planish-holes", 1
 _REMEDY = "Find the holes again, or correct these parts."
@@ -147,9 +147,8 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
     else:
         content = holes_to_json(holes)
         variables = content.pop("variables")
-        top = "".join(f' "{key}": {json_text(value)},\n' for key, value in content.items())
-        listed = ",\n".join(f"  {json_text(key)}: {json_text(value)}" for key, value in variables.items())
-        text = f'{{\n{top} "variables": {{\n{listed}\n }}\n}}\n'
+        rows = [f"{json_text(key)}: {json_text(variable)}" for key, variable in variables.items()]
+        text = json_file(content, "variables", "{}", rows)
     write_whole(place, text.encode())
 
 

@@ -24,16 +24,15 @@ _AGAIN = "Save the landmarks in BigWarp again."
 
 def looks_like(content: Content) -> bool:
     """Return whether the second cell says true or false, or the JSON holds landmarks."""
-    if content.json is not None:
-        return "movingPoints" in content.json or "landmarks" in content.json
-    return len(content.header) > 2 and content.header[1].lower() in ("true", "false")
+    has_state = len(content.header) > 2 and content.header[1].lower() in ("true", "false")
+    return has_state or bool({"movingPoints", "landmarks"} & content.json.keys())
 
 
 def read(content: Content) -> list[PointList]:
     """Read the moving and target points."""
     name = content.name
     rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
-    if content.json is not None:  # alone or in a project
+    if content.json:  # alone or in a project
         inner: Any = content.json.get("landmarks", content.json)
         marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
         axes = marks.get("numDimensions")

@@ -183,7 +183,7 @@ def _recognised(content: Content) -> str:
         raise FileError(
             f"{content.name} is a point list of Slicer in the old format .fcsv. Save it in Slicer as .mrk.json."
         )
-    if content.json is not None:
+    if content.text.lstrip().startswith("{"):
         keys = ", ".join(list(content.json)[:6]) or "nothing"
         raise FileError(
             f"{content.name} is JSON, but no file of marks: it holds {keys[:80]}. These are read: {known_formats()}."

@@ -23,9 +23,9 @@ _NEEDED = "'point' or 'index', the number of points, and one point a line, two o
 
 def looks_like(content: Content) -> bool:
     """Return whether it begins with ``point`` or ``index``, or with a whole number alone in its line."""
-    first = content.text.split(maxsplit=1)[:1]
-    line = content.text.lstrip().splitlines()[:1]
-    return content.json is None and (first in (["point"], ["index"]) or bool(line and _is_count(line[0].strip())))
+    first, *_ = [*content.text.split(maxsplit=1), ""]
+    line, *_ = [*content.text.lstrip().splitlines(), ""]
+    return first in ("point", "index") or _is_count(line.strip())
 
 
 def read(content: Content) -> list[PointList]:

@@ -17,7 +17,7 @@ from planish.core.errors import MarkError
 from planish.core.tables import MOST_FAULTS, model_faults
 from planish.core.typing import Floats
 from planish.marks.exchange import model
-from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_text, refuse
+from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_file, json_text, refuse
 from planish.marks.exchange.model import RESIDUAL, RESULTS, MarkPlaces, check_marks
 
 FORMAT = "planish-marks"
@@ -79,12 +79,12 @@ class _File(Part):
 
 def looks_like(content: Content) -> bool:
     """Return whether its ``format`` says so."""
-    return content.json is not None and content.json.get("format") == FORMAT
+    return content.json.get("format") == FORMAT
 
 
 def read(content: Content) -> xr.Dataset:
     """Read the marks of a JSON file, as `make_marks` makes them."""
-    name, entries = content.name, content.json or {}
+    name, entries = content.name, content.json
     version = entries.get("version")
     if type(version) is int and version > VERSION:
         raise MarkError(
@@ -114,8 +114,7 @@ def read(content: Content) -> xr.Dataset:
 
 def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a JSON file, from which `read` gives the same numbers back."""
-    layers = model.layer_names(marks)
-    places = {layer: model.places_of(marks, layer) for layer in layers}
+    places = {layer: model.places_of(marks, layer) for layer in model.layer_names(marks)}
     rows: list[dict[str, Any]] = []
     for k, (label, used) in enumerate(zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)):
         positions = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
@@ -124,7 +123,7 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
         rows.append({"label": label, "used": used, "at": positions} | results)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
     head["layers"] = []
-    for layer in layers:
+    for layer in places:
         about = {"name": layer, **model.about_layer(marks, layer)}
         # In the same order whatever it came from.
         keys = dict.fromkeys([*_Layer.model_fields, *about])
@@ -136,9 +135,7 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     except ValidationError as error:
         faults = "; ".join(model_faults(error)[:MOST_FAULTS])
         raise MarkError(f"The marks cannot be written: {faults}.") from error
-    top = "".join(f' "{key}": {json_text(value)},\n' for key, value in head.items())
-    text = f'{{\n{top} "marks": [\n' + ",\n".join(f"  {json_text(row)}" for row in rows) + "\n ]\n}\n"
-    return {"": text.encode()}
+    return {"": json_file(head, "marks", "[]", list(map(json_text, rows))).encode()}
 
 
 def _column(parts: Sequence[Part | None], key: str) -> Floats:
@@ -165,7 +162,7 @@ def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
         xy = extras["cov_xy"]
         row["covariance_um2"] = [[extras["cov_xx"], xy], [xy, extras["cov_yy"]]]
     row |= {key: extras[name] for name, key in _POSITION.items() if name in extras}
-    return row | {"source": places.source if isinstance(places.source, str) else str(places.source[k])}
+    return row | {"source": places.source[k]}
 
 
 def _cross_field_faults(file: _File, names: list[str]) -> list[str]:

@@ -36,7 +36,7 @@ class Content:
     data: bytes
     text: str = ""
     rows: Rows = field(default_factory=lambda: Rows([], [], ",", []))
-    json: Mapping[str, Any] | None = None
+    json: Mapping[str, Any] = field(default_factory=dict[str, Any])
 
     @property
     def header(self) -> list[str]:
@@ -72,9 +72,16 @@ def refuse(name: str, faults: Sequence[str], remedy: str) -> None:
     raise_faults(name, faults, remedy, error=MarkError)
 
 
-def json_text(value: object) -> str:
+def json_text(content: object) -> str:
     """Write JSON in one line."""
-    return json.dumps(value, ensure_ascii=False, allow_nan=False)
+    return json.dumps(content, ensure_ascii=False, allow_nan=False)
+
+
+def json_file(head: Mapping[str, Any], name: str, brackets: str, rows: Sequence[str]) -> str:
+    """Write a JSON object: a head, one key a line, and under a name a list or an object, one entry a line."""
+    top = "".join(f' "{key}": {json_text(content)},\n' for key, content in head.items())
+    listed = ",\n".join(f"  {row}" for row in rows)
+    return f'{{\n{top} "{name}": {brackets[0]}\n{listed}\n {brackets[1]}\n}}\n'
 
 
 def read_object(text: str, name: str) -> Mapping[str, Any]:

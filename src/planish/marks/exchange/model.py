@@ -138,8 +138,9 @@ def points_of(marks: xr.Dataset, layer: str) -> Floats:
 def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     """Return positions in one layer with all that is known of them."""
     extras = {name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks}
-    source = marks[f"{layer}_source"].values.tolist() if f"{layer}_source" in marks else "imported"
-    return MarkPlaces(um=points_of(marks, layer), source=source, extras=extras)
+    um, sources = points_of(marks, layer), f"{layer}_source"
+    source = marks[sources].values.tolist() if sources in marks else ["imported"] * len(um)
+    return MarkPlaces(um=um, source=source, extras=extras)
 
 
 def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:

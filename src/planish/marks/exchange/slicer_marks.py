@@ -28,14 +28,14 @@ SCHEMA = (
 
 def looks_like(content: Content) -> bool:
     """Return whether it is JSON with markups."""
-    return content.json is not None and "markups" in content.json
+    return "markups" in content.json
 
 
 def read(content: Content) -> list[PointList]:
     """Read the point lists of a file; lines, curves, planes and empty lists are passed over."""
     name = content.name
-    markups: Any = (content.json or {}).get("markups")
-    entries: list[Any] = [m for m in (markups if isinstance(markups, list) else []) if isinstance(m, Mapping)]
+    markups: Any = content.json["markups"]
+    entries: list[Any] = [m for m in markups if isinstance(m, Mapping)] if isinstance(markups, list) else []
     points = [m for m in entries if m.get("type") == "Fiducial" and m.get("controlPoints")]
     if len(points) > 16:
         raise MarkError(f"{name} holds {len(points)} lists of points; two are needed. Save those two alone.")
