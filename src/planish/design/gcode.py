@@ -1,24 +1,4 @@
-"""The pattern for machines: a stage program, on a short path, and a drawing for CAD.
-
-The stage program is a small dialect of G-code that most controllers of stages and lasers read.
-
-::
-
-    ; text      a comment to the end of the line
-    G21 G90     millimetres, absolute positions: required before the first move
-    Fnumber     speed along the path in mm/min
-    G0 Xn Yn    move there, laser off (G1 is read too)
-    M3 [Sn]     laser on; with --pulse-code m64: M64 P0, a digital output at once
-    G4 Pn       wait n seconds
-    M5          laser off; with --pulse-code m64: M65 P0
-    M2          end (M30 is read too)
-
-The drawing for CAD: DXF of AutoCAD Release 12, plain text, in millimetres.
-
-Every value is two lines, a group code and the value: 0 the kind of an entity, 8 its layer, 10, 20 and 30 a point, 40 a
-radius or the height of text, 1 text, 2 a name, 6 a line type, 62 a colour, 70 flags, 9 a variable of the header.
-Release 12 has no unit of its own; a comment (999) and the drawing's extents say what is meant.
-"""
+"""The pattern for machines: a stage program in a dialect of G-code (docs/marks.md), its dry run, a drawing for CAD."""
 
 from __future__ import annotations
 
@@ -74,11 +54,7 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
 
 
 def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
-    """Sort the points (n, 2) into a short path that begins and ends at ``start_um``.
-
-    The path is built to the nearest open point each time, then stretches of it are turned round as long as that
-    shortens it (2-opt). Same points, same order.
-    """
+    """Sort the points (n, 2) into a short path from ``start_um`` and back: nearest neighbour, then 2-opt."""
     places = np.vstack([start_um, np.asarray(points_um, dtype=np.float64).reshape(-1, 2)])
     distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))
     open_distances = distances.copy()
@@ -119,7 +95,12 @@ def _plain(value: float, decimals: int) -> str:
 
 
 def pattern_dxf(pattern: Pattern) -> str:
-    """Write the holes, their burnt rims and numbers, the field, the view and the stage's origin."""
+    """Write DXF of AutoCAD Release 12 in mm: holes, burnt rims and numbers, the field, the view and the stage's origin.
+
+    Every value is two lines, a group code and the value: 0 the kind of an entity, 8 its layer, 10, 20 and 30 a point,
+    40 a radius or the height of text, 1 text, 2 a name, 6 a line type, 62 a colour, 70 flags, 9 a variable of the
+    header. Release 12 has no unit of its own; a comment (999) and the drawing's extents say what is meant.
+    """
     (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
     # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
     layers = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
@@ -224,7 +205,7 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
     Parameters
     ----------
     program : str
-        The text of the program, in the dialect of :mod:`planish.design.gcode`.
+        The text of the program.
     stage : StageParams, optional
         Its range counts.
     pulse_s : float

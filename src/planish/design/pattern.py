@@ -1,20 +1,8 @@
 """A pattern of laser holes: where they are meant to be, how each is burnt, what lies around them, and its files.
 
-Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the outside inwards::
-
-    view    what has to be imaged: the frame and a border around it; its lower left corner is the stage's origin
-    frame   the rectangle on which the holes lie
-    field   the region whose maps are compared: no hole reaches into it
-
-The error of a registration by the marks is predicted before a hole is burnt. The centre of a hole is found from its
-outline. A rim whose radius varies by ``s`` over a length ``l`` has ``n = pi d / l`` independent arcs; a circle through
-them is off by ``2 s / sqrt(n)`` (rms, in the plane). The pixels add 0.1 pixel along each axis. Both count once for each
-of the two maps, since the two instruments do not see the same rim: what they have in common makes the truth better.
-
-The error of the map at a distance r from the centroid of N holes with the rms radius f follows from that for a
-similarity: ``TRE**2 = FLE**2 / N * (1 + r**2 / f**2)`` (J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE Transactions
-on Medical Imaging 17 (1998) 694-702, https://doi.org/10.1109/42.736021; with a free scale the second term of two
-dimensions doubles).
+Coordinates are those of the stage, as the laser sees the sheet: x to the right, y up. From the outside inwards:
+``view``, what has to be imaged, with the stage's origin at its lower left; ``frame``, the rectangle on which the holes
+lie; ``field``, the region whose maps are compared, which no hole reaches into.
 """
 
 from __future__ import annotations
@@ -266,6 +254,10 @@ P95 = float(np.sqrt(-np.log(0.05)))
 class Predicted:
     """Error that a pattern allows.
 
+    At a distance r from the centroid of N holes with the rms radius f, for a similarity: ``TRE**2 = FLE**2 / N *
+    (1 + r**2 / f**2)`` (J. M. Fitzpatrick, J. B. West, C. R. Maurer, IEEE Transactions on Medical Imaging 17 (1998)
+    694-702, https://doi.org/10.1109/42.736021; with a free scale the second term of two dimensions doubles).
+
     Attributes
     ----------
     fle_um : float
@@ -307,7 +299,12 @@ class Predicted:
 
 
 def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> float:
-    """Predict the error of one hole's position in one map against the other, rms in the plane, in um."""
+    """Predict the error of one hole's position in one map against the other, rms in the plane, in um.
+
+    A rim whose radius varies by ``s`` over a length ``l`` has ``n = pi d / l`` independent arcs; a circle through them
+    is off by ``2 s / sqrt(n)``. The pixels add 0.1 pixel along each axis. Both count once for each of the two maps:
+    the two instruments do not see the same rim.
+    """
     imaging = imaging or ImagingParams()
     arcs = max(np.pi * diameter_um / imaging.rim_length_um, 3.0)  # fewer fix no circle
     rim = 4 * imaging.roughness_um**2 / arcs

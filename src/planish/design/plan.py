@@ -1,12 +1,7 @@
 """From what a user wants to a pattern that keeps every rule, or the reason why there is none.
 
-Holes lie on lines along the four sides of the frame, three corners filled and one left empty. All positions are whole
-steps of 50 um, and the frame's sides are whole numbers of steps. The lines run counter-clockwise from the empty corner,
-which lies at the lower left; each other corner holds the first hole of a line.
-
-``coded``: the distances between the holes of a side are all different, so that a side is a Golomb ruler; distances that
-two sides have in common are as few as can be found. ``line``: the pitch grows evenly along each line, on each side at a
-rate of its own.
+Holes lie on whole steps of 50 um on lines along the sides of the frame, counter-clockwise from the lower left corner,
+which is empty; each other corner holds the first hole of a line.
 """
 
 from __future__ import annotations
@@ -40,7 +35,7 @@ def _place_side(
 ) -> Steps | None:
     """Place ``count`` holes between the corners of a side and give them with those in the corners; None if none fit.
 
-    ``rate`` is that of the pitch, 0 for a code, which repeats as few as it can of the distances ``used`` before.
+    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few of those ``used`` repeat.
     """
     spacing = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker = max(spacing, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))

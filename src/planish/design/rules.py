@@ -1,7 +1,6 @@
 """The rules that a pattern has to keep, each with what was measured, its limit, and what helps.
 
-Wrong ways to lay a pattern on itself are found as a matcher finds them: every pair of holes is laid on every other pair
-of like length, and the holes that then meet a hole are counted.
+Wrong ways to lay a pattern on itself are found as a matcher finds them: by pairs of holes of like length.
 """
 
 from __future__ import annotations
@@ -24,10 +23,9 @@ _TURN_DEG = 10.0  # what still counts as a half or a quarter turn
 
 
 class Motions(NamedTuple):
-    """Wrong arrangements of a pattern on itself.
+    """Wrong arrangements of a pattern on itself: ``hit`` (motions, n) says which holes meet a hole.
 
-    ``hit`` (motions, n) says which holes meet a hole; where the motion is nearly no rotation, one that meets itself
-    does not count. ``kind`` (motions,) is ``half turn``, ``quarter turn``, ``mirror``, or ``shift`` for all else.
+    ``kind`` (motions,) is ``half turn``, ``quarter turn``, ``mirror``, or ``shift`` for all else.
     """
 
     hit: Bools

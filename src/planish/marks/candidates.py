@@ -96,10 +96,9 @@ class LocalLevels(NamedTuple):
 
 
 def local_spread(raster: Raster, side_um: float, share: float) -> LocalLevels:
-    """Give the spread in each square of an image and the eight around it: a quantile, as a standard deviation.
+    """Give the spread in each square of an image and the eight around it: a quantile of absolute deviations as an SD.
 
-    The quantile is that of absolute deviations. Some hundred values are taken of each neighbourhood. Where less than a
-    tenth of it is there, the quantile of all of the image stands, and 0 where less than a tenth of that is there.
+    Some hundred values are taken of each. Where less than a tenth is there, that of all of the image stands, or 0.
     """
     image, pixel_um, _ = raster
     sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)]
@@ -200,13 +199,9 @@ def peaks(
 ) -> tuple[Floats, Floats, Floats, int]:
     """Return places that may be holes, the extremes over place and scale, strongest first.
 
-    ``sign`` is 1 for dark and -1 for bright discs; ``faintest`` the response that the least contrast makes and
-    ``spreads`` the usual response of each radius: what is searched is stronger than the first or `WORTH_MEASURING`
-    times the second.
-
-    Returns ``x, y`` in um, (n, 2); the largest response over all radii, in units of the usual one around; the weakest
-    response that was searched here over that of the least contrast; how many more lie beyond the limit of their part
-    of the image.
+    They are stronger than ``faintest``, the response that the least contrast makes, or `WORTH_MEASURING` times that of
+    ``spreads``, the usual one of each radius. Returns ``x, y`` in um, (n, 2); the largest response in units of the
+    usual one; the weakest one searched here over ``faintest``; how many lie beyond the limit of their part.
     """
     pairs = zip(responses.items(), spreads, strict=True)
     rows = np.concatenate([_peaks_of_radius(*response, sign, faintest, spread) for response, spread in pairs])

@@ -193,11 +193,7 @@ def _detect(fine: Raster, radii: Pair, signs: tuple[float, ...]) -> list[_Marks]
 
 
 def _count_rejected(marks: _Marks, holes: Floats, fine: Raster, radii: Pair) -> dict[str, int]:
-    """Count by reason what was measured and lies on none of the holes.
-
-    Only what would be a hole but for a single fault: mottle has several. Of marks that overlap the one with the best
-    rim counts.
-    """
+    """Count by reason what lies on no hole and would be one but for a single fault (mottle has several)."""
     measured = marks.measured
     is_whole = criteria.is_whole(measured, fine.image.shape, fine.pixel_um)
     met = criteria.met_criteria(measured, fine.pixel_um, radii)

@@ -135,9 +135,8 @@ def _overlapping(rows: Floats, holes: Floats) -> Ints:
 class TypicalHole(NamedTuple):
     """Typical figures of the holes of one image; levels are times the sign of the holes.
 
-    ``slope`` is by how much the floor brightens with the sheet around, where the light is uneven; ``scatter`` the
-    robust standard deviation of the floors, share of the depth; ``burnt`` and ``rim`` the shares of the step that the
-    burnt sheet takes, and that remains at the rim.
+    ``slope``: how much the floor brightens with the sheet around; ``scatter``: robust standard deviation of the floors,
+    share of the depth; ``burnt``, ``rim``: shares of the depth that the burnt sheet takes, that remain at the rim.
     """
 
     floor: float

@@ -1,8 +1,4 @@
-"""BigWarp (Fiji): a CSV without header, or the landmarks in its JSON.
-
-A row is the name, whether the point is active, the moving position and the target position, each x, y or x, y, z in the
-physical unit of the images. A position that is not set is ``Infinity``.
-"""
+"""BigWarp (Fiji): a CSV without header, or the landmarks in its JSON; ``Infinity`` is a position that is not set."""
 
 from __future__ import annotations
 

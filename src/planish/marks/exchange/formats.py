@@ -5,12 +5,8 @@ The module of a format ``x`` is ``x_marks.py`` with the functions
 - ``looks_like(content)``: whether a file is of this format;
 - ``read(content)``: marks in um, or one or two lists of points in the unit of the file;
 - ``write(marks, points)``, where it is written: bytes of the files, by what is put before the suffix of their name.
-  ``points``, empty for planish's own formats, holds positions (n, 2) or (n, 3) by role, ``moving`` and ``fixed`` of the
-  other program, or by the name of the only layer: in the unit of the file, from the centre of the first pixel, NaN
-  where a mark is not in the layer.
-
-The command line, the documents and all readers and writers are made from the table, so that a new format is an entry
-and a module.
+  ``points`` are positions (n, 2) or (n, 3) in the unit of the file from the centre of the first pixel, NaN where a mark
+  is not in the layer, by role (``moving``, ``fixed``) or name of the only layer; empty for planish's own formats.
 """
 
 from __future__ import annotations

@@ -1,8 +1,4 @@
-"""The marks' own JSON: everything that is known of them, one mark a line, with a version.
-
-``docs/marks-files.md`` describes it. A file of a newer version is refused, not guessed at; a key that is not known is
-an error, because a misspelt one would be lost in silence.
-"""
+"""The marks' own JSON (docs/marks-files.md): everything that is known of them, one mark a line, with a version."""
 
 from __future__ import annotations
 

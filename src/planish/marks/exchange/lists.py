@@ -200,11 +200,9 @@ class LayerPixels:
 def join_lists(
     lists: Sequence[PointList], *, name: str, moving: LayerPixels, fixed: LayerPixels, unit: Unit | None, swap: bool
 ) -> xr.Dataset:
-    """Join marks in um from one list, or from two whose points belong together in their order.
+    """Join marks in um from one list (layer ``marks``), or two whose points belong together in their order.
 
-    Two are moving and fixed, exchanged where they are named in the other order or ``swap`` says so; ``unit`` takes the
-    place of one that the files do not state. The layers are ``moving`` (``volume`` where its z varies) and ``fixed``,
-    or ``marks`` where there is one list only.
+    They are ``moving`` (``volume`` where its z varies) and ``fixed``, exchanged where their names or ``swap`` say so.
     """
     for point_list in lists:
         check_count(name, len(point_list.points))

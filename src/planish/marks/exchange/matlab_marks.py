@@ -1,7 +1,4 @@
-"""MATLAB: ``movingPoints`` and ``fixedPoints`` of the Control Point Selection tool, in pixels that begin with 1.
-
-The centre of the first pixel is (1, 1).
-"""
+"""MATLAB: ``movingPoints``, ``fixedPoints`` of the Control Point Selection tool; the first pixel's centre is (1, 1)."""
 
 from __future__ import annotations
 

@@ -1,7 +1,6 @@
-"""Marks of one or several layers as one dataset: what every file of marks is read into and written from.
+"""Marks as one dataset: each has one label, and a position or none in each layer.
 
-A layer is a picture of the sheet: the flattened map (``moving``), the volume (``volume``), an image (``fixed``), or any
-other name. Each mark has one label, and in each layer a position or none.
+A layer is a picture of the sheet: the flattened map (``moving``), the volume (``volume``), an image (``fixed``) ...
 """
 
 from __future__ import annotations

@@ -88,9 +88,11 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
         if not isinstance(control, Mapping):
             faults.append(f"point {number} of {title} is malformed")
             continue
-        state, position = control.get("positionStatus", "defined"), control.get("position")
+        state: Any = control.get("positionStatus", "defined")
+        position: Any = control.get("position")
         is_valid = isinstance(position, list) and len(position) == 3
-        point = [None if isinstance(v, str) else finite(v) for v in position] if is_valid else [None]
+        numbers = position if is_valid else [None]
+        point = [None if isinstance(number, str) else finite(number) for number in numbers]
         if state not in ("defined", "undefined", "preview"):
             faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
         if state == "defined" and None in point:
