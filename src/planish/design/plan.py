@@ -118,19 +118,19 @@ def design_pattern(params: DesignParams) -> Design:
     -----
     A small field has no room around it for so many holes: unless the margin is given, it widens until there is.
     """
-    reasons: dict[int, str] = {}
     blanks = [_blank_pattern(params)]  # the margin as it is given, or wider and wider
     if params.margin_um is None:
         margins = (min(blanks[0].margin_um) + more_um for more_um in range(250, 3001, 250))
         blanks += [_blank_pattern(params.model_copy(update={"margin_um": margin})) for margin in margins]
+    counts = (params.holes,) if params.holes is not None else _COUNTS[params.layout]
+    reasons: dict[int, str] = {}
     for blank in blanks:
-        reasons.clear()
-        for count in (params.holes,) if params.holes is not None else _COUNTS[params.layout]:
+        for count in counts:
             design = _search(blank, count, np.random.default_rng([params.seed, count]))
             if not isinstance(design, str):
                 return design
             reasons[count] = design
-        if not any(rule in reason for rule in ("rule 'area'", "rule 'spacing'") for reason in reasons.values()):
+        if not any("rule 'area'" in reason or "rule 'spacing'" in reason for reason in reasons.values()):
             break
     size = " x ".join(f"{v / 1000:g}" for v in params.field_um)
     more = " The layout 'coded' takes less room." if params.layout == "line" else ""
@@ -164,7 +164,7 @@ def _search(blank: Pattern, count: int, rng: np.random.Generator) -> Design | st
     if not area.passed:
         return f"With {count} holes, {area.sentence()}: {area.remedy}."
     candidates: list[tuple[Pair, Design]] = []
-    nearest: list[Rule] | None = None
+    nearest: list[Rule] = []
     searched = 0  # patterns whose rivals were looked for
     for _ in range(_ATTEMPTS[blank.layout]):
         pattern = _draw_pattern(blank, count, rng)
@@ -185,15 +185,14 @@ def _search(blank: Pattern, count: int, rng: np.random.Generator) -> Design | st
             candidates.append(((round(rival, 6), -code), (pattern, rules)))
             if len(candidates) == 6:
                 break
-        elif nearest is None or len(broken) < len(nearest):
+        elif not nearest or len(broken) < len(nearest):
             nearest = broken
         # No other draw is better with these rules.
-        is_hopeless = any(rule.name in ("count", "spacing", "area", "around") for rule in nearest or ())
-        if searched == 25 or is_hopeless:
+        if searched == 25 or {"count", "spacing", "around"} & {rule.name for rule in nearest}:
             break
     if candidates:
         return min(candidates, key=lambda entry: entry[0])[1]
-    if nearest is None:
+    if not nearest:
         return (
             f"rule 'spacing': {count} holes do not fit with {blank.spacing_um:g} um between any two: take fewer or "
             "smaller holes, a larger field, or a smaller --spacing-um."

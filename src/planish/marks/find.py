@@ -103,13 +103,13 @@ def find_holes(
     if sizes.size not in (1, 2) or not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
         raise SizeError(f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed.")
     size = float(sizes[0]), float(sizes[-1])
-    low, high = (float(value) for value in diameter_um)
+    low, high = map(float, diameter_um)
     if not 0.0 < low < high < np.inf:
         raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the second.")
-    if polarity not in ("auto", "dark", "bright"):
+    signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}.get(polarity)
+    if signs is None:
         raise MarkError(f"The polarity is {polarity!r}; it has to be 'auto', 'dark' or 'bright'.")
     grey = _grey(image)
-    signs = {"auto": (1.0, -1.0), "dark": (1.0,), "bright": (-1.0,)}[polarity]
     # Widths of char, walls and blur are those of laser holes; a target of another size is measured as its magnified
     # picture.
     times = float(USUAL_UM / np.sqrt(low * high))

@@ -170,12 +170,14 @@ class LayerPixels:
 
     def about(self) -> dict[str, Any]:
         """Give the facts as they are kept with the marks."""
-        facts = {
-            "pixel_um": self.pixel_um and (self.pixel_um[-1], self.pixel_um[-2:][0]),
-            "origin_um": self.origin_um and tuple(map(float, self.origin_um)),
-            "size_px": self.shape and tuple(map(int, self.shape))[::-1],
-        }
-        return {key: {"x": pair[0], "y": pair[1]} for key, pair in facts.items() if pair}
+        about: dict[str, Any] = {}
+        if self.pixel_um is not None:
+            about["pixel_um"] = {"x": self.pixel_um[-1], "y": self.pixel_um[-2:][0]}
+        if self.origin_um is not None:
+            about["origin_um"] = {"x": float(self.origin_um[0]), "y": float(self.origin_um[1])}
+        if self.shape is not None:
+            about["size_px"] = {"x": int(self.shape[1]), "y": int(self.shape[0])}
+        return about
 
     def frame(self, unit: Unit, axes: int, name: str, side: str) -> tuple[Floats, Floats]:
         """Give the place of the first pixel, and length of one unit, along x, y (and z) in um."""
