@@ -141,11 +141,15 @@ def drawing_page(pattern: Pattern) -> Page:
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
         axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         axes.annotate(
-            "no hole in this corner:\nit shows the orientation", (corner[0], corner[1]),
+            "no hole in this corner:\nit shows the orientation",
+            (corner[0], corner[1]),
             (field[0] + 13 * mm, field[1] + 13 * mm),
-            color=ACCENT, fontsize=7.5, ha="left", va="bottom",
+            color=ACCENT,
+            fontsize=7.5,
+            ha="left",
+            va="bottom",
             arrowprops={"arrowstyle": "-", "color": ACCENT, "lw": 0.6, "shrinkB": 5},
-        )  # fmt: skip
+        )
     rows = [
         ("layout", f"{pattern.layout}, seed {pattern.seed}"),
         ("hole", f"{pattern.diameter_um:g} µm"),
@@ -214,9 +218,13 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     left, upper = low + pattern.field_um
     limits = axes.axis()
     image = axes.imshow(
-        error, extent=(low[0], left, low[1], upper), origin="lower", cmap="cividis", aspect="auto",
+        error,
+        extent=(low[0], left, low[1], upper),
+        origin="lower",
+        cmap="cividis",
+        aspect="auto",
         interpolation="bilinear",
-    )  # fmt: skip
+    )
     axes.axis(limits)
     levels = np.linspace(error.min(), error.max(), 7)[1:-1]
     lines = axes.contour(across, up, error, levels=levels, colors="white", linewidths=0.6)

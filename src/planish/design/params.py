@@ -28,10 +28,12 @@ class DesignParams(Params):
         None, gt=0, le=1e6, help="Least distance of two holes; where not given 500 um or 3 diameters, the larger."
     )
     margin_um: float | None = option(
-        None, gt=0, le=1e6,
+        None,
+        gt=0,
+        le=1e6,
         help="From the field to the middle of the holes, widened to whole steps of 50 um; if not given 1.5 diameters, "
         "or as much as a small field needs.",
-    )  # fmt: skip
+    )
     origin_um: tuple[float, float] = option(
         (0.0, 0.0), metavar="X,Y", help="Where on the stage the lower left corner of the view lies."
     )
@@ -55,9 +57,10 @@ class StageParams(Params):
     )
     power: float | None = option(None, gt=0, le=1e6, help="S word of M3, where the controller needs one.")
     range_um: tuple[float, float, float, float] = option(
-        (0.0, 0.0, 100_000.0, 100_000.0), metavar="X0,Y0,X1,Y1",
+        (0.0, 0.0, 100_000.0, 100_000.0),
+        metavar="X0,Y0,X1,Y1",
         help="Range of the stage; a program that leaves it is refused.",
-    )  # fmt: skip
+    )
 
     @model_validator(mode="after")
     def _fits(self) -> Self:

@@ -153,9 +153,11 @@ def _blank_pattern(params: DesignParams) -> Pattern:
     field = np.array(params.field_um)
     margin = (STEP_UM * np.ceil((field + 2 * least) / STEP_UM - 1e-9) - field) / 2
     return Pattern(
-        **params.model_dump(include={"name", "layout", "field_um", "origin_um", "seed", *BURN}), spacing_um=spacing,
-        margin_um=margin.tolist(), border_um=BORDER_DIAMETERS * params.diameter_um,
-    )  # fmt: skip
+        **params.model_dump(include={"name", "layout", "field_um", "origin_um", "seed", *BURN}),
+        spacing_um=spacing,
+        margin_um=margin.tolist(),
+        border_um=BORDER_DIAMETERS * params.diameter_um,
+    )
 
 
 def _search(blank: Pattern, count: int, rng: np.random.Generator) -> Design | str:

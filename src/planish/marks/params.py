@@ -14,6 +14,7 @@ class HoleParams(Params):
         (100.0, 300.0), metavar="LEAST,MOST", help="Range of hole diameters in um."
     )
     printed: bool = option(
-        False, help="The image is a print: dots narrower than the smallest hole are taken off before holes are "
+        False,
+        help="The image is a print: dots narrower than the smallest hole are taken off before holes are "
         "searched in it.",
-    )  # fmt: skip
+    )

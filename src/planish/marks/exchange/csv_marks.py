@@ -7,8 +7,9 @@ is the image. Rows whose ``used`` is 0 or false are left out.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -25,27 +26,26 @@ _SIDES = {
     "volume": ("volume_x_um", "volume_y_um", "volume_z_um"),
     "fixed": ("fixed_x_um", "fixed_y_um"),
 }
-_HOLE_COLUMNS = ("x_um", "y_um")
-_RESULTS = ("residual_um", "leave_one_out_um", "weight", "used")
 
 
 def looks_like(content: Content) -> bool:
     """Return whether the header names a column of pairs or of holes."""
-    return any(name.lower() in names for name in content.header for names in (*_SIDES.values(), _HOLE_COLUMNS))
+    columns = {"x_um", "y_um"}.union(*_SIDES.values())
+    return any(name.lower() in columns for name in content.header)
 
 
 def read(content: Content) -> xr.Dataset | list[PointList]:
     """Read pairs as marks, or the holes of one layer."""
-    names = [name.lower() for name in content.header]
-    sides = [side for side, columns in _SIDES.items() if any(column in names for column in columns)]
+    names = {name.lower() for name in content.header}
+    sides = [side for side, columns in _SIDES.items() if names.intersection(columns)]
     if not sides:
-        return [read_points(content, _HOLE_COLUMNS, stated=True, source="imported")]
+        return [read_points(content, ("x_um", "y_um"), stated=True, source="imported")]
     first = "volume" if "volume" in sides and "moving" not in sides else "moving"
-    *choices, fixed = (", ".join(columns) for columns in _SIDES.values())
-    advice = f"Needed: label, then {' or '.join(choices)}, then {fixed}, all in um."
+    moving, volume, fixed = map(", ".join, _SIDES.values())
+    advice = f"Needed: label, then {moving} or {volume}, then {fixed}, all in um."
     needed = (*_SIDES[first], *_SIDES["fixed"])
     table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
-    if {"moving", "volume"} <= set(sides):
+    if "moving" in sides and "volume" in sides:
         table.faults.append("both moving and volume columns are there; keep one kind")
     table.rows[:] = [row for row in table.rows if table.text(row, "used").lower() not in ("0", "0.0", "false", "no")]
     places = {side: MarkPlaces(um=table.numbers(_SIDES[side])) for side in (first, "fixed")}
@@ -66,9 +66,8 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
 
 def holes_text(holes: xr.Dataset, labels: Sequence[str]) -> str:
     """Write the table of holes."""
-    columns = [name for name in ("x", "y", "diameter") if name in holes]
-    rows = zip(labels, *(holes[name].values for name in columns), strict=True)
-    return table_text(["label", *(f"{name}_um" for name in columns)], list(rows))
+    columns = {f"{name}_um": holes[name].values for name in ("x", "y", "diameter") if name in holes}
+    return table_text(["label", *columns], zip(labels, *columns.values(), strict=True))
 
 
 def write_marks(dataset: xr.Dataset, path: str | Path) -> None:
@@ -100,14 +99,12 @@ def pairs_text(dataset: xr.Dataset) -> str:
             f"The marks hold {', '.join(sorted(variables)) or 'nothing'}; fixed_x, fixed_y and either moving_x, "
             "moving_y or volume_x, volume_y, volume_z are needed."
         )
-    results = [name for name in _RESULTS if name.removesuffix("_um") in variables]
-    names = ["label", *_SIDES[sides[0]], *_SIDES["fixed"], *results]
-    types = {"label": str, "used": int}
-    numbers = range(1, dataset.sizes.get("mark", 0) + 1)
-    keys = [name.removesuffix("_um") for name in names]
-    columns = (variables[key].values if key in variables else numbers for key in keys)
-    rows = zip(*(map(types.get(key, float), column) for key, column in zip(keys, columns, strict=True)), strict=True)
-    return table_text(names, list(rows))
+    columns: dict[str, Iterable[Any]] = {"label": labels_of(dataset)}
+    for name in (*_SIDES[sides[0]], *_SIDES["fixed"], "residual_um", "leave_one_out_um", "weight", "used"):
+        key = name.removesuffix("_um")
+        if key in variables:
+            columns[name] = map(int if key == "used" else float, variables[key].values)
+    return table_text(list(columns), zip(*columns.values(), strict=True))
 
 
 def read_points(content: Content, columns: tuple[str, str], *, stated: bool, source: str) -> PointList:
@@ -120,10 +117,15 @@ def read_points(content: Content, columns: tuple[str, str], *, stated: bool, sou
     if not len(points):
         raise MarkError(f"{content.name} has a header and no mark. One row for each is needed.")
     return PointList(
-        title=content.name, points=points, unit="um", stated=stated, placed=stated, source=source,
+        title=content.name,
+        points=points,
+        unit="um",
+        stated=stated,
+        placed=stated,
+        source=source,
         labels=_labels(table) if stated else (),
         extras={"diameter": np.array([v or np.nan for v in diameters], dtype=np.float64)},
-    )  # fmt: skip
+    )
 
 
 def _labels(table: CsvTable) -> list[str]:

@@ -55,18 +55,30 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
             is_set = bool(np.isfinite(place).all())
             controls.append(
                 {
-                    "id": str(k + 1), "label": labels[k], "description": "", "associatedNodeID": "",
-                    "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0], "selected": used[k],
-                    "locked": False, "visibility": True, "positionStatus": "defined" if is_set else "undefined",
+                    "id": str(k + 1),
+                    "label": labels[k],
+                    "description": "",
+                    "associatedNodeID": "",
+                    "position": [*place, 0.0][:3] if is_set else [0.0, 0.0, 0.0],
+                    "selected": used[k],
+                    "locked": False,
+                    "visibility": True,
+                    "positionStatus": "defined" if is_set else "undefined",
                 }
-            )  # fmt: skip
+            )
         markups.append(
             {
-                "type": "Fiducial", "name": role, "coordinateSystem": "LPS", "coordinateUnits": "mm", "locked": False,
-                "fixedNumberOfControlPoints": False, "labelFormat": "%N-%d", "lastUsedControlPointNumber": len(labels),
+                "type": "Fiducial",
+                "name": role,
+                "coordinateSystem": "LPS",
+                "coordinateUnits": "mm",
+                "locked": False,
+                "fixedNumberOfControlPoints": False,
+                "labelFormat": "%N-%d",
+                "lastUsedControlPointNumber": len(labels),
                 "controlPoints": controls,
             }
-        )  # fmt: skip
+        )
     content = {"@schema": SCHEMA, "markups": markups}
     return {"": (json.dumps(content, indent=1, ensure_ascii=False, allow_nan=False) + "\n").encode()}
 
@@ -101,7 +113,10 @@ def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     refuse(name, faults, "Save the list in Slicer again.")
     signs = np.array([1.0, 1.0, 1.0] if system == "LPS" else [-1.0, -1.0, 1.0])
     return PointList(
-        title=title, points=signs * np.array(points, dtype=np.float64), unit=unit, stated=True,
+        title=title,
+        points=signs * np.array(points, dtype=np.float64),
+        unit=unit,
+        stated=True,
         labels=[str(control.get("label") or f"{title} {number}") for number, control in enumerate(controls, 1)],
         used=[control.get("selected", True) is not False for control in controls],
-    )  # fmt: skip
+    )
