@@ -200,8 +200,9 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
     rows.clear()
     for rule in rules:
-        measured = f"{rule.value:.{0 if rule.unit in ('um', 'holes') else 2}f} {rule.unit.replace('um', 'µm')}"
-        rows.append((rule.name, f"{measured.strip()}  {'≥' if rule.sense == 'at least' else '≤'} {rule.limit:.4g}"))
+        sign, decimals = "≥" if rule.sense == "at least" else "≤", 0 if rule.unit in ("um", "holes") else 2
+        measured = f"{rule.value:.{decimals}f} {rule.unit.replace('um', 'µm')}".strip()
+        rows.append((rule.name, f"{measured}  {sign} {rule.limit:.4g}"))
     page.aside("Rules", rows)
     return page
 

@@ -169,16 +169,17 @@ def read_holes(path: str | Path) -> xr.Dataset:
         If something is missing or malformed; all faults are named.
     """
     place = Path(path)
-    if _checked_suffix(place) == ".csv":
-        text = read_text(place, what="table of holes")
-        table = parse_table(text, place.name, needed=("x_um", "y_um"), error=MarkError)
-        columns = [name for name in ("x", "y", "diameter") if f"{name}_um" in table.header]
-        numbers = table.numbers([f"{name}_um" for name in columns])
-        table.check()
-        if not len(numbers):
-            raise MarkError(f"{place.name} has a header and no hole. One row for each is needed.")
-        return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(columns, numbers.T, strict=True)})
-    return holes_from_json(read_object(read_text(place, what="file of holes"), place.name), place.name)
+    name = place.name
+    if _checked_suffix(place) == ".json":
+        return holes_from_json(read_object(read_text(place, what="file of holes"), name), name)
+    table = parse_table(read_text(place, what="table of holes"), name, needed=("x_um", "y_um"), error=MarkError)
+    columns = [column for column in ("x_um", "y_um", "diameter_um") if column in table.header]
+    numbers = table.numbers(columns)
+    table.check()
+    if not len(numbers):
+        raise MarkError(f"{name} has a header and no hole. One row for each is needed.")
+    variables = zip(columns, numbers.T, strict=True)
+    return xr.Dataset({column.removesuffix("_um"): ("mark", um, {"units": "um"}) for column, um in variables})
 
 
 def _checked_suffix(place: Path) -> str:

@@ -80,11 +80,13 @@ def read(content: Content) -> list[PointList]:
 def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
     """Write a CSV file. A point without one of its positions is not active, as BigWarp has it."""
     axes = max(side.shape[1] for side in points.values())
-    sides = [np.pad(side, ((0, 0), (0, axes - side.shape[1]))) for side in points.values()]
-    used = used_of(marks)
-    rows: list[list[str]] = []
-    for k, label in enumerate(labels_of(marks)):
-        is_set = [bool(np.isfinite(side[k]).all()) for side in sides]
-        cells = [repr(float(v)) if ok else "Infinity" for side, ok in zip(sides, is_set, strict=True) for v in side[k]]
-        rows.append([label, "true" if used[k] and all(is_set) else "false", *cells])
+    sides: list[Floats] = []
+    for side in points.values():
+        side = np.pad(side, ((0, 0), (0, axes - side.shape[1])))
+        sides.append(np.where(np.isfinite(side).all(axis=1, keepdims=True), side, np.inf))
+    numbers = np.hstack(sides)
+    used = used_of(marks) & np.isfinite(numbers).all(axis=1)
+    rows: list[list[Any]] = []
+    for label, active, row in zip(labels_of(marks), used.tolist(), numbers.tolist(), strict=True):
+        rows.append([label, str(active).lower(), *("Infinity" if number == np.inf else number for number in row)])
     return {"": table_text([], rows, quote_all=True).encode()}

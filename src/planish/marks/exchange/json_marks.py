@@ -173,16 +173,15 @@ def _cross_field_faults(file: _File, names: list[str]) -> list[str]:
             if layer not in names:
                 faults.append(f"{where}: there is no such layer")
             has_z.setdefault(layer, set()).add(place.z is not None)
-            cov = place.covariance_um2
-            if cov is not None and not _is_covariance(cov):
+            if place.covariance_um2 is not None and not _is_covariance(place.covariance_um2):
                 faults.append(f"{where}: the covariance is not [[xx, xy], [xy, yy]] of a spread")
     faults += [f"some positions in {n} have z and some have none" for n, kinds in has_z.items() if len(kinds) > 1]
     return faults
 
 
 def _is_covariance(cov: list[list[float]]) -> bool:
-    if len(cov) != 2 or any(len(row) != 2 for row in cov):
+    if [len(row) for row in cov] != [2, 2]:
         return False
     (xx, xy), (yx, yy) = cov
     # Rounding may leave a determinant of a little less than zero.
-    return xx >= 0 and yy >= 0 and xy == yx and xy * xy <= xx * yy * (1 + 1e-9)
+    return min(xx, yy) >= 0 and xy == yx and xy * xy <= xx * yy * (1 + 1e-9)

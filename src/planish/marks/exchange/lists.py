@@ -214,14 +214,14 @@ def join_lists(
                 "file."
             )
     if len(lists) > 2:
-        titles = ", ".join(f"{point_list.title} ({len(point_list.points)})" for point_list in lists[:8])
+        titles = ", ".join(f"{each.title} ({len(each.points)})" for each in lists[:8])
         raise MarkError(f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two alone.")
     first, last = lists[0], lists[-1]
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
-        titles = [point_list.title.strip().lower() for point_list in lists]
-        is_second = titles[0] in ("fixed", "to", "target", "image")
-        if swap != (is_second and titles[1] in ("moving", "from", "source", "volume")):
+        title, other = (each.title.strip().lower() for each in lists)
+        is_second = title in ("fixed", "to", "target", "image")
+        if swap != (is_second and other in ("moving", "from", "source", "volume")):
             first, last = last, first
         a, b = first.names, last.names
         if len(a) != len(b):
