@@ -216,11 +216,11 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
         for start, side in zip(low, pattern.field_um, strict=True)
     )
     error = predicted.at(np.stack(np.meshgrid(across, up), axis=-1))
-    left, upper = low + pattern.field_um
+    end = low + pattern.field_um
     limits = axes.axis()
     image = axes.imshow(
         error,
-        extent=(low[0], left, low[1], upper),
+        extent=(low[0], end[0], low[1], end[1]),
         origin="lower",
         cmap="cividis",
         aspect="auto",

@@ -121,13 +121,12 @@ def pattern_dxf(pattern: Pattern) -> str:
         groups += _text("NUMBERS", x + 0.6 * diameter + pattern.rim_um, y, diameter, label)
     (x, y), (w, h), arm = pattern.field_low_um, pattern.field_um, 3 * diameter
     x1, y1 = x0 + width, y0 + height
-    outlines = (
+    for layer, corners in (
         ("FIELD", ((x, y), (x + w, y), (x + w, y + h), (x, y + h), (x, y))),
         ("VIEW", ((x0, y0), (x1, y0), (x1, y1), (x0, y1), (x0, y0))),
         ("ORIGIN", ((x0, y0), (x0 + arm, y0))),
         ("ORIGIN", ((x0, y0), (x0, y0 + arm))),
-    )
-    for layer, corners in outlines:
+    ):
         for start, end in pairwise(corners):
             groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
     groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")

@@ -162,20 +162,21 @@ def _detect(fine: Raster, radii: Pair, signs: tuple[float, ...]) -> list[_Marks]
     quiet = candidates.local_deviation(coarse, diameter, 0.25)
     quiet = quiet._replace(values=np.minimum(quiet.values, np.median(quiet.values)))
     # The response at the centre of a disc at its own radius.
-    smallest, second, *_ = responses
-    ratio = second / smallest
+    ratio = list(responses)[1] / min(responses)
     disc = criteria.LEAST_CONTRAST * float(np.exp(-1 / ratio) - np.exp(-ratio))
     faintest = quiet._replace(values=0.67 * disc * quiet.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
     # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
     spreads = [candidates.local_spread(response, candidates.SQUARE * diameter, 0.5) for response in responses.values()]
     spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
-    # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
-    seen = 0.6 * criteria.LEAST_CONTRAST
     marks: list[_Marks] = []
     for sign in signs:
         points, standing, share, dropped = candidates.peaks(responses, sign, faintest, spreads)
-        least = 0.6 * share * criteria.LEAST_CONTRAST * quiet.at_points(points), np.where(share < 1.0, 0.0, seen)
+        # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
+        least = (
+            0.6 * share * criteria.LEAST_CONTRAST * quiet.at_points(points),
+            np.where(share < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST),
+        )
         places = points + coarse.origin_um
         measured = _measure(fine, places, sign, radii, least)
         measured[:, k.STANDING] = standing

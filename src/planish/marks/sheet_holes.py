@@ -99,8 +99,8 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     holes: dict[str, xr.Dataset] = {}
     for layer, share in layers.items():
         # A tapered hole is narrower, or wider, on the other side than what was asked for.
-        diameter_um = (low, high) if layer == side else (low / 1.4, high * 1.4)
-        holes[layer] = find_holes(share, pixel_um=grid.pixel_um, diameter_um=diameter_um, polarity="dark")
+        sizes = (low, high) if layer == side else (low / 1.4, high * 1.4)
+        holes[layer] = find_holes(share, pixel_um=grid.pixel_um, diameter_um=sizes, polarity="dark")
     centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
     count = len(centres)
     rows = {layer: np.arange(count) if layer == side else np.full(count, -1) for layer in LAYERS}
@@ -117,10 +117,10 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     statistics, to_face = _offset_statistics(offsets, maps, side)
     out = _shifted(holes[side], to_face).merge(of_layers, combine_attrs="override")
     for axis, along, offset in zip("xy", ("along the columns", "down the rows"), offsets.T, strict=True):
-        text = {"units": "um", "long_name": f"Offset from the top to the bottom {along}"}
-        out[f"offset_{axis}"] = ("mark", offset, text)
-    flags = {"flag_values": list(range(3)), "flag_meanings": " ".join(OTHER_SIDE)}
-    out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"} | flags)
+        long_name = f"Offset from the top to the bottom {along}"
+        out[f"offset_{axis}"] = ("mark", offset, {"units": "um", "long_name": long_name})
+    out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"})
+    out["other_side"].attrs |= {"flag_values": list(range(3)), "flag_meanings": " ".join(OTHER_SIDE)}
     # What is as large as a circle of this share of the holes' diameter is an opening that should be one.
     least_um = 0.6 * float(np.median(diameters if count else [low]))
     out.attrs |= {

@@ -220,8 +220,7 @@ def join_lists(
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
         title, other = (each.title.strip().lower() for each in lists)
-        is_second = title in ("fixed", "to", "target", "image")
-        if swap != (is_second and other in ("moving", "from", "source", "volume")):
+        if swap != (title in ("fixed", "to", "target", "image") and other in ("moving", "from", "source", "volume")):
             first, last = last, first
         a, b = first.names, last.names
         if len(a) != len(b):
