@@ -183,6 +183,4 @@ def lag_of(**values: Any) -> Run:
 
 def page_of(run: Run) -> str:
     """Return the page of a run whose results are a dict."""
-    return page.render_report(
-        groups=run["groups"], marks=run["marks"], results=Results.model_validate(run["results"])
-    )  # fmt: skip
+    return page.render_report(run["groups"], run["marks"], Results.model_validate(run["results"]))[0]

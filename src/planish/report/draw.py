@@ -9,7 +9,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
-from typing import NamedTuple, TypedDict, Unpack
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -37,15 +37,6 @@ _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 Table = Mapping[str, Sequence[object]]
 """Something that a figure shows as numbers, for those who plot it again: columns of one length, by their headings."""
-
-
-class Style(TypedDict, total=False):
-    """How a text looks: size in CSS pixels, colours of ink and halo, bold or not."""
-
-    size: float
-    colour: str
-    halo: str
-    bold: bool
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +104,7 @@ class Axes:
 
     def line(self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0) -> None:
         """Draw a line through points (n, 2); NaN interrupts it."""
-        self._parts.append(_stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity))
+        self._stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity)
 
     def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
         """Fill the area within points (n, 2)."""
@@ -125,16 +116,15 @@ class Axes:
         data = "".join(f"M{_n(x)} {_n(y)}h0" for x, y in pixels[np.isfinite(pixels).all(axis=1)])
         for ink, width in ((halo, size + 2.8), (colour, size)):
             if ink and data:
-                self._parts.append(_stroke(data, ink, width, opacity=opacity, cap="round"))
+                self._stroke(data, ink, width, opacity=opacity, cap="round")
 
     def text(
         self, x: float, y: float, text: str, *, anchor: str = "start", upwards: bool = False,
-        shift: tuple[float, float] = (0, 0), **style: Unpack[Style],
+        shift: tuple[float, float] = (0, 0), size: float = BIG, colour: str = INK, halo: str = "", bold: bool = False,
     ) -> None:  # fmt: skip
         """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
-        size, colour, halo = style.get("size", BIG), style.get("colour", INK), style.get("halo", "")
         across, down = (_n(v) for v in self.place((x, y))[0] + shift)
-        more = ' font-weight="600"' if style.get("bold") else ""
+        more = ' font-weight="600"' if bold else ""
         more += f' text-anchor="{anchor}"' if anchor != "start" else ""
         more += f' transform="rotate(-90 {across} {down})"' if upwards else ""
         more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
@@ -157,7 +147,7 @@ class Axes:
             heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
         for ink, extra in ((halo, 2.4), (colour, 0.0)):
             if ink and shafts:
-                self._parts.append(_stroke(shafts, ink, width + extra))
+                self._stroke(shafts, ink, width + extra)
                 self._parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
 
     def contours(self, levels: Array, *, labels: bool = False, avoid: ArrayLike = ()) -> None:
@@ -175,7 +165,7 @@ class Axes:
         for level in levels[(levels > heights.min()) & (levels < heights.max())]:
             lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
             data = "".join(_path(self.place(line)) for line in lines)
-            self._parts.append(_stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7))
+            self._stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7)
             if labels and lines:  # where the line is farthest from the border and from other labels
                 line = max(lines, key=len)
                 pixels = self.place(line)
@@ -196,7 +186,14 @@ class Axes:
         corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
         data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4))
         if data:
-            self._parts.append(_stroke(data, colour, width, cap="square"))
+            self._stroke(data, colour, width, cap="square")
+
+    def _stroke(
+        self, data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt"
+    ) -> None:
+        more = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
+        ink = f'stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"'
+        self._parts.append(f'<path d="{data}" fill="none" {ink}{more}/>')
 
 
 class Canvas(Axes):
@@ -249,12 +246,12 @@ class Canvas(Axes):
         x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
         self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
         rows = _ticks(y0, y1, most=axes.height / 44, log=log)
-        self._number(axes, _ticks(x0, x1, most=axes.width / 62) if across is None else across, rows)
+        self.number_axes(axes, _ticks(x0, x1, most=axes.width / 62) if across is None else across, rows)
         self.text(x + axes.width / 2, bottom + 36, x_label, anchor="middle")
         widest = max((len(text) for _, text in rows), default=0)
         self.text(x - 18 - 6.4 * widest, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
 
-    def _number(self, axes: Axes, across: Sequence[tuple[float, str]], rows: Sequence[tuple[float, str]]) -> None:
+    def number_axes(self, axes: Axes, across: Sequence[tuple[float, str]], rows: Sequence[tuple[float, str]]) -> None:
         """Draw ticks with their numbers below axes and to the left of them."""
         x0, _, y0, _ = axes.extent
         for value, text in across:
@@ -276,8 +273,14 @@ class Canvas(Axes):
         axes.image(shown, scale)
         x0, x1, bottom, upper = shown.extent
         heights = _ticks(*sorted((bottom, upper)), most=box[1] / 44) if rows else []
-        self._number(axes, _ticks(x0, x1, most=box[0] / 62), heights)
+        self.number_axes(axes, _ticks(x0, x1, most=box[0] / 62), heights)
         return axes
+
+    def row_below(self, axes: Axes, drop: float, names: str = "x, y", *, most: float = 0.3) -> None:
+        """Draw a round length below a map and the numbers of its axis, and name both axes."""
+        y = axes.y + axes.height + BELOW + drop
+        self.scale_bar(axes.x, y, width=axes.width, um=axes.shown.width, most=most)
+        self.axes_names(axes.x + axes.width, y, names)
 
     def axes_names(self, right: float, top: float, names: str = "x, y") -> None:
         """Name the axes of a map at the end of the row of its scale bar."""
@@ -287,9 +290,7 @@ class Canvas(Axes):
         """Put a map with its axes and scale bar, and a colour bar where there is a label, somewhere on the canvas."""
         x, y = x + MARGIN, y + _TOP
         axes = self.map_axes(x, y, box, shown, scale)
-        below = y + box[1] + BELOW + 3
-        self.scale_bar(x, below, width=box[0], um=shown.width)
-        self.axes_names(x + box[0], below)
+        self.row_below(axes, 3)
         if label:
             high = max(box[1], _LOWEST_BAR)
             self.colour_bar(x + box[0] + 11, y, 12, high, scale)
@@ -406,8 +407,7 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    finite = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1])
-    out: list[str] = []
+    finite, data = np.isfinite(tenths).all(axis=1), ""
     for run in np.split(np.arange(finite.size), np.flatnonzero(finite[1:] != finite[:-1]) + 1):
         if len(run) > 1 and finite[run[0]]:
             steps = np.diff(tenths[run], axis=0)
@@ -415,13 +415,8 @@ def _path(points: Array) -> str:
             if not len(steps):  # shorter than a tenth of a pixel
                 continue
             x, y = tenths[run[0]] / 10
-            out.append(f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()]))
-    return "".join(out)
-
-
-def _stroke(data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt") -> str:
-    more = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
-    return f'<path d="{data}" fill="none" stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"{more}/>'
+            data += f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()])
+    return data
 
 
 def _image(box: tuple[float, float, float, float], values: Array, scale: Scale, missing: str = MISSING) -> str:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,102 +12,84 @@ from planish.core.facts import is_known
 from planish.report import relation
 from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
+from planish.report.maps import Groups
 from planish.report.relation import Points, largest
-from planish.report.summary import Titles, density_of, lead_pair
-from planish.report.text import HOLES, capital, fixed, label_of, title_of, typeset, unit_of, with_article
+from planish.report.summary import density_of, lead_pair
+from planish.report.text import capital, fixed, label_of, title_of, typeset, unit_of, with_article
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
     from planish.core.checks import Check
 
-_HIGHEST = 330.0  # pixels of a map
-_BAR = 12.0  # from the edge of the figure to the map's right edge, and height of the colour bar
 _WIDE = 0.1  # half of an interval of r from which a larger field is worth its while
-_CEILING = 0.95  # r that misplacement leaves of a perfect relation
 
 
-def draw_first(
-    linked: Mapping[str, xr.Dataset], results: Results, titles: Titles, points: Points | None, *, without: str = HOLES
-) -> list[Picture]:  # fmt: skip
+def draw_first(groups: Groups, points: Points | None) -> list[Picture]:
     """Draw the two maps that lead, on one grid and one mask, and their larger points; nothing where they are missing.
 
     ``points`` are the larger points of the pair. What is withheld is not drawn as a relation.
     """
+    results, titles = groups.results, groups.titles
     rows = lead_pair(results)
-    a, b = (linked.get(rows[0].a), linked.get(rows[0].b)) if rows else (None, None)
-    if a is None or b is None or rows[0].a_map not in a or rows[0].b_map not in b:
+    maps, masks = relation.maps_of(groups.drawn, rows[0]) if rows else ([], [])
+    if len(maps) < 2:
         return []
     row = largest(rows)
-    p, q = a[row.a_map], b[row.b_map]
-    use = np.isfinite(p.values) & np.isfinite(q.values)
-    for data in (a, b):
-        use &= data["valid"].values.astype(bool) if "valid" in data else True
-    values = [np.where(use, m.values.astype(np.float64), np.nan) for m in (p, q)]
-    inside = [v[use] for v in values]
-    shown = [m.copy(data=v) for m, v in zip((p, q), values, strict=True)]
-    together = np.concatenate(inside) if row.same_quantity else None
-    out = [
-        _map(data, v, of=name, scaled=v[use] if together is None else together, without=without)
-        for data, v, name in zip(shown, values, (row.a, row.b), strict=True)
+    use = np.logical_and.reduce([*(np.isfinite(m.values) for m in maps), *(m.values.astype(bool) for m in masks)])
+    shown = [m.copy(data=np.where(use, m.values.astype(np.float64), np.nan)) for m in maps]
+    together = np.concatenate([m.values.ravel() for m in shown])
+    pictures = [
+        _map(m, together if row.same_quantity else m.values, of=name, without=groups.without)
+        for m, name in zip(shown, (row.a, row.b), strict=True)
     ]
     if points is not None and row.trust != "withheld":
         names = (titles[row.a, row.a_map], titles[row.b, row.b_map])
         if row.same_quantity or names[0] == names[1]:
             names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
-        out.append(
-            relation.draw_points(
-                points, row, names=names, units=(unit_of(p), unit_of(q)), height=out[0].height,
-                density=density_of(results, row),
-            )
-        )  # fmt: skip
-    return out
+        pictures.append(relation.draw_points(
+            points, row, names=names, units=(unit_of(maps[0]), unit_of(maps[1])), height=pictures[0].height,
+            density=density_of(results, row),
+        ))  # fmt: skip
+    return pictures
 
 
-def _map(data: xr.DataArray, values: Array, *, of: str, scaled: Array, without: str) -> Picture:
-    """Draw a map on a third of the page, with its colours below."""
-    y, x = data["y"].values, data["x"].values
-    room = THIRD - MARGIN - _BAR
-    shown = reduced(values, y, x, width=room)
-    box = shown.fit(room, _HIGHEST)
-    scale = colours_of(data, scaled)
+def _map(data: xr.DataArray, coloured: Array, *, of: str, without: str) -> Picture:
+    """Draw a map on a third of the page, with its colours below, which span those of ``coloured``."""
+    x, room = data["x"].values, THIRD - MARGIN - 12
+    shown = reduced(data.values, data["y"].values, x, width=room)
+    box = shown.fit(room, 330.0)
+    scale, wide = colours_of(data, coloured), max(box[0], 150.0)
     canvas = Canvas(THIRD, box[1] + BELOW + 74)
     canvas.map_axes(MARGIN, 8, box, shown, scale)
     low = box[1] + BELOW + 8
     canvas.axes_names(MARGIN + box[0], low)
-    canvas.colour_bar(MARGIN, low + 22, max(box[0], 150.0), 10, scale)
-    canvas.text(MARGIN + max(box[0], 150.0) / 2, low + 62, label_of(data), anchor="middle")
-    title = title_of(data) if with_article(of) != of else f"{title_of(data)}, {of}"
+    canvas.colour_bar(MARGIN, low + 22, wide, 10, scale)
+    canvas.text(MARGIN + wide / 2, low + 62, label_of(data), anchor="middle")
     return canvas.picture(
-        title=title,
+        title=title_of(data) if with_article(of) != of else f"{title_of(data)}, {of}",
         caption=(
-            f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: valid in both maps, without {without}. Colours span "
-            "the 1st to the 99th percentile."
+            f"n = {n_of(data.values)} pixels of {pixel_of(x)}; mask: valid in both maps, without {without}. Colours "
+            "span the 1st to the 99th percentile."
         ),
     )
 
 
-def recommendations(results: Results) -> list[str]:
-    """Say in one or two sentences what would make the results surer."""
-    return [text for text, _ in _recommendations(results)]
-
-
-def recommended_checks(results: Results) -> list[Check]:
-    """Checks whose advice is part of what would make it surer."""
-    return [check for _, check in _recommendations(results) if check is not None]
-
-
-def _recommendations(results: Results) -> list[tuple[str, Check | None]]:
+def recommendations(results: Results) -> list[tuple[str, Check | None]]:
+    """Say in one or two sentences what would make the results surer, each with the check whose advice it is."""
     advice: list[tuple[str, Check | None]] = [
         (f"{capital(check.name)}: {capital(typeset(check.advice))}", check)
         for check in (*results.checks_in("fail"), *results.checks_in("look")) if check.advice
     ]  # fmt: skip
-    rows = lead_pair(results)
-    advice += [(text, None) for text in (_of_field(rows), _of_place(results), _of_study(results)) if text]
-    if not advice and results.is_link:
-        advice = [("A second specimen would show whether the relation holds beyond this one.", None)]
-    if not advice:
-        advice = [("A second field of the sheet would show how much the maps vary from place to place.", None)]
-    return advice[:2]
+    of_study = ""
+    if results.evidence and not results.evidence[0].declared and any(x.headline != "image" for x in results.layers):
+        of_study = "Declare the map that leads in the study (--headline) before the next specimen is looked at."
+    advice += [(text, None) for text in (_of_field(lead_pair(results)), _of_place(results), of_study) if text]
+    usual = (
+        "A second specimen would show whether the relation holds beyond this one."
+        if results.is_link
+        else "A second field of the sheet would show how much the maps vary from place to place."
+    )
+    return advice[:2] or [(usual, None)]
 
 
 def _of_field(rows: Sequence[CorrelationRow]) -> str:
@@ -127,25 +108,14 @@ def _of_field(rows: Sequence[CorrelationRow]) -> str:
 
 def _of_place(results: Results) -> str:
     """Say what more marks would do to the correlation."""
-    least = min((e.ceiling for e in results.evidence if e.ceiling is not None), default=math.inf)
-    if least < _CEILING:
+    ceilings = [e.ceiling for e in results.evidence if e.ceiling is not None]
+    if ceilings and min(ceilings) < 0.95:  # r that misplacement leaves of a perfect relation
         return (
             f"More marks, spread over the field: with the expected error of the place, a perfect relation would show "
-            f"r = {fixed(least, 2)} and no more."
+            f"r = {fixed(min(ceilings), 2)} and no more."
         )
     for layer in results.moving:
         r = layer.registration
         if r is not None and r.leave_one_out_rms_um is None:
             return f"More marks: {r.matched} of {with_article(layer.name)} are too few for a leave-one-out error."
     return ""
-
-
-def _of_study(results: Results) -> str:
-    """Say that the map that leads can be declared."""
-    if (
-        not results.evidence
-        or results.evidence[0].declared
-        or all(layer.headline == "image" for layer in results.layers)
-    ):
-        return ""
-    return "Declare the map that leads in the study (--headline) before the next specimen is looked at."

@@ -32,7 +32,19 @@ from planish.report.draw import (
     reduced,
 )
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import HOLES, count, in_words, label_of, length, number, percent, plain, title_of, unit_of
+from planish.report.text import (
+    HOLES,
+    count,
+    in_words,
+    label_of,
+    left_out,
+    length,
+    number,
+    percent,
+    plain,
+    title_of,
+    unit_of,
+)
 from planish.results import LayerFacts, PropertyFacts, Results
 
 _MOST_DRAWN = 2**22  # pixels of a map: more than the widest figure has
@@ -87,6 +99,11 @@ class Groups:
             maps = smaller
         return maps
 
+    @property
+    def without(self) -> str:
+        """What the mask of valid pixels leaves out, in words."""
+        return left_out(self.results.regions)
+
     @cached_property
     def titles(self) -> dict[tuple[str, str], str]:
         """Titles of all maps, by layer and name."""
@@ -117,26 +134,19 @@ def draw_maps(
 def _draw(
     maps: xr.Dataset, name: str, facts: PropertyFacts, *, width: float, rim_um: float, shared: str | None
 ) -> Picture:
-    data = maps[name]
+    data, room = maps[name], width - MARGIN - _BESIDE
     values = data.values.astype(np.float64)
-    room = width - MARGIN - _BESIDE
     shown = reduced(values, data["v"].values, data["u"].values, width=room)
     box = shown.fit(room, 480.0 if width < FULL else 640.0)
-    finite = values[np.isfinite(values)]
-    coloured = finite
-    if shared is not None:
-        other = maps[shared].values.astype(np.float64)
-        coloured = np.concatenate([v[np.isfinite(v)] for v in ((values, other) if name < shared else (other, values))])
-    scale = colours_of(data, coloured)
+    scale = colours_of(data, np.concatenate([maps[key].values.ravel() for key in sorted({name, shared or name})]))
     high = panel_height(box, "colours")
     canvas = Canvas(width, high + BELOW + 38)
-    canvas.map_axes(MARGIN, 8, box, shown, scale)
+    axes = canvas.map_axes(MARGIN, 8, box, shown, scale)
     x0 = MARGIN + box[0] + 12
     canvas.colour_bar(x0, 8, 13, high, scale)
     canvas.text(MARGIN + box[0] + _BESIDE - 10, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
-    counted = _distribution(canvas, (x0 + 58, 8, 62, high), finite, scale, facts)
-    canvas.scale_bar(MARGIN, box[1] + BELOW + 10, width=box[0], um=shown.width)
-    canvas.axes_names(MARGIN + box[0], box[1] + BELOW + 10, "u, v")
+    counted = _distribution(canvas, (x0 + 58, 8, 62, high), values, scale, facts)
+    canvas.row_below(axes, 2, "u, v")
     stated = ""
     if facts.mean is not None and facts.sd is not None:
         mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
@@ -148,7 +158,7 @@ def _draw(
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{stated}Drawn: n = {n_of(finite)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both "
+            f"{stated}Drawn: n = {n_of(values)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both "
             f"faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the "
             f"99th percentile{of_both}."
         ),
@@ -163,25 +173,23 @@ def draw_side_by_side(
 
     ``shared``: they have one colour scale; ``without`` says in words what the mask of valid pixels leaves out.
     """
-    shown = [m.values for m in maps]
-    finite = [values[np.isfinite(values)] for values in shown]
-    y, x = maps[0]["y"].values, maps[0]["x"].values
-    fields = [reduced(values, y, x, width=HALF - MARGIN - BESIDE) for values in shown]
-    box = fields[0].fit(HALF - MARGIN - BESIDE, 480.0)
+    y, x, room = maps[0]["y"].values, maps[0]["x"].values, HALF - MARGIN - BESIDE
+    fields = [reduced(data.values, y, x, width=room) for data in maps]
+    box = fields[0].fit(room, 480.0)
     canvas = Canvas(FULL, panel_height(box, "colours") + BELOW + 64)
     for k, (data, drawn, name) in enumerate(zip(maps, fields, names, strict=True)):
         x0 = k * (FULL - HALF)
         canvas.text(x0 + MARGIN, 18, name, bold=True, size=13)
-        scale = colours_of(data, np.concatenate(finite) if shared else finite[k])
-        canvas.panel(x0, 24, drawn, box, scale=scale, label=label_of(data))
+        coloured = np.concatenate([m.values.ravel() for m in maps]) if shared else data.values
+        canvas.panel(x0, 24, drawn, box, scale=colours_of(data, coloured), label=label_of(data))
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
     return canvas.picture(
         title=f"{names[0]} on the pixels of {names[1]}",
         caption=(
             f"Left, {titles[0]} of {names[0]}; right, {titles[1]} of {names[1]}, at the same places. "
             f"{'Both have the same colour scale' if shared else 'Each has its own colour scale'}, from the 1st to the "
-            f"99th percentile. n = {n_of(finite[0])} and {n_of(finite[1])} pixels of {pixel_of(x)}; units: {units[0]} "
-            f"and {units[1]}; mask: measured, without {without}."
+            f"99th percentile. n = {' and '.join(n_of(m.values) for m in maps)} pixels of {pixel_of(x)}; units: "
+            f"{' and '.join(units)}; mask: measured, without {without}."
         ),
     )
 

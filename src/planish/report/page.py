@@ -33,7 +33,7 @@ from planish.report import (
     text,
 )
 from planish.report.draw import FULL, HALF, Picture
-from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, RegistrationFacts, Results
+from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -47,54 +47,12 @@ _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 
 
-class _Sheet(NamedTuple):
-    """What the page shows of one sheet that was measured in this run, beside its results."""
+class _Pair(NamedTuple):
+    """Two maps on one grid as a figure, with their means over the largest points and the correlation of these."""
 
-    layer: LayerFacts
-    warp_um: float
-    slices: list[Picture]
-    warp: list[Picture]
-    progress: list[Picture]
-    maps: list[Picture]
-    leading: list[Picture]
-
-
-class _Block(NamedTuple):
-    """What the page shows of the registration of one layer, beside its results."""
-
-    layer: LayerFacts
-    marks: xr.Dataset | None
-    check: summary.LagVerdict | None
-    pictures: list[Picture]
-    linked: list[Picture]
-    outlined: bool
-
-
-class _MapPair(NamedTuple):
-    """Two maps on one grid, masks of the pixels that count, their correlations, and means over the largest points."""
-
-    maps: tuple[xr.DataArray, xr.DataArray]
-    valid: list[xr.DataArray]
-    rows: list[CorrelationRow]
     points: relation.Points
-
-
-class _Light(NamedTuple):
-    """What light makes of the coating of a pair of layers, where it was asked for: figures and what may be said."""
-
-    of: str
-    pictures: list[Picture]
-    sentences: list[str]
-
-
-class _Distances(NamedTuple):
-    """How the maps of a pair vary with distance: of which layers, figures and what may be said."""
-
-    of: str
-    alone: list[Picture]
-    sentences: list[str]
-    twice: list[Picture]
-    agreement: list[str]
+    row: CorrelationRow
+    picture: Picture
 
 
 def write_report(
@@ -136,51 +94,34 @@ def write_report(
         marks = {name: registration.pairs() for name, registration in run.registrations.items()}
     assert groups is not None
     assert results is not None
-    page, pictures = _render(groups, marks or {}, results)
+    page, pictures = render_report(groups, marks or {}, results)
     write_whole(place, page.encode())
     if figures is not None:
         _write_figures(Path(figures), pictures)
 
 
-def render_report(*, groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results) -> str:
-    """Return the page of :func:`write_report` as text."""
-    return _render(groups, marks, results)[0]
-
-
-def _render(
+def render_report(
     groups: Mapping[str, xr.Dataset], marks: Mapping[str, xr.Dataset], results: Results
 ) -> tuple[str, list[Picture]]:
-    """Return the page as text, and its figures in their order."""
-    data = maps.Groups(results, groups)
-    sheets = [s for layer in results.layers if (s := _sheet(data, layer))]
-    pairs, lead = _map_pairs(data.linked, results), summary.lead_pair(results)
-    lead_points = pairs[key].points if lead and (key := summary.key_of(lead[0])) in pairs else None
-    leading = first.draw_first(
-        data.drawn, results, data.titles, lead_points, without=text.left_out(results.regions)
-    ) or [picture for s in sheets for picture in s.leading]
-    shown = _Shown()
+    """Return the page of :func:`write_report` as text, and its figures in the order in which it shows them."""
+    data, pictures = maps.Groups(results, groups), list[Picture]()
+
+    def numbered(picture: Picture) -> int:
+        pictures.append(picture)
+        return len(pictures)
+
+    sheets = [sheet for layer in results.layers if (sheet := _sheet(data, layer))]
+    pairs, lead = _pairs(data), summary.lead_pair(results)
+    lead_pair = pairs.get(summary.key_of(lead[0])) if lead else None
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
-        summary=summary, statement=statement, text=text, first=first, shown=shown, sheets=sheets, leading=leading,
-        blocks=[b for layer in results.moving if (b := _block(layer, data.drawn, marks.get(layer.name), results))],
-        pairs=_draw_pairs(pairs, results, data.titles), scales=_scales(results, data.titles),
-        sentences_of=partial(_sentences, section="scale", results=results, titles=data.titles),
-        lights=[d for e in results.evidence if (d := _light(e, results, data.titles, pairs))],
-        distances=[d for e in results.evidence if (d := _distances(e, results, data.titles))], diagnostics=diagnostics,
+        summary=summary, statement=statement, text=text, first=first, diagnostics=diagnostics, numbered=numbered,
+        sheets=sheets, leading=first.draw_first(data, lead_pair and lead_pair.points) or
+        [picture for sheet in sheets for picture in sheet["leading"]],
+        blocks=[block for layer in results.moving if (block := _block(data, layer, marks.get(layer.name)))],
+        pairs=[pair.picture for pair in pairs.values()], evidence=[_evidence(data, e, pairs) for e in results.evidence],
     )  # fmt: skip
-    return f"{page}\n", shown.pictures
-
-
-class _Shown:
-    """The figures of a page in the order in which it shows them."""
-
-    def __init__(self) -> None:
-        self.pictures: list[Picture] = []
-
-    def number(self, picture: Picture) -> int:
-        """Return the number of a figure that is shown now."""
-        self.pictures.append(picture)
-        return len(self.pictures)
+    return f"{page}\n", pictures
 
 
 @cache
@@ -192,171 +133,130 @@ def report_template() -> Template:
     return page
 
 
-def _sheet(groups: maps.Groups, layer: LayerFacts) -> _Sheet | None:
+def _sheet(groups: maps.Groups, layer: LayerFacts) -> dict[str, Any] | None:
     """Draw all that is shown of a sheet; None for an image, and for a sheet whose groups are elsewhere."""
     facts = layer.sheet
     parts = {name: data for name in _SHEET_PARTS if (data := groups.part(layer, name)) is not None}
     if facts is None or len(parts) < len(_SHEET_PARTS):
         return None
-    surfaces, height = parts["surfaces"], parts["surfaces"]["centre"].values
+    surfaces, strain, height = parts["surfaces"], parts["strain"], parts["surfaces"]["centre"].values
     draw_maps = partial(
         maps.draw_maps, parts["maps"], facts.properties, headline=layer.headline, rim_um=facts.surfaces.rim_um or 0.0
     )
-    return _Sheet(
-        layer=layer, warp_um=float(np.nanmax(height) - np.nanmin(height)),
-        slices=slices.draw_slices(parts["slices"], surfaces),
-        warp=flattening.draw_flattening(surfaces, parts["flat"], parts["strain"], facts.flatten.curvature),
-        progress=[flattening.draw_progress(parts["strain"])],
-        maps=draw_maps(),
-        leading=[] if groups.results.is_link else draw_maps(lead_only=True),
-    )  # fmt: skip
+    return {
+        "layer": layer, "warp_um": float(np.nanmax(height) - np.nanmin(height)),
+        "slices": slices.draw_slices(parts["slices"], surfaces),
+        "warp": flattening.draw_flattening(surfaces, parts["flat"], strain, facts.flatten.curvature),
+        "progress": [flattening.draw_progress(strain)], "maps": draw_maps(),
+        "leading": [] if groups.results.is_link else draw_maps(lead_only=True),
+    }  # fmt: skip
 
 
-def _block(
-    layer: LayerFacts, linked: Mapping[str, xr.Dataset], marks: xr.Dataset | None, results: Results
-) -> _Block | None:
-    """Draw all that is shown of the registration of a layer."""
-    r, base = layer.registration, results.reference
-    data, reference = linked.get(layer.name), linked.get(base.name)
+def _block(groups: maps.Groups, layer: LayerFacts, marks: xr.Dataset | None) -> dict[str, Any] | None:
+    """Draw all that is shown of the registration of a layer; None where it or a map is missing."""
+    r, results, base = layer.registration, groups.results, groups.results.reference
+    data, reference = groups.drawn.get(layer.name), groups.drawn.get(base.name)
     if r is None or data is None or reference is None:
         return None
+    marks = marks if marks is not None and marks.sizes["mark"] else None
     other = reference[base.headline]
-    first, second = _named(data[layer.headline], layer), _named(other, base)
-    without = text.left_out(results.regions)
+    names = _named(data[layer.headline], layer), _named(other, base)
     outlined = base.kind == "image" and layer.kind == "sheet"
     if outlined:
         valid = data["valid"] & reference["valid"] if "valid" in reference else data["valid"]
         thin_um = float(results.parameters.get("correlate", {}).get("thin_um", _THIN_UM))
         with_image = data.assign(image=other, valid=valid)
-        shown = maps.draw_outlines(with_image, name=layer.headline, thin_um=thin_um, without=without)
+        shown = maps.draw_outlines(with_image, name=layer.headline, thin_um=thin_um, without=groups.without)
     else:
         rows = summary.headline_pair(results, layer)
-        shared = bool(rows) and rows[0].same_quantity
         pair = _valid(data, layer.headline), _valid(reference, base.headline)
-        shown = [maps.draw_side_by_side(pair, names=(layer.name, base.name), shared=shared, without=without)]
-    return _Block(
-        layer=layer, marks=marks if marks is not None and marks.sizes["mark"] else None,
-        check=summary.lag_verdict(r.lag, first=first, second=second),
-        pictures=_registration(r, data, other, marks, results, words=(layer.name, first, second)), linked=shown,
-        outlined=outlined,
-    )  # fmt: skip
+        shown = [maps.draw_side_by_side(
+            pair, names=(layer.name, base.name), shared=bool(rows) and rows[0].same_quantity, without=groups.without
+        )]  # fmt: skip
+    return {
+        "layer": layer, "marks": marks, "check": summary.lag_verdict(r.lag, first=names[0], second=names[1]),
+        "pictures": _registration(layer, data, other, marks, results, names), "linked": shown, "outlined": outlined,
+    }  # fmt: skip
 
 
 def _registration(
-    r: RegistrationFacts, data: xr.Dataset, other: xr.DataArray, marks: xr.Dataset | None, results: Results, *,
-    words: tuple[str, str, str],
+    layer: LayerFacts, data: xr.Dataset, other: xr.DataArray, marks: xr.Dataset | None, results: Results,
+    names: tuple[str, str],
 ) -> list[Picture]:  # fmt: skip
     """Draw the residuals of a layer's marks, its expected error, and the lags of its tiles.
 
-    ``words`` are the name of the layer, and its map and that of the reference in words.
+    ``names`` are its map and that of the reference in words.
     """
-    base, two, (name, first, second) = results.reference, len(results.layers) == 2, words
+    r, base, two = layer.registration, results.reference, len(results.layers) == 2
+    assert r is not None
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", _HOLE_UM)) / 2)
     window = data["valid"].values.astype(bool) if "valid" in data and base.kind == "image" else None
-    placed = next(n for n in ("u", "image", "thickness", *data.data_vars) if n in data)
+    edge = next(data[name] for name in ("u", "image", "thickness", *data.data_vars) if name in data)
     ground = registration.ground_of(
-        other, of=base.name, valid=window, edge=np.isfinite(data[placed].values), edge_of=name
+        other, of=base.name, valid=window, edge=np.isfinite(edge.values), edge_of=layer.name
     )
     pictures: list[Picture | None] = []
-    if marks is not None and marks.sizes["mark"]:
+    if marks is not None:
         blank = registration.blank_ground(registration.points(marks, "fixed"), of=r.to)
         pictures.append(registration.draw_registration(
-            r, ground if r.to == base.name else blank, marks, hole_um=hole_um, source=name,
+            r, ground if r.to == base.name else blank, marks, hole_um=hole_um, source=layer.name,
             width=FULL if two else HALF,
         ))  # fmt: skip
-    lags = registration.draw_lags(r.lag, ground, first=first, second=second)
+    lags = registration.draw_lags(r.lag, ground, first=names[0], second=names[1])
     if "expected_error" in data:
         # Alone it takes the whole width, beside another figure half of it.
         pictures.append(registration.draw_expected_error(
             data["expected_error"], marks if r.to == base.name else None, hole_um=hole_um,
-            width=FULL if two and lags is None else HALF, of=base.name, shown=name,
+            width=FULL if two and lags is None else HALF, of=base.name, shown=layer.name,
         ))  # fmt: skip
     return [picture for picture in (*pictures, lags) if picture is not None]
 
 
-def _map_pairs(linked: Mapping[str, xr.Dataset], results: Results) -> dict[summary.PairKey, _MapPair]:
-    """Give the pairs of maps that stand for two layers, and all maps of the same quantity, where both are there."""
-    headlines = {layer.name: layer.headline for layer in results.layers}
-    pairs: dict[summary.PairKey, _MapPair] = {}
+def _pairs(groups: maps.Groups) -> dict[summary.PairKey, _Pair]:
+    """Draw the pairs of maps that stand for two layers, and all maps of the same quantity, where both are at hand."""
+    results, titles, pairs = groups.results, groups.titles, dict[summary.PairKey, _Pair]()
+    headlines = {(layer.name, layer.headline) for layer in results.layers}
     for rows in summary.by_pair(results):
-        row = rows[0]
-        a, b = linked.get(row.a), linked.get(row.b)
-        if a is None or b is None or row.a_map not in a or row.b_map not in b:
+        row, sides = rows[0], ((rows[0].a, rows[0].a_map), (rows[0].b, rows[0].b_map))
+        both, valid = relation.maps_of(groups.linked, row)
+        if len(both) < 2 or not (row.same_quantity or headlines.issuperset(sides)):
             continue
-        if row.same_quantity or (headlines[row.a], headlines[row.b]) == (row.a_map, row.b_map):
-            p, q = a[row.a_map], b[row.b_map]
-            valid = [data["valid"] for data in (a, b) if "valid" in data]
-            points = relation.block_means(p, q, point_um=relation.largest(rows).point_um, valid=valid)
-            pairs[summary.key_of(row)] = _MapPair((p, q), valid, rows, points)
+        with_layer = len(results.layers) > 2 or row.same_quantity
+        first, second = (f"{titles[side]}, {side[0]}" if with_layer else titles[side] for side in sides)
+        points = relation.block_means(*both, point_um=relation.largest(rows).point_um, valid=valid)
+        picture = relation.draw_pair(
+            *both, rows, names=(first, second), valid=valid, without=groups.without, points=points,
+            density=summary.density_of(results, row),
+        )  # fmt: skip
+        pairs[summary.key_of(row)] = _Pair(points, relation.largest(rows), picture)
     return pairs
 
 
-def _draw_pairs(pairs: Mapping[summary.PairKey, _MapPair], results: Results, titles: summary.Titles) -> list[Picture]:
-    pictures: list[Picture] = []
-    for pair in pairs.values():
-        row, without = pair.rows[0], text.left_out(results.regions)
-        names = (titles[row.a, row.a_map], titles[row.b, row.b_map])
-        if len(results.layers) > 2 or row.same_quantity:
-            names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
-        pictures.append(relation.draw_pair(
-            *pair.maps, pair.rows, names=names, valid=pair.valid, without=without, points=pair.points,
-            density=summary.density_of(results, row),
+def _evidence(groups: maps.Groups, e: EvidenceFacts, pairs: Mapping[summary.PairKey, _Pair]) -> dict[str, Any]:
+    """Draw what stands beside r of the maps that stand for two layers, and say what it means, by section."""
+    titles, without, same = groups.titles, groups.without, e.a_map == e.b_map
+    names, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
+    figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}
+    if e.sizes or e.bands:
+        figures["scale"].append(diagnostics.draw_scale(e, names=names, without=without))
+    maps_of = [(curve.layer, curve.map) for curve in e.variograms]
+    map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in maps_of)
+    if e.variograms:
+        figures["distance"].append(diagnostics.draw_variograms(e, titles=map_titles, without=without))
+    if e.correlogram is not None:
+        moved = (f"{names[0]} of {e.a}", f"that of {e.b}") if same else names
+        figures["distance"].append(diagnostics.draw_correlogram(e.correlogram, names=moved, without=without))
+    if e.twice is not None and e.twice.rings:
+        rings = diagnostics.draw_rings(e.twice, name=names[0], layers=(e.a, e.b), without=without)
+        figures["repeated"].append(rings)
+    if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:
+        figures["light"].append(diagnostics.draw_kubelka_munk(
+            e, e.kubelka_munk, pair.points, pair.row, titles=summary.titles_of(e, titles), without=without
         ))  # fmt: skip
-    return pictures
-
-
-def _scales(results: Results, titles: summary.Titles) -> list[Picture]:
-    """Draw at which scale the maps that stand for each layer and the reference go together."""
-    return [
-        diagnostics.draw_scale(e, names=summary.names_in_words(e, titles), regions=results.regions is not None)
-        for e in results.evidence if e.sizes or e.bands
-    ]  # fmt: skip
-
-
-def _titles(evidence: EvidenceFacts, titles: summary.Titles) -> tuple[str, ...]:
-    """The titles of both maps, with their layers where they are of one quantity."""
-    same = evidence.a_map == evidence.b_map
-    keys = [(curve.layer, curve.map) for curve in evidence.variograms]
-    return tuple(titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in keys)
-
-
-def _sentences(evidence: EvidenceFacts, section: Section, results: Results, titles: summary.Titles) -> list[str]:
-    """What a section says of the maps that stand for two layers."""
-    point_um = float(results.parameters["correlate"]["point_um"]) if section == "scale" else float("nan")
-    image = summary.names_in_words(evidence, titles)[1]
-    return [*sentences(evidence, section, PairWords(point_um, image, _titles(evidence, titles)))]
-
-
-def _distances(evidence: EvidenceFacts, results: Results, titles: summary.Titles) -> _Distances | None:
-    """Draw how the maps of a pair vary with distance, and say what that means; None where there is nothing to show."""
-    same, regions = evidence.a_map == evidence.b_map, results.regions is not None
-    names, layers = summary.names_in_words(evidence, titles), (evidence.a, evidence.b)
-    alone, twice, agreement = list[Picture](), list[Picture](), _sentences(evidence, "repeated", results, titles)
-    if evidence.variograms:
-        alone.append(diagnostics.draw_variograms(evidence, titles=_titles(evidence, titles), regions=regions))
-    if evidence.correlogram is not None:
-        pair = (f"{names[0]} of {evidence.a}", f"that of {evidence.b}") if same else names
-        alone.append(diagnostics.draw_correlogram(evidence.correlogram, names=pair, regions=regions))
-    if evidence.twice is not None and evidence.twice.rings:
-        twice.append(diagnostics.draw_rings(evidence.twice, name=names[0], layers=layers, regions=regions))
-    if not (alone or twice or agreement):
-        return None
-    return _Distances(" and ".join(layers), alone, _sentences(evidence, "distance", results, titles), twice, agreement)
-
-
-def _light(
-    evidence: EvidenceFacts, results: Results, titles: summary.Titles, pairs: Mapping[summary.PairKey, _MapPair]
-) -> _Light | None:
-    """Draw Kubelka and Munk's curve where there is one, and say what light makes of the coating; None for nothing."""
-    lines, curve = _sentences(evidence, "light", results, titles), evidence.kubelka_munk
-    pair, pictures = pairs.get(summary.key_of(evidence)), list[Picture]()
-    if curve is not None and is_known(curve.scattering) and pair is not None:
-        unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
-        pictures.append(diagnostics.draw_kubelka_munk(
-            evidence, curve, pair.points, relation.largest(pair.rows), titles=summary.titles_of(evidence, titles),
-            unit_x=unit_x, regions=results.regions is not None,
-        ))  # fmt: skip
-    return _Light(f"{evidence.a} and {evidence.b}", pictures, lines) if lines else None
+    point_um = float(groups.results.parameters.get("correlate", {}).get("point_um", "nan"))
+    words = PairWords(point_um, names[1], map_titles)
+    said = {section: [*sentences(e, section, words)] for section in figures}
+    return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": said}
 
 
 def _valid(data: xr.Dataset, name: str) -> xr.DataArray:
@@ -366,14 +266,10 @@ def _valid(data: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def _named(data: xr.DataArray, layer: LayerFacts) -> str:
-    with_article = text.with_article(layer.name)
+    with_article, title = text.with_article(layer.name), text.in_words(text.title_of(data))
     if layer.kind == "image":
         return with_article
-    title = text.in_words(text.title_of(data))
     return title if with_article != layer.name else f"{title} of {layer.name}"
-
-
-# --- figures as files ------------------------------------------------------------------------------------------------
 
 
 def _write_figures(folder: Path, pictures: Sequence[Picture]) -> None:

@@ -59,8 +59,7 @@ class Ground:
         box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
         canvas = Canvas(width, box[1] + BELOW + 36)
         axes = canvas.map_axes((width - box[0] + MARGIN - 12) / 2, 4, box, shown, self.scale)
-        canvas.scale_bar(axes.x, box[1] + BELOW + 6, width=box[0], um=shown.width, most=0.2)
-        canvas.axes_names(axes.x + box[0], box[1] + BELOW + 6)
+        canvas.row_below(axes, 2, most=0.2)
         return canvas, axes
 
 

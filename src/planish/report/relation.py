@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
@@ -15,7 +15,7 @@ from planish.core.facts import is_known
 from planish.core.typing import Bools
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
-from planish.report.statement import r_interval_text, r_text
+from planish.report.statement import r_sentence
 from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
 from planish.results import CorrelationRow
 
@@ -28,9 +28,15 @@ _TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
 _LEFT, _RIGHT = 85.0, 635.0
 
 
+def maps_of(linked: Mapping[str, xr.Dataset], row: CorrelationRow) -> tuple[list[xr.DataArray], list[xr.DataArray]]:
+    """Return both maps of a correlation and masks of the pixels that count; fewer maps where one is not at hand."""
+    sides = [(linked[layer], name) for layer, name in ((row.a, row.a_map), (row.b, row.b_map)) if layer in linked]
+    return [data[name] for data, name in sides if name in data], [data["valid"] for data, _ in sides if "valid" in data]
+
+
 def block_means(
     a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()
-) -> tuple[Array, Array]:  # fmt: skip
+) -> Points:  # fmt: skip
     """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
     ``valid`` are masks of pixels that count. Points that are less than half known do not count; there are none where
@@ -66,37 +72,29 @@ def draw_pair(
     differences (Bland and Altman 1986). ``points`` are the larger points where they are at hand; ``density`` (g/cm3)
     turns map a, a thickness, into g/m2.
     """
-    fine, coarse = rows[0], largest(rows)
-    units, axis = (unit_of(a), unit_of(b)), names
-    if density is not None:
-        fine, coarse, units = in_grams(fine, density), in_grams(coarse, density), ("g/m²", units[1])
-        axis = weighed(names[0], density), names[1]
-    labels = [f"{name} / {u}" if u else name for name, u in zip(axis, units, strict=True)]
     every, (p, q, *masks) = thinned(a, b, *valid)
-    is_valid = _valid_in_all(p, q, masks)
+    is_valid, coarse = _valid_in_all(p, q, masks), largest(rows)
     points = block_means(a, b, point_um=coarse.point_um, valid=valid) if points is None else points
-    if density is not None:
-        p, points = p * density, (points[0] * density, points[1])
+    size, maps = plain(round(coarse.point_um, 4)), (unit_of(a), unit_of(b))
+    points, (fine, coarse), units, labels = as_drawn(points, (rows[0], coarse), names, maps, density)
+    pixels = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)
     canvas = Canvas(FULL, 475)
-    pixel_axes = _density(canvas, _LEFT, *(m[is_valid].astype(np.float64) for m in (p, q)), counted="pixels")
+    left = _density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixels, counted="pixels")
+    drawn, second = [(left, fine)], "right, area means over the valid pixels of each larger point. "
     if coarse.same_quantity:
-        low, *_, high = sorted(pixel_axes.extent)
-        pixel_axes.line([(low, low), (high, high)], colour=SOFT, width=1.3, dash="6 4")
+        low, *_, high = sorted(left.extent)
+        left.line([(low, low), (high, high)], colour=SOFT, width=1.3, dash="6 4")
         _differences(canvas, *points, coarse, units[0])
-    drawn = [(_LEFT, pixel_axes, fine)]
-    if not coarse.same_quantity:
-        drawn.append((_RIGHT, _points(canvas, *points), coarse))
-    for x0, axes, row in drawn:
+        second = (
+            f"right, the difference (upward map minus the map across) of points of {size} over the mean of the two, "
+            "with its mean and the limits of 95 % of normal differences. Dashed, left: both equal. "
+        )
+    else:
+        drawn.append((draw_dots(canvas, points, (_RIGHT, _TOP, _WIDE, _HIGH), bar=70), coarse))
+    for axes, row in drawn:
         _draw_lines(axes, row)
         canvas.ticks(axes, *labels)
-        _heading(canvas, x0, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
-    second = (
-        "right, the difference (upward map minus the map across) of points of "
-        f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of normal "
-        "differences. Dashed, left: both equal. "
-        if coarse.same_quantity
-        else "right, area means over the valid pixels of each larger point. "
-    )
+        _heading(canvas, axes.x, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
     shown = f", one in {every} of each row and column" if every > 1 else ""
     return canvas.picture(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
@@ -105,8 +103,7 @@ def draw_pair(
             "valid in both maps. Lines are least squares: solid, of the upward map on the map across, dashed, the "
             "other way round; a perfect relation without errors would lie between them. The left axes span the "
             "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without "
-            f"{without}. "
-            f"n counts points, which resemble their neighbours; the interval rests on independent ones. "
+            f"{without}. n counts points, which resemble their neighbours; the interval rests on independent ones. "
             f"{capital(REGISTERED)}."
         ),
         data={"points": points_table(points, labels)},
@@ -121,22 +118,13 @@ def draw_points(
 
     ``density`` (g/cm3) turns the first, a thickness, into g/m2.
     """
-    if density is not None:
-        points, row = (points[0] * density, points[1]), in_grams(row, density)
-        names, units = (weighed(names[0], density), names[1]), ("g/m²", units[1])
-    labels = [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
-    canvas = Canvas(THIRD, max(height, 300.0))
-    box = (76.0, 42.0, THIRD - 82, canvas.height - 92)
-    size, many = plain(round(row.point_um, 4)), points[0].size > _MANY
-    axes = (
-        _density(canvas, box[0], *points, counted="points", wide=box[2] - 55, y0=box[1], high=box[3]) if many else None
-    )
-    axes = axes or points_axes(canvas, points, box)
+    points, (row,), _, labels = as_drawn(points, (row,), names, units, density)
+    canvas, size = Canvas(THIRD, max(height, 300.0)), plain(round(row.point_um, 4))
+    axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar=55)
     _draw_lines(axes, row)
     canvas.ticks(axes, *labels)
-    limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
-    canvas.text(box[0], 18, f"r = {r_text(row)}{limits}" if is_known(row.r) else "no correlation", bold=True)
-    canvas.text(box[0], 34, f"n = {count(row.n)} points of {size}", size=SMALL, colour=SOFT)
+    canvas.text(axes.x, 18, r_sentence(row) if is_known(row.r) else "no correlation", bold=True)
+    canvas.text(axes.x, 34, f"n = {count(row.n)} points of {size}", size=SMALL, colour=SOFT)
     n_eff = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
     doubt = " Doubtful: see the checks." if row.trust == "doubtful" else ""
     return canvas.picture(
@@ -150,17 +138,24 @@ def draw_points(
     )
 
 
-def in_grams(row: CorrelationRow, density: float) -> CorrelationRow:
-    """Turn the thickness of a coating in um into g/m2: 1 um of 1 g/cm3 is 1 g/m2."""
-    in_weight = {
-        "slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density, "mean_a": row.mean_a * density
-    }  # fmt: skip
-    return row.model_copy(update=in_weight)
+def as_drawn(
+    points: Points, rows: Sequence[CorrelationRow], names: tuple[str, str], units: tuple[str, str],
+    density: float | None,
+) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:  # fmt: skip
+    """Return points, correlations and units as the axes of a figure have them, and the labels of its axes.
 
-
-def weighed(name: str, density: float) -> str:
-    """Name a thickness that was turned into weight, with its density: no weight is stated without it."""
-    return f"{name.replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³"
+    With a density (g/cm3) the first map, a thickness in um, is a weight: 1 um of 1 g/cm3 is 1 g/m2. Its label has the
+    density: no weight is stated without it.
+    """
+    if density is not None:
+        points = points[0] * density, points[1]
+        names = f"{names[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³", names[1]
+        units, weights = ("g/m²", units[1]), list[CorrelationRow]()
+        for row in rows:
+            slopes = {"slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density}
+            weights.append(row.model_copy(update=slopes | {"mean_a": row.mean_a * density}))
+        rows = weights
+    return points, [*rows], units, [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
 
 
 def points_table(points: Points, labels: Sequence[str]) -> Table:
@@ -177,8 +172,13 @@ def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
     if row.slope_x_on_y and is_known(row.slope_x_on_y) and is_known(row.mean_a):
         drawn.append(([(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]], "7 4"))
     for ends, dash in drawn:
-        axes.line(ends, colour="white", width=4)
-        axes.line(ends, colour=ACCENT, width=2.2, dash=dash)
+        draw_fit(axes, ends, dash=dash)
+
+
+def draw_fit(axes: Axes, points: ArrayLike, *, dash: str = "", width: float = 2.2) -> None:
+    """Draw a line that stands out from the points below it."""
+    axes.line(points, colour="white", width=4)
+    axes.line(points, colour=ACCENT, width=width, dash=dash)
 
 
 def largest(rows: Sequence[CorrelationRow]) -> CorrelationRow:
@@ -199,8 +199,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
     axes.line([(x, 0.0) for x in across], colour=SOFT, width=1)
     axes.dots(np.stack([mean, difference], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
     for k, value in enumerate(levels):
-        axes.line([(x, value) for x in across], colour="white", width=4)
-        axes.line([(x, value) for x in across], colour=ACCENT, width=2, dash="7 4" if k else "")
+        draw_fit(axes, [(x, value) for x in across], dash="7 4" if k else "", width=2)
     end = f" / {units}" if units else ""
     canvas.ticks(axes, f"mean of the two{end}", f"difference{end}")
     mean, spread, lower, upper = written_difference(row)
@@ -214,33 +213,23 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     return tuple(beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
 
 
-def _points(canvas: Canvas, a: Array, b: Array) -> Axes:
-    """Draw larger points one by one, or their density where they are many."""
-    if a.size > _MANY:
-        return _density(canvas, _RIGHT, a, b, counted="points", wide=_WIDE - 70)
-    return points_axes(canvas, (a, b), (_RIGHT, _TOP, _WIDE, _HIGH))
-
-
-def points_axes(canvas: Canvas, points: Points, box: tuple[float, float, float, float]) -> Axes:
-    """Draw larger points one by one, and return their axes."""
-    a, b = points
-    axes = canvas.axes(*box, (*_limits(a, 0.0), *_limits(b, 0.0)))
-    many = a.size > 2000
-    axes.dots(np.stack([a, b], axis=1), colour=POINT, size=3 if many else 4.6, opacity=0.5 if many else 0.7)
+def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar: float = 0.0) -> Axes:
+    """Draw larger points one by one; where they are many and there is room for a colour ``bar``, their density."""
+    if bar and points[0].size > _MANY:
+        return _density(canvas, (*box[:2], box[2] - bar, box[3]), points, counted="points")
+    axes, many = canvas.axes(*box, (*_limits(points[0], 0.0), *_limits(points[1], 0.0))), points[0].size > 2000
+    axes.dots(np.stack(points, axis=1), colour=POINT, size=3 if many else 4.6, opacity=0.5 if many else 0.7)
     return axes
 
 
-def _density(
-    canvas: Canvas, x0: float, a: Array, b: Array, *, counted: str, wide: float = _WIDE, y0: float = _TOP,
-    high: float = _HIGH,
-) -> Axes:  # fmt: skip
+def _density(canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted: str) -> Axes:
     """Draw how many points fall where, with the colour bar to the right."""
-    box = _limits(a), _limits(b)
-    bins = int(np.clip(np.sqrt(a.size) / 1.5, _LEAST_BINS, _BINS))
-    counts = np.histogram2d(a, b, bins=bins, range=box)[0].T[::-1]
+    ranges, (x0, y0, wide, high) = (_limits(points[0]), _limits(points[1])), box
+    bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
+    counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
-    axes = canvas.axes(x0, y0, wide, high, (*box[0], *box[1]))
+    axes = canvas.axes(*box, (*ranges[0], *ranges[1]))
     axes.image(ShownMap(logs, axes.extent), scale, missing="#ffffff")
     canvas.colour_bar(x0 + wide + 8, y0, 10, high, scale, log=True)
     canvas.text(x0 + wide + 8, y0 - 8, counted, size=SMALL, colour=SOFT)
@@ -264,5 +253,4 @@ def _numbers(row: CorrelationRow, units: tuple[str, str]) -> str:
     if not is_known(row.r):
         return "no correlation: too few points, or a constant map"
     per = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
-    limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
-    return f"r = {r_text(row)}{limits}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"
+    return f"{r_sentence(row)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"

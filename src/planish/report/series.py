@@ -7,9 +7,9 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Any
 from urllib.parse import quote
 
 import numpy as np
@@ -19,7 +19,7 @@ from planish.core.series_results import SeriesResults, SeriesSpecimen
 from planish.report import series_words as words
 from planish.report import statement, text
 from planish.report.colours import Array, image_uri, limits
-from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, reduced, round_step
+from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, multiples, reduced, round_step
 
 _MOST_COLUMNS = 8  # quantities of the table of specimens, and of figures
 _MOST_ORDERS = 9
@@ -45,22 +45,6 @@ _WIDE = 150.0  # CSS pixels of the widest small map
 _LEAST = 24.0
 
 
-class SpecimenOrder(NamedTuple):
-    """The specimens in one order: what it is called, and their numbers."""
-
-    name: str
-    numbers: list[int]
-
-
-class SpecimenLine(NamedTuple):
-    """One specimen as the table shows it."""
-
-    specimen: SeriesSpecimen
-    link: str
-    factors: list[str]
-    cells: list[tuple[str, str]]  # text, and a word of doubt
-
-
 def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     """Return the page of a series as HTML.
 
@@ -77,12 +61,11 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
         The same input gives the same text.
     """
     columns = list(range(min(len(results.quantities), _MOST_COLUMNS)))
-    drawn = ((k, draw_groups(results, k)) for k in columns)
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
     page = text.template("planish.report", "series.html.j2").render(
         results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
         columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
-        orders=_orders(results, factors), pictures=[(k, picture) for k, picture in drawn if picture is not None],
+        orders=_orders(results, factors), pictures=[picture for k in columns if (picture := draw_groups(results, k))],
         tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state in _OUT],
         linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
     )  # fmt: skip
@@ -91,7 +74,8 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
 
 def _line(
     specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
-) -> SpecimenLine:
+) -> dict[str, Any]:
+    """Return what the table shows of one specimen: its cells are texts, each with a word of doubt."""
     cells = [(text.NONE, "")] * len(columns)
     for k in columns if specimen.cells else ():
         cell = specimen.cells[k]
@@ -100,31 +84,28 @@ def _line(
         doubt = cell.why_not if is_apart else "" if cell.trust == "ok" else cell.trust
         cells[k] = words.cell_text(cell, results.quantities[k]), doubt
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
-    return SpecimenLine(specimen, link, [specimen.factor(name) for name in factors], cells)
+    return {"specimen": specimen, "link": link, "factors": [specimen.factor(f) for f in factors], "cells": cells}
 
 
-def _orders(results: SeriesResults, factors: Sequence[str]) -> list[SpecimenOrder]:
+def _orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
     """The orders in which the table of specimens is written: as listed, by name, by factors, by figures."""
     specimens = results.specimens
-    orders = [SpecimenOrder("as listed", list(range(len(specimens))))]
-
-    def by(name: str, key: Callable[[SeriesSpecimen], tuple[object, ...]]) -> None:
-        numbers = sorted(range(len(specimens)), key=lambda k: key(specimens[k]))  # pyright: ignore
-        if len(orders) < _MOST_ORDERS and all(numbers != order.numbers for order in orders):
-            orders.append(SpecimenOrder(name, numbers))
-
-    def figure(specimen: SeriesSpecimen, k: int) -> tuple[bool, float]:
-        v = specimen.cells[k].value if specimen.cells else None
-        return (False, v) if v is not None and math.isfinite(v) else (True, 0.0)
-
-    by("name", lambda s: (natural(s.name),))
-    by("state", lambda s: (s.member.state != "whole", s.member.state, s.light or ""))
+    keys: list[tuple[str, list[Any]]] = [
+        ("name", [natural(s.name) for s in specimens]),
+        ("state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]),
+    ]
     for name in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
-        by(name, lambda s, name=name: (not s.factor(name), natural(s.factor(name))))
+        keys.append((name, [(not s.factor(name), natural(s.factor(name))) for s in specimens]))
     for k, q in enumerate(results.quantities):
-        title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
         if q.map == results.quantities[0].map:
-            by(title, lambda s, k=k: figure(s, k))
+            title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
+            values = [s.cells[k].value if s.cells else None for s in specimens]
+            keys.append((title, [(False, v) if v is not None and math.isfinite(v) else (True, 0.0) for v in values]))
+    orders = [("as listed", list(range(len(specimens))))]
+    for name, of_order in keys:
+        numbers = sorted(range(len(specimens)), key=of_order.__getitem__)
+        if len(orders) < _MOST_ORDERS and all(numbers != listed for _, listed in orders):
+            orders.append((name, numbers))
     return orders
 
 
@@ -163,20 +144,15 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
     )  # fmt: skip
 
 
-class _Tiled(NamedTuple):
-    """Small maps ready for the page, all on one colour scale and one scale of lengths."""
+def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
+    """Colour small maps by one scale, from the 1st to the 99th percentile of all of them, and on one scale of lengths.
 
-    bar: Picture | None
-    images: list[tuple[str, str, float, float]]  # specimen, address of the image, width and height in CSS pixels
-    missing: list[str]
-
-
-def _tile_maps(maps: Sequence[SmallMap]) -> _Tiled:
-    """Colour small maps by one scale: from the 1st to the 99th percentile of all of them."""
+    ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens without.
+    """
     shown = [(m, m.values) for m in maps if m.values is not None and bool(np.isfinite(m.values).any())]
     missing = [m.specimen for m in maps if m.specimen not in {m.specimen for m, _ in shown}]
     if not shown:
-        return _Tiled(None, [], missing)
+        return {"images": [], "missing": missing}
     scale = limits(np.concatenate([values.ravel() for _, values in shown]))
     um = max(max(m.width_um, m.height_um) for m, _ in shown) / _WIDE
     images = [
@@ -190,7 +166,8 @@ def _tile_maps(maps: Sequence[SmallMap]) -> _Tiled:
     length = round_step(0.5 * _WIDE * um)
     canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
     canvas.text(350, 32, text.plain(length), size=SMALL)
-    return _Tiled(canvas.picture(title="Colours and scale of all maps", caption=""), images, missing)
+    bar = canvas.picture(title="Colours and scale of all maps", caption="")
+    return {"bar": bar, "images": images, "missing": missing}
 
 
 # --- groups ----------------------------------------------------------------------------------------------------------
@@ -209,9 +186,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
         ]
         for g in groups
     ]  # fmt: skip
-    ends = [v * factor for g in groups for v in (g.interval or ())]
-    drawn = np.concatenate([*(np.array([v for _, v in of_group]) * factor for of_group in fields), np.array(ends)])
-    low, high = float(drawn.min()), float(drawn.max())
+    drawn = [v * factor for of_group in fields for _, v in of_group]
+    drawn += [v * factor for g in groups for v in g.interval or ()]
+    low, high = min(drawn), max(drawn)
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
     low, high = low - margin, high + margin
     names = [_short_label(g.group) for g in groups]
@@ -219,10 +196,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     x1, bottom = HALF - 20, _TOP + _ROW * len(groups)
     canvas = Canvas(HALF, bottom + 50)
     axes = canvas.axes(x0, _TOP, x1 - x0, bottom - _TOP, (low, high, float(len(groups)), 0.0))
-    for i, (g, of_group) in enumerate(zip(groups, fields, strict=True)):
-        y = i + 0.5
+    for i, (g, of_group, name) in enumerate(zip(groups, fields, names, strict=True)):
+        y, sheets = i + 0.5, dict[str, list[float]]()
         axes.dots([(v * factor, y - 0.18) for _, v in of_group], colour="#9db4c6", size=4)
-        sheets: dict[str, list[float]] = {}
         for sheet, v in of_group:
             sheets.setdefault(sheet, []).append(v * factor)
         axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
@@ -230,13 +206,10 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
             axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
         if g.mean is not None:
             axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
-        canvas.text(x0 - 8, _TOP + _ROW * y + 4, names[i], anchor="end")
+        canvas.text(x0 - 8, _TOP + _ROW * y + 4, name, anchor="end")
     canvas.line([(x0, bottom), (x1, bottom)], colour=SOFT, width=0.8)
-    step = round_step((high - low) / 4)
-    for tick in np.arange(np.ceil(low / step), np.floor(high / step) + 1) * step:
-        x = x0 + (tick - low) / (high - low) * (x1 - x0)
-        canvas.line([(x, bottom), (x, bottom + 3)], colour=SOFT, width=0.8)
-        canvas.text(x, bottom + 16, f"{tick + 0.0:.6g}".replace("-", "−"), size=SMALL, anchor="middle")
+    ticks = multiples(low, high, round_step((high - low) / 4))
+    canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
     title, unit = words.title(q), words.units(q)
     canvas.text((x0 + x1) / 2, bottom + 38, f"{title} / {unit}" if unit else title, anchor="middle")
     rows = [(words.label(g.group), s, v) for g, of_group in zip(groups, fields, strict=True) for s, v in of_group]

@@ -42,10 +42,9 @@ class Slice:
 
     def window(self, left: float, right: float, margin: float) -> Window:
         """Return the part between two places that holds the sheet."""
-        inside = (self.x >= left) & (self.x <= right)
+        inside, (low, high) = (self.x >= left) & (self.x <= right), self.range
         faces = np.concatenate([v[inside] for v in self.lines.values()])
         faces = faces[np.isfinite(faces)]
-        low, high = self.range
         if faces.size:
             low, high = max(low, float(faces.min()) - margin), min(high, float(faces.max()) + margin)
         return left, right, low, high
@@ -60,35 +59,32 @@ def draw_slices(slices: xr.Dataset, surfaces: xr.Dataset) -> list[Picture]:
     """Draw every slice (slice, height, x) in true proportions, and a magnified stretch of each."""
     cuts = [take_slice(slices, surfaces, k) for k in range(slices.sizes["slice"])]
     thickness = float(np.nanmedian(surfaces["top"].values - surfaces["bottom"].values))
-    greys = np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts])
-    scale = limits(greys, GREYS, percent=0.3)
+    scale = limits(
+        np.concatenate([c.grey.ravel()[:: max(1, c.grey.size // 200_000)] for c in cuts]), GREYS, percent=0.3
+    )
     margin = 0.8 * abs(thickness)
     spans = [_span(cut, margin) for cut in cuts]
-    centres = [_clear_place(cut, span) for cut, span in zip(cuts, spans, strict=True)]
-    windows = _windows(cuts, centres, 0.35 * margin)
-    rows, through = str(surfaces.attrs["row_axis"]), str(surfaces.attrs["through"])
-    zoom = min((FULL - 2) / max(s[1] - s[0] for s in spans), 450 / max(s[3] - s[2] for s in spans))
-    heights = [(s[3] - s[2]) * zoom for s in spans]
-    canvas = Canvas(FULL, sum(heights) + 32 * len(cuts) + 30)
-    top = 0.0
-    for k, (cut, span, high, window) in enumerate(zip(cuts, spans, heights, windows, strict=True)):
-        canvas.text(1, top + 18, f"Slice {ascii_uppercase[k]}", bold=True)
-        canvas.text(62, top + 18, f"{rows} = {plain(cut.place_um)}", colour=SOFT)
+    windows = _windows(cuts, spans, 0.35 * margin)
+    across = str(surfaces.attrs["row_axis"])
+    zoom = _zoom(spans, FULL - 2)
+    canvas, top = Canvas(FULL, sum((s[3] - s[2]) * zoom for s in spans) + 32 * len(cuts) + 30), 0.0
+    for name, cut, span, (left, right, low, up) in zip(ascii_uppercase, cuts, spans, windows, strict=False):
+        canvas.text(1, top + 18, f"Slice {name}", bold=True)
+        canvas.text(62, top + 18, f"{across} = {plain(cut.place_um)}", colour=SOFT)
         axes = _draw(canvas, cut, span, (1, top + 26), zoom, scale, 1.1)
-        left, right, low, up = window
         axes.line([(left, low), (left, up), (right, up), (right, low), (left, low)], colour=_MARKED, width=1.4)
-        axes.text(left, up, ascii_uppercase[k], shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
-        top += high + 32
+        axes.text(left, up, name, shift=(3, -4), size=SMALL, colour=_MARKED, halo="black", bold=True)
+        top += axes.height + 32
     canvas.scale_bar(1, top - 2, width=FULL, um=FULL / zoom)
     whole = all(s[1] - s[0] >= float(c.x[-1] - c.x[0]) - 1e-6 for s, c in zip(spans, cuts, strict=True))
     part = "" if whole else f" Only a stretch of {length(spans[0][1] - spans[0][0])} is drawn, so that the sheet shows."
     overview = canvas.picture(
         title="Slices with the surfaces found",
         caption=(
-            f"{len(cuts)} slices across {rows}; {through} runs through the sheet, the top side is up. Heights and "
-            f"widths have the same scale.{part} n = {count(cuts[0].x.size)} columns of {pixel_of(cuts[0].x)} in "
-            "each slice; lines in µm; mask: faces are pale where the column is left out (rims), and missing where none "
-            "was found."
+            f"{len(cuts)} slices across {across}; {surfaces.attrs['through']} runs through the sheet, the top side is "
+            f"up. Heights and widths have the same scale.{part} n = {count(cuts[0].x.size)} columns of "
+            f"{pixel_of(cuts[0].x)} in each slice; lines in µm; mask: faces are pale where the column is left out "
+            "(rims), and missing where none was found."
         ),
     )
     return [overview, _details(cuts, windows, scale)]
@@ -118,10 +114,9 @@ def _draw(
 
 def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
     """Draw the marked windows side by side, with the key to the lines."""
-    gap = 22.0
+    gap, across = 22.0, max(w[1] - w[0] for w in windows)
     width = (FULL - gap * (len(cuts) - 1)) / len(cuts) if len(cuts) > 1 else 0.6 * FULL
-    across = max(w[1] - w[0] for w in windows)
-    zoom = min((width - 2) / across, 450 / max(w[3] - w[2] for w in windows))
+    zoom = _zoom(windows, width - 2)
     high = max((w[3] - w[2]) * zoom for w in windows)
     canvas = Canvas(FULL, high + 92)
     for k, (cut, window) in enumerate(zip(cuts, windows, strict=True)):
@@ -145,10 +140,17 @@ def _details(cuts: list[Slice], windows: list[Window], scale: Scale) -> Picture:
     )
 
 
-def _windows(cuts: list[Slice], centres: list[float], margin: float) -> list[Window]:
-    """Return the windows around the given places: as high as the highest, so that they can stand side by side."""
-    half = _WINDOW_UM / 2
-    tight = [cut.window(c - half, c + half, margin) for cut, c in zip(cuts, centres, strict=True)]
+def _zoom(windows: list[Window], width: float) -> float:
+    """Return the pixels of a um with which all windows fit."""
+    return min(width / max(w[1] - w[0] for w in windows), 450 / max(w[3] - w[2] for w in windows))
+
+
+def _windows(cuts: list[Slice], spans: list[Window], margin: float) -> list[Window]:
+    """Return a clear window of each span, all as high as the highest, so that they can stand side by side."""
+    half, tight = _WINDOW_UM / 2, list[Window]()
+    for cut, span in zip(cuts, spans, strict=True):
+        centre = _clear_place(cut, span)
+        tight.append(cut.window(centre - half, centre + half, margin))
     tall = max(high - low for _, _, low, high in tight)
     windows: list[Window] = []
     for cut, (left, right, low, high) in zip(cuts, tight, strict=True):

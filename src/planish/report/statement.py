@@ -54,6 +54,12 @@ def r_interval_text(row: Row | None) -> str:
     return NONE if row is None else limits_text(row.interval, decimals_of_r(row.interval))
 
 
+def r_sentence(row: Row) -> str:
+    """Write ``r = `` with its interval, where it has one."""
+    limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
+    return f"r = {r_text(row)}{limits}"
+
+
 def p_text(p: float | None) -> str:
     """Write a p with two digits, and small ones as a bound."""
     if p is None or not is_known(p):

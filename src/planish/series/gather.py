@@ -5,8 +5,9 @@ No run stays in memory.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import KW_ONLY, dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,20 +23,12 @@ from planish.run.run import open_results
 _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class FigureRow:
     """One figure of one specimen.
 
     Attributes
     ----------
-    specimen : str
-    factors : mapping of str
-    layer, map : str
-        What it is of; empty where it is of the whole run, and ``map`` where it is of a registration.
-    other_layer, other_map : str
-        The second of two maps that were compared.
-    at_um : float or None
-        Limit of a thin share, edge of the points of a correlation, longest wave of an octave.
     quantity : str
         ``mean``, ``sd``, ``p5``, ``median``, ``p95``, ``columns``, ``n_independent``, ``mean_standard_error``,
         ``support_um``, ``thin_share``, ``sa``, ``sq``, ``measured_share``; ``r``, ``r2``, ``slope``, ``points``,
@@ -45,6 +38,14 @@ class FigureRow:
     value : float or None
         None where it is withheld, or cannot be stated.
     unit : str
+    specimen : str
+    factors : mapping of str
+    layer, map : str
+        What it is of; empty where it is of the whole run, and ``map`` where it is of a registration.
+    other_layer, other_map : str
+        The second of two maps that were compared.
+    at_um : float or None
+        Limit of a thin share, edge of the points of a correlation, longest wave of an octave.
     low, high : float or None
         Ends of its 95 % interval, where it has one.
     trust : {"ok", "doubtful", "withheld"}
@@ -52,6 +53,10 @@ class FigureRow:
         Names of the checks that doubt or refute it.
     """
 
+    quantity: str
+    value: float | None
+    unit: str = "1"
+    _: KW_ONLY
     specimen: str
     factors: Mapping[str, str] = field(default_factory=dict[str, str])
     layer: str = ""
@@ -59,13 +64,13 @@ class FigureRow:
     other_layer: str = ""
     other_map: str = ""
     at_um: float | None = None
-    quantity: str
-    value: float | None
-    unit: str = "1"
     low: float | None = None
     high: float | None = None
     trust: Trust = "ok"
     checks: str = ""
+
+
+MakeRow = Callable[..., FigureRow]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -154,8 +159,10 @@ def as_judged(member: Member, results: Results) -> Member:
 def _summary(member: Member, results: Results) -> RunSummary:
     sheets = [layer for layer in results.layers if layer.kind == "sheet"]
     registered = [layer.registration for layer in results.moving if layer.registration is not None]
-    errors = [r.expected_error.median_um for r in registered if r.expected_error is not None]
-    widths = [um for layer in sheets for um in _column_widths(layer)]
+    widths = [um for layer in sheets for um in layer.source.size_um[1:]]
+    for layer in sheets:
+        if layer.sheet is not None and layer.sheet.numbers is not None:
+            widths += [thin.support_um for thin in layer.sheet.numbers.thin.values()]
     thin = results.parameters.get("correlate", {}).get("thin_um")
     kind = "layers" if results.is_link else "map"
     if results.is_link and len(results.layers) == 2 and sheets:
@@ -166,7 +173,8 @@ def _summary(member: Member, results: Results) -> RunSummary:
             member=member, kind=kind, light=results.state,
             spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.checks_in(s))},
             marks_used=min((r.matched for r in registered), default=None),
-            leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registered]), expected_error_um=_largest(errors),
+            leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registered]),
+            expected_error_um=_largest([e.median_um for r in registered if (e := r.expected_error)]),
         ),
         sheets=tuple(layer.name for layer in sheets),
         images=tuple(layer.name for layer in results.layers if layer.kind == "image"),
@@ -176,12 +184,6 @@ def _summary(member: Member, results: Results) -> RunSummary:
         column_um=max(widths, default=None),
         instruments=tuple(facts for facts in instruments if facts is not None),
     )  # fmt: skip
-
-
-def _column_widths(layer: LayerFacts) -> list[float]:
-    numbers = None if layer.sheet is None else layer.sheet.numbers
-    stated = [] if numbers is None else [thin.support_um for thin in numbers.thin.values()]
-    return [*stated, *layer.source.size_um[1:]]
 
 
 def _largest(lengths: Sequence[float | None]) -> float | None:
@@ -228,92 +230,90 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     list of FigureRow
         In the order of the layers and maps of the run.
     """
-    figures: list[dict[str, Any]] = []
+    row = partial(FigureRow, specimen=member.name, factors=member.factors)
+    rows: list[FigureRow] = []
     for layer in results.layers:
-        figures += _of_sheet(layer, results)
-        figures += _of_registration(layer, results)
-    figures += _of_pairs(results)
-    for state in ("fail", "look", "unknown", "pass"):
-        figures.append({"quantity": f"checks_{state}", "value": float(len(results.checks_in(state)))})
-    return [FigureRow(specimen=member.name, factors=member.factors, **figure) for figure in figures]
+        rows += _of_sheet(layer, results, row)
+        rows += _of_registration(layer, results, row)
+    rows += _of_pairs(results, row)
+    states: tuple[State, ...] = ("fail", "look", "unknown", "pass")
+    return rows + [row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states]
 
 
-def _of_sheet(layer: LayerFacts, results: Results) -> Iterator[dict[str, Any]]:
+def _of_sheet(layer: LayerFacts, results: Results, row: MakeRow) -> Iterator[FigureRow]:
     sheet = layer.sheet
     if sheet is None:
         return
-    numbers = sheet.numbers
+    thin_of, rough_of = (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
     for name, p in sheet.properties.items():
-        about = {"layer": layer.name, "map": name} | _trusted(p.trust, results, (layer.name,), (name,))
+        of_map = partial(row, layer=layer.name, map=name, **_trusted(p.trust, results, (layer.name,), (name,)))
         for quantity in ("mean", "sd", "p5", "median", "p95"):
-            yield about | {"quantity": quantity, "value": getattr(p, quantity), "unit": p.units}
-        yield about | {"quantity": "columns", "value": float(p.n)}
-        if p.n_independent is not None:
-            yield about | {"quantity": "n_independent", "value": float(p.n_independent)}
-        for quantity, unit in (("mean_standard_error", p.units), ("support_um", "um")):
+            yield of_map(quantity, getattr(p, quantity), p.units)
+        yield of_map("columns", float(p.n))
+        for quantity, unit in (("n_independent", "1"), ("mean_standard_error", p.units), ("support_um", "um")):
             if (value := getattr(p, quantity)) is not None:
-                yield about | {"quantity": quantity, "value": value, "unit": unit}
+                yield of_map(quantity, float(value), unit)
         for side in SIDES:
-            thin, rough = (None, None) if numbers is None else (numbers.thin.get(side), numbers.roughness.get(side))
-            if name == f"coating_{side}" and thin is not None:  # those of a withheld map are withheld as well
-                for limit, share in zip(thin.thinner_than_um, thin.share, strict=True):
-                    yield about | {"quantity": "thin_share", "value": share, "at_um": limit}
-            if name == f"topography_{side}" and rough is not None:
-                for quantity in ("sa", "sq"):
-                    yield about | {"quantity": quantity, "value": getattr(rough, quantity), "unit": "um"}
-    yield {"layer": layer.name, "quantity": "measured_share", "value": sheet.surfaces.shares.get("measured")}
+            if name == f"coating_{side}" and side in thin_of:  # those of a withheld map are withheld as well
+                for limit, share in zip(thin_of[side].thinner_than_um, thin_of[side].share, strict=True):
+                    yield of_map("thin_share", share, at_um=limit)
+            if name == f"topography_{side}" and side in rough_of:
+                yield of_map("sa", rough_of[side].sa, "um")
+                yield of_map("sq", rough_of[side].sq, "um")
+    yield row("measured_share", sheet.surfaces.shares.get("measured"), layer=layer.name)
 
 
-def _of_registration(layer: LayerFacts, results: Results) -> Iterator[dict[str, Any]]:
+def _of_registration(layer: LayerFacts, results: Results, row: MakeRow) -> Iterator[FigureRow]:
     r = layer.registration
     if r is None:
         return
-    about: dict[str, Any] = {"layer": layer.name, "other_layer": r.to}
-    yield about | {"quantity": "marks_used", "value": float(r.matched)}
-    yield about | {"quantity": "residual", "value": r.rms_um, "unit": "um"}
-    yield about | {"quantity": "leave_one_out", "value": r.leave_one_out_rms_um, "unit": "um"}
+    of_layer = partial(row, layer=layer.name, other_layer=r.to)
+    yield of_layer("marks_used", float(r.matched))
+    yield of_layer("residual", r.rms_um, "um")
+    yield of_layer("leave_one_out", r.leave_one_out_rms_um, "um")
     if (e := r.expected_error) is not None:
-        about |= _trusted(e.trust, results, (layer.name,), ("position",))
-        yield about | {"quantity": "expected_error", "value": e.median_um, "unit": "um"}
-        yield about | {"quantity": "largest_expected_error", "value": e.largest_um, "unit": "um"}
+        trusted = _trusted(e.trust, results, (layer.name,), ("position",))
+        yield of_layer("expected_error", e.median_um, "um", **trusted)
+        yield of_layer("largest_expected_error", e.largest_um, "um", **trusted)
 
 
-def _of_pairs(results: Results) -> Iterator[dict[str, Any]]:
-    measured_twice = {key_of(e): e.twice for e in results.evidence if e.twice is not None}
-    for row in results.correlations:
-        about: dict[str, Any] = {"layer": row.a, "map": row.a_map, "other_layer": row.b, "other_map": row.b_map}
-        figures = (row.a_map, row.b_map, "position", "correlation")
-        about |= _trusted(row.trust, results, (row.a, row.b), figures) | {"at_um": row.point_um}
-        low, high = map(_number, row.interval)
-        yield about | {"quantity": "r", "value": _number(row.r), "low": low, "high": high}
+def _of_pairs(results: Results, row: MakeRow) -> Iterator[FigureRow]:
+    measured_twice = {key_of(e): e.twice for e in results.evidence}
+    for c in results.correlations:
+        trusted = _trusted(c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation"))
+        maps = {"layer": c.a, "map": c.a_map, "other_layer": c.b, "other_map": c.b_map}
+        of_pair = partial(row, **maps, **trusted, at_um=c.point_um)
+        low, high = map(_number, c.interval)
+        yield of_pair("r", _number(c.r), low=low, high=high)
         for quantity in ("r2", "slope", "n", "n_eff", "n_eff_interval"):
             name = "points" if quantity == "n" else quantity
-            yield about | {"quantity": name, "value": _number(float(getattr(row, quantity)))}
-        if row.same_quantity:
-            about["unit"] = row.units or "1"
-            yield from (about | figure for figure in _differences(row, measured_twice.get(key_of(row))))
+            yield of_pair(name, _number(float(getattr(c, quantity))))
+        if c.same_quantity:
+            yield from _differences(c, measured_twice.get(key_of(c)), partial(of_pair, unit=c.units or "1"))
     for image in results.mottle:
-        about = {"layer": image.layer, "map": "image", "quantity": "coefficient_of_variation"}
         for band in image.bands:
-            yield about | {"at_um": band.longest_um, "value": band.coefficient_of_variation}
+            yield row(
+                "coefficient_of_variation", band.coefficient_of_variation, layer=image.layer, map="image",
+                at_um=band.longest_um,
+            )  # fmt: skip
 
 
 def _number(value: float) -> float | None:
     return value if is_known(value) else None
 
 
-def _differences(row: CorrelationRow, twice: Twice | None) -> Iterator[dict[str, Any]]:
+def _differences(c: CorrelationRow, twice: Twice | None, row: MakeRow) -> Iterator[FigureRow]:
     """Bias and limits of two measurements of one quantity, with intervals at the points where the run states them."""
-    if twice is not None and (row.trust == "withheld" or not abs(twice.point_um - row.point_um) < 1e-6):
+    if twice is not None and (c.trust == "withheld" or not abs(twice.point_um - c.point_um) < 1e-6):
         twice = None
     intervals = (None,) * 3 if twice is None else (twice.bias_interval, *twice.limit_intervals)
-    for name, value, ends in zip(
-        ("bias", "limit_low", "limit_high"), (row.difference_mean, *row.limits), intervals, strict=True
+    for quantity, value, ends in zip(
+        ("bias", "limit_low", "limit_high"), (c.difference_mean, *c.limits), intervals, strict=True
     ):
         low, high = ends if ends is not None and is_known(ends) else (None, None)
-        yield {"quantity": name, "value": _number(value), "low": low, "high": high}
+        yield row(quantity, _number(value), low=low, high=high)
     if twice is not None and twice.resolution_um is not None:
-        yield {"quantity": "shared_um", "value": twice.resolution_um, "unit": "um"}
+        yield row("shared_um", twice.resolution_um, unit="um")
 
 
 def _trusted(trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]) -> dict[str, Any]:
