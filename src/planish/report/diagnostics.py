@@ -177,7 +177,7 @@ def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], w
             f"without {without}."
         ),
         data={"along-x": _lags("x", profiles.along_x), "along-y": _lags("y", profiles.along_y)},
-    )  # fmt: skip
+    )
 
 
 def _lags(axis: str, profile: LagProfile) -> Table:
@@ -237,7 +237,7 @@ def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str
                 "independent waves": [ring.modes for ring in twice.rings],
             }
         },
-    )  # fmt: skip
+    )
 
 
 def draw_kubelka_munk(
@@ -274,7 +274,7 @@ def draw_kubelka_munk(
             "curve": {labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()},
             "points": points_table(points, labels),
         },
-    )  # fmt: skip
+    )
 
 
 def mottle_cells(mottle: LayerMottle) -> list[tuple[str, str]]:

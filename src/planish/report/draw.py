@@ -18,8 +18,7 @@ from planish.core.area import area_mean
 from planish.report.colours import MISSING, Array, Scale, image_uri
 from planish.report.text import count, fixed, length, plain
 
-Extent = tuple[float, float, float, float]
-"""Left, right, bottom and top in um, or in the units of a plot."""
+Extent = tuple[float, float, float, float]  # left, right, bottom and top in um, or in the units of a plot
 
 FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
 BESIDE = 86.0  # to the right of a map on half a page: its colour bar
@@ -35,8 +34,8 @@ _HIGHEST = 480.0  # of a map on half a page
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 
+# Something that a figure shows as numbers, for those who plot it again: columns of one length, by their headings
 Table = Mapping[str, Sequence[object]]
-"""Something that a figure shows as numbers, for those who plot it again: columns of one length, by their headings."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -407,7 +406,7 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    finite, data = np.isfinite(tenths).all(axis=1), ""
+    finite, data = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1]), ""
     for run in np.split(np.arange(finite.size), np.flatnonzero(finite[1:] != finite[:-1]) + 1):
         if len(run) > 1 and finite[run[0]]:
             steps = np.diff(tenths[run], axis=0)

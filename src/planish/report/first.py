@@ -14,7 +14,7 @@ from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.maps import Groups
 from planish.report.relation import Points, largest
-from planish.report.summary import density_of, lead_pair
+from planish.report.summary import density_of, lead_pair, titles_of
 from planish.report.text import capital, fixed, label_of, title_of, typeset, unit_of, with_article
 from planish.results import CorrelationRow, Results
 
@@ -29,8 +29,7 @@ def draw_first(groups: Groups, points: Points | None) -> list[Picture]:
 
     ``points`` are the larger points of the pair. What is withheld is not drawn as a relation.
     """
-    results, titles = groups.results, groups.titles
-    rows = lead_pair(results)
+    rows = lead_pair(groups.results)
     maps, masks = relation.maps_of(groups.drawn, rows[0]) if rows else ([], [])
     if len(maps) < 2:
         return []
@@ -43,12 +42,11 @@ def draw_first(groups: Groups, points: Points | None) -> list[Picture]:
         for m, name in zip(shown, (row.a, row.b), strict=True)
     ]
     if points is not None and row.trust != "withheld":
-        names = (titles[row.a, row.a_map], titles[row.b, row.b_map])
-        if row.same_quantity or names[0] == names[1]:
-            names = (f"{names[0]}, {row.a}", f"{names[1]}, {row.b}")
+        names = titles_of(row, groups.titles)
+        names = titles_of(row, groups.titles, with_layers=row.same_quantity or names[0] == names[1])
         pictures.append(relation.draw_points(
             points, row, names=names, units=(unit_of(maps[0]), unit_of(maps[1])), height=pictures[0].height,
-            density=density_of(results, row),
+            density=density_of(groups.results, row),
         ))  # fmt: skip
     return pictures
 

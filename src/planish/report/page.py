@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from functools import cache, partial
 from html import escape
 from pathlib import Path
@@ -96,8 +96,20 @@ def write_report(
     assert results is not None
     page, pictures = render_report(groups, marks or {}, results)
     write_whole(place, page.encode())
-    if figures is not None:
-        _write_figures(Path(figures), pictures)
+    if figures is None:
+        return
+    folder = Path(figures)
+    folder.mkdir()
+    for number, picture in enumerate(pictures, 1):
+        # A title as it can be part of the name of a file anywhere.
+        title = unicodedata.normalize("NFKD", picture.title.replace("µ", "u")).encode("ascii", "ignore").decode()
+        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
+        short = name if len(name) <= _LONGEST else name[: _LONGEST + 1].rpartition("-")[0] or name[:_LONGEST]
+        stem = f"{number:02d}-{short or 'figure'}"
+        write_whole(folder / f"{stem}.svg", standalone(picture).encode())
+        for kind, table in picture.data.items():
+            csv = table_text(list(table), zip(*table.values(), strict=True))
+            write_whole(folder / f"{stem}-{kind}.csv", csv.encode())
 
 
 def render_report(
@@ -214,21 +226,21 @@ def _registration(
 
 def _pairs(groups: maps.Groups) -> dict[summary.PairKey, _Pair]:
     """Draw the pairs of maps that stand for two layers, and all maps of the same quantity, where both are at hand."""
-    results, titles, pairs = groups.results, groups.titles, dict[summary.PairKey, _Pair]()
+    results, pairs = groups.results, dict[summary.PairKey, _Pair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for rows in summary.by_pair(results):
-        row, sides = rows[0], ((rows[0].a, rows[0].a_map), (rows[0].b, rows[0].b_map))
-        both, valid = relation.maps_of(groups.linked, row)
-        if len(both) < 2 or not (row.same_quantity or headlines.issuperset(sides)):
+        row, (pair, valid) = rows[0], relation.maps_of(groups.linked, rows[0])
+        is_shown = row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}
+        if len(pair) < 2 or not is_shown:
             continue
-        with_layer = len(results.layers) > 2 or row.same_quantity
-        first, second = (f"{titles[side]}, {side[0]}" if with_layer else titles[side] for side in sides)
-        points = relation.block_means(*both, point_um=relation.largest(rows).point_um, valid=valid)
+        (a, b), largest = pair, relation.largest(rows)
+        points = relation.block_means(a, b, point_um=largest.point_um, valid=valid)
+        names = summary.titles_of(row, groups.titles, with_layers=len(results.layers) > 2 or row.same_quantity)
         picture = relation.draw_pair(
-            *both, rows, names=(first, second), valid=valid, without=groups.without, points=points,
+            a, b, rows, names=names, valid=valid, without=groups.without, points=points,
             density=summary.density_of(results, row),
         )  # fmt: skip
-        pairs[summary.key_of(row)] = _Pair(points, relation.largest(rows), picture)
+        pairs[summary.key_of(row)] = _Pair(points, largest, picture)
     return pairs
 
 
@@ -239,8 +251,8 @@ def _evidence(groups: maps.Groups, e: EvidenceFacts, pairs: Mapping[summary.Pair
     figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}
     if e.sizes or e.bands:
         figures["scale"].append(diagnostics.draw_scale(e, names=names, without=without))
-    maps_of = [(curve.layer, curve.map) for curve in e.variograms]
-    map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in maps_of)
+    curves = [(curve.layer, curve.map) for curve in e.variograms]
+    map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if same else "") for key in curves)
     if e.variograms:
         figures["distance"].append(diagnostics.draw_variograms(e, titles=map_titles, without=without))
     if e.correlogram is not None:
@@ -255,8 +267,8 @@ def _evidence(groups: maps.Groups, e: EvidenceFacts, pairs: Mapping[summary.Pair
         ))  # fmt: skip
     point_um = float(groups.results.parameters.get("correlate", {}).get("point_um", "nan"))
     words = PairWords(point_um, names[1], map_titles)
-    said = {section: [*sentences(e, section, words)] for section in figures}
-    return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": said}
+    text_of = {section: [*sentences(e, section, words)] for section in figures}
+    return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": text_of}
 
 
 def _valid(data: xr.Dataset, name: str) -> xr.DataArray:
@@ -270,21 +282,6 @@ def _named(data: xr.DataArray, layer: LayerFacts) -> str:
     if layer.kind == "image":
         return with_article
     return title if with_article != layer.name else f"{title} of {layer.name}"
-
-
-def _write_figures(folder: Path, pictures: Sequence[Picture]) -> None:
-    """Write figures into a new folder, named by number and title; the same figures give the same bytes."""
-    folder.mkdir()
-    for number, picture in enumerate(pictures, 1):
-        # A title as it can be part of the name of a file anywhere.
-        title = unicodedata.normalize("NFKD", picture.title.replace("µ", "u")).encode("ascii", "ignore").decode()
-        name = re.sub(r"[^a-z0-9]+", "-", title.lower()).strip("-")
-        short = name if len(name) <= _LONGEST else name[: _LONGEST + 1].rpartition("-")[0] or name[:_LONGEST]
-        stem = f"{number:02d}-{short or 'figure'}"
-        write_whole(folder / f"{stem}.svg", standalone(picture).encode())
-        for kind, table in picture.data.items():
-            csv = table_text(list(table), zip(*table.values(), strict=True))
-            write_whole(folder / f"{stem}-{kind}.csv", csv.encode())
 
 
 def standalone(picture: Picture) -> str:

@@ -40,7 +40,7 @@ _STEPS = 5  # lines between the smallest and the largest expected error
 _BLANK = 64  # pixels across a ground that shows nothing
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Ground:
     """A picture to draw on: values in grey, the border of another layer, what it is, and the words for a caption."""
 
@@ -78,8 +78,7 @@ def ground_of(
     if data.name != "image":
         name = f"the layer {of}"
         caption = f"In grey, {in_words(title_of(data))} of {of}: {pixels}; mask: where it is known."
-    scale = limits(window, GREYS, percent=0.2)
-    return Ground(values=values, y=y, x=x, scale=scale, name=name, caption=caption, edge=edge, edge_of=edge_of)
+    return Ground(values, y, x, limits(window, GREYS, percent=0.2), name, caption, edge, edge_of)
 
 
 def blank_ground(points: Array, *, of: str) -> Ground:
@@ -89,8 +88,7 @@ def blank_ground(points: Array, *, of: str) -> Ground:
     room = 0.2 * max(float((high - low).max()), 1.0)
     x, y = (np.linspace(low[k] - room, high[k] + room, _BLANK) for k in (0, 1))
     caption = f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is shown, no mask."
-    values, scale = np.full((_BLANK, _BLANK), np.nan), Scale(0.0, 1.0, GREYS)
-    return Ground(values=values, y=y, x=x, scale=scale, name=f"the layer {of}", caption=caption)
+    return Ground(np.full((_BLANK, _BLANK), np.nan), y, x, Scale(0.0, 1.0, GREYS), f"the layer {of}", caption)
 
 
 def _arrows(
@@ -128,9 +126,12 @@ def draw_registration(
     if (axis := machine_direction(r, source)) is not None:
         _draw_axis(canvas, axes, axis[0], fixed)
         words += f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
-    names = [str(name) for name in marks.data_vars if marks[name].dims == ("mark",) and name != "label"]
-    columns = {f"{name} / µm": marks[name].values.astype(np.float64).tolist() for name in names}
-    labels = {"label": [str(v) for v in marks["label"].values]} if "label" in marks else {}
+    table: dict[str, list[object]] = {"mark": list(range(1, marks.sizes["mark"] + 1))}
+    if "label" in marks:
+        table["label"] = [str(label) for label in marks["label"].values]
+    for name, column in marks.data_vars.items():
+        if column.dims == ("mark",) and name != "label":
+            table[f"{name} / µm"] = column.values.astype(np.float64).tolist()
     return canvas.picture(
         title=f"Marks in {with_article(r.to)} and their residuals",
         caption=(
@@ -138,7 +139,7 @@ def draw_registration(
             f"point from each mark to its transformed partner in {with_article(source)}, {factor.words}. {words}"
             f"{ground.caption}"
         ),
-        data={"marks": {"mark": list(range(1, marks.sizes["mark"] + 1)), **labels, **columns}},
+        data={"marks": table},
     )
 
 
@@ -165,10 +166,11 @@ def draw_expected_error(
     if errors.size == 0:
         return None
     least, mean, most = float(errors.min()), float(errors.mean()), float(errors.max())
-    even = not most - least > 0.02 * abs(mean)  # colours would show differences that nobody can use
-    scale = Scale(0.0, 2 * mean or 1.0, GEOMETRY) if even else limits(errors, GEOMETRY, percent=0.1)
+    scale = limits(errors, GEOMETRY, percent=0.1)
+    levels, step = levels_between(least, most, steps=_STEPS)
+    if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
+        scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
     canvas, axes = draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
-    levels, step = (np.empty(0), 0.0) if even else levels_between(least, most, steps=_STEPS)
     places = points(marks, "fixed") if marks is not None else np.empty((0, 2))
     axes.contours(levels, labels=True, avoid=places)
     _draw_marks(axes, places, hole_um=hole_um, size=14 if width == FULL else 11)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -16,11 +16,23 @@ from planish.core.typing import Bools
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
 from planish.report.statement import r_sentence
-from planish.report.text import HOLES, REGISTERED, beside, capital, count, in_words, number, plain, unit, unit_of
-from planish.results import CorrelationRow
+from planish.report.text import (
+    HOLES,
+    REGISTERED,
+    axis_label,
+    beside,
+    capital,
+    count,
+    in_words,
+    number,
+    plain,
+    unit,
+    unit_of,
+)
+from planish.results import ComparisonRow, CorrelationRow
 
-Points = tuple[Array, Array]
-"""Values of two maps at the same larger points."""
+Row = TypeVar("Row", CorrelationRow, ComparisonRow)
+Points = tuple[Array, Array]  # values of two maps at the same larger points
 
 _BINS, _LEAST_BINS = 110, 24
 _MANY = 5000  # points from which their density is drawn instead of each of them
@@ -34,9 +46,7 @@ def maps_of(linked: Mapping[str, xr.Dataset], row: CorrelationRow) -> tuple[list
     return [data[name] for data, name in sides if name in data], [data["valid"] for data, _ in sides if "valid" in data]
 
 
-def block_means(
-    a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()
-) -> Points:  # fmt: skip
+def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()) -> Points:
     """Average two maps (y, x) on one grid over points of ``point_um``, over the pixels that are known in both.
 
     ``valid`` are masks of pixels that count. Points that are less than half known do not count; there are none where
@@ -75,19 +85,20 @@ def draw_pair(
     every, (p, q, *masks) = thinned(a, b, *valid)
     is_valid, coarse = _valid_in_all(p, q, masks), largest(rows)
     points = block_means(a, b, point_um=coarse.point_um, valid=valid) if points is None else points
-    size, maps = plain(round(coarse.point_um, 4)), (unit_of(a), unit_of(b))
-    points, (fine, coarse), units, labels = as_drawn(points, (rows[0], coarse), names, maps, density)
+    units = unit_of(a), unit_of(b)
+    points, (fine, coarse), units, labels = as_drawn(points, (rows[0], coarse), names, units, density)
     pixels = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)
     canvas = Canvas(FULL, 475)
-    left = _density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixels, counted="pixels")
-    drawn, second = [(left, fine)], "right, area means over the valid pixels of each larger point. "
+    axes = _density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixels, counted="pixels")
+    drawn, second = [(axes, fine)], "right, area means over the valid pixels of each larger point. "
     if coarse.same_quantity:
-        low, *_, high = sorted(left.extent)
-        left.line([(low, low), (high, high)], colour=SOFT, width=1.3, dash="6 4")
+        ends = min(axes.extent), max(axes.extent)
+        axes.line([(v, v) for v in ends], colour=SOFT, width=1.3, dash="6 4")
         _differences(canvas, *points, coarse, units[0])
         second = (
-            f"right, the difference (upward map minus the map across) of points of {size} over the mean of the two, "
-            "with its mean and the limits of 95 % of normal differences. Dashed, left: both equal. "
+            "right, the difference (upward map minus the map across) of points of "
+            f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of "
+            "normal differences. Dashed, left: both equal. "
         )
     else:
         drawn.append((draw_dots(canvas, points, (_RIGHT, _TOP, _WIDE, _HIGH), bar=70), coarse))
@@ -155,7 +166,7 @@ def as_drawn(
             slopes = {"slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density}
             weights.append(row.model_copy(update=slopes | {"mean_a": row.mean_a * density}))
         rows = weights
-    return points, [*rows], units, [f"{name} / {u}" if u else name for name, u in zip(names, units, strict=True)]
+    return points, [*rows], units, [*map(axis_label, names, units)]
 
 
 def points_table(points: Points, labels: Sequence[str]) -> Table:
@@ -181,7 +192,7 @@ def draw_fit(axes: Axes, points: ArrayLike, *, dash: str = "", width: float = 2.
     axes.line(points, colour=ACCENT, width=width, dash=dash)
 
 
-def largest(rows: Sequence[CorrelationRow]) -> CorrelationRow:
+def largest(rows: Sequence[Row]) -> Row:
     """Return the row of the largest points that there are any of."""
     return max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
 
@@ -200,8 +211,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
     axes.dots(np.stack([mean, difference], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
     for k, value in enumerate(levels):
         draw_fit(axes, [(x, value) for x in across], dash="7 4" if k else "", width=2)
-    end = f" / {units}" if units else ""
-    canvas.ticks(axes, f"mean of the two{end}", f"difference{end}")
+    canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
     end = f" {units}" if units else ""
     text = f"mean {mean}{end}\u2003s. d. {spread}{end}\u2003limits {lower} to {upper}{end}"

@@ -94,8 +94,8 @@ def _orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, l
         ("name", [natural(s.name) for s in specimens]),
         ("state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]),
     ]
-    for name in sorted(factors, key=lambda name: name not in results.grouped_by)[:3]:
-        keys.append((name, [(not s.factor(name), natural(s.factor(name))) for s in specimens]))
+    by_group = sorted(factors, key=lambda name: name not in results.grouped_by)
+    keys += [(f, [(not s.factor(f), natural(s.factor(f))) for s in specimens]) for f in by_group[:3]]
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
             title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
@@ -162,7 +162,7 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
     # The colours of all small maps, and a length on them.
     canvas, first = Canvas(HALF, 62), shown[0][0]
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, f"{first.title} / {first.unit}" if first.unit else first.title)
+    canvas.text(8, 54, text.axis_label(first.title, first.unit))
     length = round_step(0.5 * _WIDE * um)
     canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
     canvas.text(350, 32, text.plain(length), size=SMALL)
@@ -191,12 +191,11 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     low, high = min(drawn), max(drawn)
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
     low, high = low - margin, high + margin
-    names = [_short_label(g.group) for g in groups]
-    x0 = min(max(len(name) for name in names) * _LETTER + 16, _WIDEST_NAME)
+    x0 = min(max(len(_short_label(g.group)) for g in groups) * _LETTER + 16, _WIDEST_NAME)
     x1, bottom = HALF - 20, _TOP + _ROW * len(groups)
     canvas = Canvas(HALF, bottom + 50)
     axes = canvas.axes(x0, _TOP, x1 - x0, bottom - _TOP, (low, high, float(len(groups)), 0.0))
-    for i, (g, of_group, name) in enumerate(zip(groups, fields, names, strict=True)):
+    for i, (g, of_group) in enumerate(zip(groups, fields, strict=True)):
         y, sheets = i + 0.5, dict[str, list[float]]()
         axes.dots([(v * factor, y - 0.18) for _, v in of_group], colour="#9db4c6", size=4)
         for sheet, v in of_group:
@@ -206,16 +205,15 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
             axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
         if g.mean is not None:
             axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
-        canvas.text(x0 - 8, _TOP + _ROW * y + 4, name, anchor="end")
+        canvas.text(x0 - 8, _TOP + _ROW * y + 4, _short_label(g.group), anchor="end")
     canvas.line([(x0, bottom), (x1, bottom)], colour=SOFT, width=0.8)
     ticks = multiples(low, high, round_step((high - low) / 4))
     canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
-    title, unit = words.title(q), words.units(q)
-    canvas.text((x0 + x1) / 2, bottom + 38, f"{title} / {unit}" if unit else title, anchor="middle")
+    canvas.text((x0 + x1) / 2, bottom + 38, text.axis_label(words.title(q), words.units(q)), anchor="middle")
     rows = [(words.label(g.group), s, v) for g, of_group in zip(groups, fields, strict=True) for s, v in of_group]
     means = [f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})" for g in groups]
     return canvas.picture(
-        title=title,
+        title=words.title(q),
         caption=(
             "Pale: single specimens; blue: sheets; red: mean over sheets with its 95 % interval, where there are 3 "
             f"sheets. Means: {'; '.join(means)}."

@@ -9,7 +9,7 @@ from itertools import groupby
 from planish.core.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
 from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
-from planish.report.text import NONE, beside, capital, count, fixed, number, typeset, unit
+from planish.report.text import NONE, axis_label, beside, capital, count, fixed, number, typeset, unit
 
 _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
@@ -29,8 +29,8 @@ def lead(results: SeriesResults) -> str:
         sentences = [difference(d, results) for d in alike[:_LED]]
         if len(alike) > _LED:
             sentences.append(f"{len(alike) - _LED} more of this quantity stand below.")
-        verdicts = Counter(d.verdict for d in results.differences)
-        total, differ, unknown = len(results.differences), verdicts["differ"], verdicts["unknown"]
+        verdicts = [d.verdict for d in results.differences]
+        total, differ, unknown = len(verdicts), verdicts.count("differ"), verdicts.count("unknown")
         if unknown == total > 1:
             sentences.append(f"None of {total} differences can be told.")
         elif total > 1:
@@ -41,9 +41,8 @@ def lead(results: SeriesResults) -> str:
     groups = [g for g in results.groups if g.fields]
     if not groups:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
-    first = [g for g in groups if g.group == groups[0].group]
-    shown = [g for g in first if results.quantities[g.quantity].what in ("mean", "r")][:2]
-    return " ".join(group_sentence(g, results) for g in shown)
+    stated = [g for g in groups if results.quantities[g.quantity].what in ("mean", "r")]
+    return " ".join(group_sentence(g, results) for g in [g for g in stated if g.group == groups[0].group][:2])
 
 
 def states(results: SeriesResults) -> str:
@@ -56,11 +55,10 @@ def states(results: SeriesResults) -> str:
 
 def light_of(results: SeriesResults) -> str:
     """The colour that the first lines have: the class of the style."""
-    members = results.members
-    if not any(m.state == "whole" for m in members):
+    whole = [member.state == "whole" for member in results.members]
+    if not any(whole):
         return "fail"
-    out = any(m.state != "whole" for m in members) or any(g.left_out for g in results.groups)
-    return "look" if out else "pass"
+    return "pass" if all(whole) and not any(g.left_out for g in results.groups) else "look"
 
 
 # --- numbers -------------------------------------------------------------------------------------------------------
@@ -79,24 +77,21 @@ def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = Non
     return number(v) if spread is None else beside(v, spread)
 
 
-def units(q: Quantity) -> str:
-    """Unit as it is written behind a value."""
-    return "%" if q.what == "thin_share" else unit(q.unit)
+def units(q: Quantity, *, change: bool = False) -> str:
+    """Unit as it is written behind a value; of a change of shares, percentage points."""
+    if q.what == "thin_share":
+        return "% points" if change else "%"
+    return unit(q.unit)
 
 
-def with_units(text: str, q: Quantity) -> str:
-    """Put the unit behind a value."""
-    return f"{text}\u202f{units(q)}" if units(q) and text != NONE else text
-
-
-def with_points(text: str, q: Quantity) -> str:
-    """Put the unit of a difference behind it: of two shares in per cent, percentage points."""
-    return f"{text}\u202f% points" if q.what == "thin_share" and text != NONE else with_units(text, q)
+def with_units(text: str, q: Quantity, *, change: bool = False) -> str:
+    """Put the unit behind a value, or behind a change of values."""
+    return f"{text}\u202f{units(q, change=change)}" if units(q) and text != NONE else text
 
 
 def margin_text(margin: float, q: Quantity) -> str:
     """Write a declared margin as it was given."""
-    return with_points(f"{100 * margin if q.what == 'thin_share' else margin:g}", q)
+    return with_units(f"{100 * margin if q.what == 'thin_share' else margin:g}", q, change=True)
 
 
 def title(q: Quantity) -> str:
@@ -114,7 +109,7 @@ def short(q: Quantity) -> str:
     size = "" if q.at_um is None else f"{q.at_um:g} µm"
     name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {size}" if q.at_um else "Bare",
             "r": f"r with {q.other_layer or 'the image'}, points of {size}"}[q.what]  # fmt: skip
-    return f"{name} / {units(q)}" if units(q) else name
+    return axis_label(name, units(q))
 
 
 def cell_text(cell: Cell, q: Quantity) -> str:
@@ -161,7 +156,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
         return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
     verdict = {"differ": "differ", "not after Holm": "are not distinguishable after Holm",
                "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
-    change, equivalence = with_points(signed(d, q), q), ""
+    change, equivalence = with_units(signed(d, q), q, change=True), ""
     if d.equivalence is not None and d.equivalence.verdict != "unknown":
         margin = f"the declared margin of {margin_text(d.equivalence.margin, q)}"
         equivalence = {"equivalent": f" They are equivalent within {margin}.",
@@ -169,7 +164,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
                        "undecided": f" Smaller than {margin} or not: undecided."}[d.equivalence.verdict]  # fmt: skip
     return capital(
         f"{of}{names} {verdict} in {of_what}: {second} − {first} = {change} "
-        f"(95 %: {with_points(interval(d.interval, q), q)}; {sampled(d)}).{equivalence}"
+        f"(95 %: {with_units(interval(d.interval, q), q, change=True)}; {sampled(d)}).{equivalence}"
     )
 
 
@@ -222,9 +217,8 @@ def tiles(results: SeriesResults) -> list[KeyFigure]:
         if d is not None:
             of = f"{label(d.within)}; " if d.within else ""
             ends = f"95 %: {interval(d.interval, q)}; " if d.interval else "no interval: "
-            unit_of_change = "% points" if q.what == "thin_share" else units(q)
             title = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
-            figures.append(KeyFigure(signed(d, q), unit_of_change, title, f"{of}{ends}{verdict(d)}"))
+            figures.append(KeyFigure(signed(d, q), units(q, change=True), title, f"{of}{ends}{verdict(d)}"))
         elif g is not None:
             note = f"95 %: {interval(g.interval, q)}" if g.interval else f"no interval: {g.reason}"
             note = f"{f'{label(g.group)}, ' if g.group else ''}{sheets_text(g.sheets)}; {note}"

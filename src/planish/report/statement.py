@@ -34,9 +34,9 @@ def r2_text(row: Row | None) -> str:
 
 def limits_text(limits: tuple[float, float] | None, digits: int = 2) -> str:
     """Write an interval; a dash where there is none."""
-    return (
-        NONE if limits is None or not is_known(limits) else f"{fixed(limits[0], digits)} to {fixed(limits[1], digits)}"
-    )
+    if limits is None or not is_known(limits):
+        return NONE
+    return " to ".join(fixed(end, digits) for end in limits)
 
 
 def r2_interval_text(row: Row | None) -> str:

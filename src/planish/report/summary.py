@@ -28,11 +28,9 @@ from planish.report.text import (
 )
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
-Titles = Mapping[tuple[str, str], str]
-"""Layer and map -> title of the map."""
+Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
 
-PairKey = tuple[str, str, str, str]
-"""A pair of maps: first layer, its map, second layer, its map."""
+PairKey = tuple[str, str, str, str]  # a pair of maps: first layer, its map, second layer, its map
 
 
 class KeyFigure(NamedTuple):
@@ -63,7 +61,7 @@ def check_summary(results: Results) -> str:
     """State what the checks say, the worst first."""
     fail, look, unknown = (len(results.checks_in(state)) for state in ("fail", "look", "unknown"))
     total = len(results.checks)
-    if not fail and not look and not unknown:
+    if not (fail or look or unknown):
         return f"All {total} checks are passed." if total != 1 else "The check is passed."
     it = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
     parts = [
@@ -86,9 +84,11 @@ def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
     return pair.a, pair.a_map, pair.b, pair.b_map
 
 
-def titles_of(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
-    """Return the titles of both maps of a pair, their names where they have none."""
-    return titles.get((pair.a, pair.a_map), pair.a_map), titles.get((pair.b, pair.b_map), pair.b_map)
+def titles_of(pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_layers: bool = False) -> tuple[str, str]:
+    """Return the titles of both maps of a pair, their names where they have none; on request with their layers."""
+    maps = (pair.a, pair.a_map), (pair.b, pair.b_map)
+    first, second = (titles.get(key, key[1]) + (f", {key[0]}" if with_layers else "") for key in maps)
+    return first, second
 
 
 def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
@@ -279,10 +279,13 @@ def _of_layers(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
 def _figure_of_r(row: CorrelationRow | None, label: str) -> KeyFigure:
     if row is None or row.trust != "ok":
         return KeyFigure(NONE, "", label, f"{row.trust}; see the checks" if row else NONE)
-    interval = f"95 %: {r_interval_text(row)}" if is_known(row.interval) else "no interval"
-    square = f"; r² {r2_text(row)}{f' ({r2_interval_text(row)})' if is_known(row.interval) else ''}"
-    points = f"; {count(round(row.n_eff))} independent points of {count(row.n)}" if is_known(row.n_eff) else ""
-    return KeyFigure(r_text(row), "", label, f"{interval}{square if is_known(row.r2) else ''}{points}; {REGISTERED}")
+    has_interval = is_known(row.interval)
+    note = f"95 %: {r_interval_text(row)}" if has_interval else "no interval"
+    if is_known(row.r2):
+        note += f"; r² {r2_text(row)}" + (f" ({r2_interval_text(row)})" if has_interval else "")
+    if is_known(row.n_eff):
+        note += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
+    return KeyFigure(r_text(row), "", label, f"{note}; {REGISTERED}")
 
 
 def lag_verdict(lag: LagNumbers | None, *, first: str, second: str) -> LagVerdict | None:

@@ -22,11 +22,8 @@ if TYPE_CHECKING:
     import xarray as xr
     from jinja2 import Template
 
-REGISTERED = "registration: marks only"
-
-"""Stands beside every correlation: how its maps were registered."""
-HOLES = "holes and rims"
-"""What the mask of valid pixels leaves out where no regions were declared."""
+REGISTERED = "registration: marks only"  # stands beside every correlation: how its maps were registered
+HOLES = "holes and rims"  # what the mask of valid pixels leaves out where no regions were declared
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
 
@@ -71,14 +68,10 @@ def template(package: str, name: str) -> Template:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    environment.filters.update(_FILTERS)
+    writers = (is_known, capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
+    filters: dict[str, Any] = {"length_um": length, "limit": with_unit} | {f.__name__: f for f in writers}
+    environment.filters.update(filters)
     return environment.get_template(name)
-
-
-_FILTERS: dict[str, Any] = {"is_known": is_known, "length_um": length, "limit": with_unit} | {
-    f.__name__: f for f in (capital, count, fixed, in_words, number, percent, typeset, unit, with_article)
-}
-"""How templates write numbers and words."""
 
 
 def left_out(regions: object) -> str:
@@ -98,5 +91,9 @@ def unit_of(data: xr.DataArray) -> str:
 
 def label_of(data: xr.DataArray) -> str:
     """Return the title of a map with its unit."""
-    units = unit_of(data)
-    return f"{title_of(data)} / {units}" if units else title_of(data)
+    return axis_label(title_of(data), unit_of(data))
+
+
+def axis_label(title: str, units: str) -> str:
+    """Write a title, such as that of an axis, with its unit."""
+    return f"{title} / {units}" if units else title

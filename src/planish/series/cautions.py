@@ -8,8 +8,7 @@ from collections.abc import Callable, Iterator, Sequence
 from planish.core.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 from planish.series.gather import Gathered
 
-NEST = ("sheet", "field")
-"""Factors that are the sample."""
+NEST = ("sheet", "field")  # factors that are the sample
 
 _MOST_NAMES = 6
 _UNLIKE = 1.05  # ratio of supports, from which on standard deviations are of different things

@@ -233,48 +233,42 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     row = partial(FigureRow, specimen=member.name, factors=member.factors)
     rows: list[FigureRow] = []
     for layer in results.layers:
-        rows += _of_sheet(layer, results, row)
-        rows += _of_registration(layer, results, row)
+        rows += _of_layer(layer, results, row)
     rows += _of_pairs(results, row)
     states: tuple[State, ...] = ("fail", "look", "unknown", "pass")
     return rows + [row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states]
 
 
-def _of_sheet(layer: LayerFacts, results: Results, row: MakeRow) -> Iterator[FigureRow]:
-    sheet = layer.sheet
-    if sheet is None:
-        return
-    thin_of, rough_of = (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
-    for name, p in sheet.properties.items():
-        of_map = partial(row, layer=layer.name, map=name, **_trusted(p.trust, results, (layer.name,), (name,)))
-        for quantity in ("mean", "sd", "p5", "median", "p95"):
-            yield of_map(quantity, getattr(p, quantity), p.units)
-        yield of_map("columns", float(p.n))
-        for quantity, unit in (("n_independent", "1"), ("mean_standard_error", p.units), ("support_um", "um")):
-            if (value := getattr(p, quantity)) is not None:
-                yield of_map(quantity, float(value), unit)
-        for side in SIDES:
-            if name == f"coating_{side}" and side in thin_of:  # those of a withheld map are withheld as well
-                for limit, share in zip(thin_of[side].thinner_than_um, thin_of[side].share, strict=True):
-                    yield of_map("thin_share", share, at_um=limit)
-            if name == f"topography_{side}" and side in rough_of:
-                yield of_map("sa", rough_of[side].sa, "um")
-                yield of_map("sq", rough_of[side].sq, "um")
-    yield row("measured_share", sheet.surfaces.shares.get("measured"), layer=layer.name)
-
-
-def _of_registration(layer: LayerFacts, results: Results, row: MakeRow) -> Iterator[FigureRow]:
-    r = layer.registration
-    if r is None:
-        return
-    of_layer = partial(row, layer=layer.name, other_layer=r.to)
-    yield of_layer("marks_used", float(r.matched))
-    yield of_layer("residual", r.rms_um, "um")
-    yield of_layer("leave_one_out", r.leave_one_out_rms_um, "um")
-    if (e := r.expected_error) is not None:
-        trusted = _trusted(e.trust, results, (layer.name,), ("position",))
-        yield of_layer("expected_error", e.median_um, "um", **trusted)
-        yield of_layer("largest_expected_error", e.largest_um, "um", **trusted)
+def _of_layer(layer: LayerFacts, results: Results, row: MakeRow) -> Iterator[FigureRow]:
+    sheet, r = layer.sheet, layer.registration
+    row = partial(row, layer=layer.name)
+    if sheet is not None:
+        thin_of, rough_of = (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
+        for name, p in sheet.properties.items():
+            of_map = partial(row, map=name, **_trusted(p.trust, results, (layer.name,), (name,)))
+            for quantity in ("mean", "sd", "p5", "median", "p95"):
+                yield of_map(quantity, getattr(p, quantity), p.units)
+            yield of_map("columns", float(p.n))
+            for quantity, unit in (("n_independent", "1"), ("mean_standard_error", p.units), ("support_um", "um")):
+                if (value := getattr(p, quantity)) is not None:
+                    yield of_map(quantity, float(value), unit)
+            for side in SIDES:
+                if name == f"coating_{side}" and side in thin_of:  # those of a withheld map are withheld as well
+                    for limit, share in zip(thin_of[side].thinner_than_um, thin_of[side].share, strict=True):
+                        yield of_map("thin_share", share, at_um=limit)
+                if name == f"topography_{side}" and side in rough_of:
+                    yield of_map("sa", rough_of[side].sa, "um")
+                    yield of_map("sq", rough_of[side].sq, "um")
+        yield row("measured_share", sheet.surfaces.shares.get("measured"))
+    if r is not None:
+        row = partial(row, other_layer=r.to)
+        yield row("marks_used", float(r.matched))
+        yield row("residual", r.rms_um, "um")
+        yield row("leave_one_out", r.leave_one_out_rms_um, "um")
+        if (e := r.expected_error) is not None:
+            trusted = _trusted(e.trust, results, (layer.name,), ("position",))
+            yield row("expected_error", e.median_um, "um", **trusted)
+            yield row("largest_expected_error", e.largest_um, "um", **trusted)
 
 
 def _of_pairs(results: Results, row: MakeRow) -> Iterator[FigureRow]:

@@ -30,11 +30,9 @@ from planish.run.study import RUN_TOML, Study, in_study_words, to_dict, with_pat
 from planish.series.gather import as_judged
 from planish.series.plan import Plan, PlannedSpecimen
 
-RUNS = "runs"
-"""Folder of the runs within that of the series."""
+RUNS = "runs"  # folder of the runs within that of the series
 
-NOTES = ".series"
-"""Hidden folder of what is remembered of each specimen."""
+NOTES = ".series"  # hidden folder of what is remembered of each specimen
 
 # Measured on two cores: links of 11 to 160 million voxels to .2 to 160 million pixels.
 _START_S, _PER_VOXEL_S, _PER_PIXEL_S = 4.0, 0.2e-6, 2.5e-6
@@ -90,14 +88,12 @@ def series_folder(out: Path) -> Generator[None]:
     FileError
         If something else stands there, it cannot be written, or another process is at work on it.
     """
-    if not (out / NOTES).is_dir():
-        if out.exists():
-            if out.is_dir() and (out / "run.toml").is_file():
-                raise FileError(f"{out} is a run. Give the series a folder of its own with --out.")
-            refuse_existing(out)
-        with writing(out):
-            (out / NOTES).mkdir(parents=True)
+    if out.exists() and not (out / NOTES).is_dir():
+        if (out / RUN_TOML).is_file():
+            raise FileError(f"{out} is a run. Give the series a folder of its own with --out.")
+        refuse_existing(out)
     with writing(out):
+        (out / NOTES).mkdir(parents=True, exist_ok=True)
         lock = acquire_lock(out / NOTES / "lock", out)
     try:
         yield
@@ -182,11 +178,11 @@ class SeriesState:
                     volume_bytes = max(volume_bytes, bytes_to_hold(header["bytes"]))
         except PlanishError as error:
             return Estimate(words=f"refused: {error.text}")
-        notes = [self._read(Path(path.stem)) for path in sorted((self.home / NOTES).glob("*.json"))]
+        notes = [self._read(Path(path.stem)) for path in (self.home / NOTES).glob("*.json")]
         seconds = [note.seconds for note in notes if note and note.seconds and note.state in ("whole", "withheld")]
         usual = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
         return Estimate(
-            words="to do", seconds=usual if len(seconds) < 3 else max(median(seconds), 0.0),
+            words="to do", seconds=usual if len(seconds) < 3 else median(seconds),
             memory_bytes=PROGRAM_BYTES + min(compute.for_work, volume_bytes + _PER_PIXEL * pixels),
             disk_bytes=_PER_COLUMN * columns + _PER_PIXEL * pixels,
         )  # fmt: skip
@@ -237,13 +233,12 @@ def do(job: Job) -> JobOutcome:
     return outcome.model_copy(update={"seconds": round(time.perf_counter() - begin, 1)})
 
 
-def killed() -> JobOutcome:
-    """Outcome of a job whose process ended again and again."""
-    message = (
-        "Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a limit "
-        "(--memory), and give the same command again."
-    )
-    return JobOutcome(state="damaged", message=message)
+# Outcome of a job whose process ended again and again
+KILLED = JobOutcome(
+    state="damaged",
+    message="Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a "
+    "limit (--memory), and give the same command again.",
+)
 
 
 def _outcome_of(error: PlanishError) -> JobOutcome:

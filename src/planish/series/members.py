@@ -39,35 +39,30 @@ def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -
     InputError
         If a run is given twice, also as a copy, or the table does not fit.
     """
-    sheet = None if table is None else _read_table(table)
+    sheet = None
+    if table is not None:
+        advice = "It needs a column run or name."
+        sheet = parse_table(read_text(table), table.name, needed=(), error=InputError, advice=advice)
+        if not {"run", "name"} & set(sheet.header):
+            sheet.faults.append(f"neither a column run nor name (found {', '.join(sheet.header)[:120]})")
+        sheet.check("Correct the table.")
+        if not sheet.rows:
+            raise InputError(f"{sheet.name} has a header and no rows. Give a row for each run.")
     if sheet is not None and not runs:
         if "run" not in sheet.header:
             raise InputError(f"{sheet.name} has no column run. Add one with the folders of the runs, or name them.")
         runs = [_from_table(table, sheet.text(row, "run")) for row in sheet.rows]
     folders = [_folder_of(run) for run in runs]
     _refuse_twice(runs, folders)
-    depth = 1
-    while True:  # names of folders, with those above them where two are the same
-        names = ["/".join(folder.parts[-min(depth, len(folder.parts)) :]) for folder in folders]
-        if len(set(names)) == len(names):
-            break
+    names, depth = [folder.name for folder in folders], 1
+    while len(set(names)) < len(names):  # with the folders above them where two are the same
         depth += 1
+        names = ["/".join(folder.parts[-depth:]) for folder in folders]
     factors = [{} for _ in folders] if sheet is None else _factors(sheet, table, folders)
     return tuple(
         Member(name=name, factors=of_run, run=relative_path(folder, home))
         for name, of_run, folder in zip(names, factors, folders, strict=True)
     )
-
-
-def _read_table(path: Path) -> CsvTable:
-    advice = "It needs a column run or name."
-    table = parse_table(read_text(path), path.name, needed=(), error=InputError, advice=advice)
-    if not {"run", "name"} & set(table.header):
-        table.faults.append(f"neither a column run nor name (found {', '.join(table.header)[:120]})")
-    table.check("Correct the table.")
-    if not table.rows:
-        raise InputError(f"{path.name} has a header and no rows. Give a row for each run.")
-    return table
 
 
 def _from_table(table: Path | None, cell: str) -> Path:

@@ -20,8 +20,8 @@ _OF_PAIRS = (
 )  # fmt: skip
 _OF_REGISTRATIONS = ("marks_used", "residual", "leave_one_out", "expected_error", "largest_expected_error")
 _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
+# Quantities whose trust stands for all of their dims
 _JUDGED = {"mean": "trust", "r": "pair_trust", "expected_error": "registration_trust"}
-"""Quantities whose trust stands for all of their dims."""
 
 _TRUST = {"ok": 0, "doubtful": 1, "withheld": 2}
 _LARGEST = 2_000_000_000
@@ -69,27 +69,24 @@ def open_study(path: str | Path) -> xr.Dataset:
     needed = ("specimen", "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low",
               "high", "trust")  # fmt: skip
     table = parse_table(text, VALUES, needed=needed, error=FileError)
-    of_quantity: dict[str, list[dict[str, str]]] = {}
-    names = [specimen.name for specimen in results.specimens]
-    for line in table.rows:
-        row = dict(zip(table.header, line.cells, strict=True))
-        of_quantity.setdefault(row["quantity"], []).append(row)
+    figures = [dict(zip(table.header, line.cells, strict=True)) for line in table.rows]
     table.check("Write the series again.")
-    if unknown := {row["specimen"] for rows in of_quantity.values() for row in rows} - set(names):
+    names = [specimen.name for specimen in results.specimens]
+    if unknown := {row["specimen"] for row in figures} - set(names):
         raise FileError(
             f"{VALUES} has figures of {', '.join(sorted(unknown)[:3])}, which {RESULTS} does not know: the two files "
             "are of different series. Write the series again."
         )
     several = any(specimen.kind in ("two volumes", "layers") for specimen in results.specimens)
     arrays: dict[str, xr.DataArray] = {}
-    for quantity, rows in of_quantity.items():
-        arrays |= _arrays(quantity, rows, names, several)
+    for quantity in dict.fromkeys(row["quantity"] for row in figures):
+        arrays |= _arrays(quantity, [row for row in figures if row["quantity"] == quantity], names, several)
     study = xr.Dataset(arrays).assign_coords(specimen=("specimen", np.array(names, dtype=object)))
     reserved = {"state", *map(str, study.dims), *map(str, study.data_vars)}
     for name, column in zip(results.factors, factor_columns(results.factors), strict=True):
         levels = [specimen.factor(name) for specimen in results.specimens]
         study = study.assign_coords({f"factor_{name}" if column in reserved else column: ("specimen", levels)})
-    study = study.assign_coords(state=("specimen", [specimen.member.state for specimen in results.specimens]))
+    study = study.assign_coords(state=("specimen", [member.state for member in results.members]))
     return study.assign_attrs(planish=results.planish, compared_by=results.compared_by or "")
 
 

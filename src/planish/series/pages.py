@@ -26,10 +26,10 @@ from planish.series.declared import Declared, declared_of
 from planish.series.gather import FigureRow, gather
 from planish.series.summary import summary_of
 
+# Names of the files of a series
 REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (
     "report.html", "results.json", "specimens.csv", "values.csv", "values.parquet",
 )  # fmt: skip
-"""Names of the files of a series."""
 
 _OF_A_ROW = (
     "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low", "high", "trust", "checks",
@@ -167,30 +167,25 @@ def parquet_bytes(header: Sequence[str], rows: Sequence[Sequence[Any]]) -> bytes
 def _specimens_text(results: SeriesResults) -> str:
     """Text of specimens.csv: one row a specimen, its quantities in columns named by map, statistic and unit."""
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
-    for quantity in results.quantities:
-        name, ends = _column_of(quantity), ("_low", "_high", "_n_eff") if quantity.what == "r" else ()
-        header += [f"{name}{end}" for end in ("", *ends, "_trust")]
+    for q in results.quantities:
+        parts, ends = [q.layer, q.map, q.what], ("", "_trust")
+        if q.what == "r":
+            parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
+            ends = ("", "_low", "_high", "_n_eff", "_trust")
+        if q.at_um is not None:
+            parts += [f"{q.at_um:g}", "um"]
+        elif q.unit != "1":
+            parts.append(q.unit.replace("/", "_per_"))
+        name = "_".join(filter(None, parts)).replace(" ", "_")
+        header += [f"{name}{end}" for end in ends]
     rows: list[list[Any]] = []
     for specimen in results.specimens:
-        m = specimen.member
-        row: list[Any] = [m.name, *(m.factors.get(n, "") for n in results.factors), m.state, specimen.kind]
+        row: list[Any] = [specimen.name, *map(specimen.factor, results.factors), specimen.member.state, specimen.kind]
         row += [specimen.sheet, specimen.light, *("; ".join(specimen.spoken.get(s, ())) for s in ("fail", "look"))]
         row += [specimen.marks_used, specimen.leave_one_out_um, specimen.expected_error_um]
         cells = specimen.cells or [Cell()] * len(results.quantities)
         for quantity, cell in zip(results.quantities, cells, strict=True):
             interval = [cell.low, cell.high, cell.n_eff] if quantity.what == "r" else []
             row += [cell.value, *interval, cell.trust if cell.value is not None or cell.trust != "ok" else None]
-        rows.append([*row, m.message, m.run])
+        rows.append([*row, specimen.member.message, specimen.member.run])
     return table_text([*header, "message", "run"], rows)
-
-
-def _column_of(quantity: Quantity) -> str:
-    """Name of the column of a quantity."""
-    parts = [quantity.layer, quantity.map, quantity.what]
-    if quantity.what == "r":
-        parts += [quantity.other_layer, quantity.other_map if quantity.other_map != quantity.map else ""]
-    if quantity.at_um is not None:
-        parts += [f"{quantity.at_um:g}", "um"]
-    elif quantity.unit != "1":
-        parts.append(quantity.unit.replace("/", "_per_"))
-    return "_".join(filter(None, parts)).replace(" ", "_")

@@ -26,6 +26,7 @@ _NO_FACTORS = ("name", "volume", "image", "layers", "set")
 _NEEDED = "It needs a column volume, or layers with a semicolon between them"
 _NO_NAME = re.compile(r'[/\\<>:"|?*\x00-\x1f]')
 _LONGEST_NAME = 80
+_EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -132,6 +133,11 @@ class _TableRow:
     changes: tuple[str, ...] = ()
     layers: tuple[str, ...] = ()
 
+    @property
+    def factors(self) -> dict[str, str]:
+        """Cells that are factors, by their columns."""
+        return {name: cell for name, cell in self.cells.items() if name not in _NO_FACTORS}
+
 
 def _rows_of(path: Path, text: str) -> list[_TableRow]:
     table = parse_table(text, path.name, needed=(), error=InputError, advice=f"{_NEEDED}.")
@@ -140,10 +146,10 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
     table.check("Correct the table.")
     rows: list[_TableRow] = []
     for row in table.rows:
-        cells = {name: cell for name in table.header if name and (cell := table.text(row, name))}
-        options = tuple(f"{name}={cell}" for name, cell in cells.items() if "." in name)
-        layers = tuple(part.strip() for part in cells.pop("layers", "").split(";") if part.strip())
-        cells = {name: cell for name, cell in cells.items() if "." not in name}
+        texts = {name: cell for name in table.header if name and (cell := table.text(row, name))}
+        layers = tuple(part.strip() for part in texts.pop("layers", "").split(";") if part.strip())
+        options = tuple(f"{name}={cell}" for name, cell in texts.items() if "." in name)
+        cells = {name: cell for name, cell in texts.items() if "." not in name}
         rows.append(_TableRow(f"row {row.line}", cells, options, layers))
     return rows
 
@@ -170,8 +176,7 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     except ValidationError as error:
         faults = mistakes(error, Declared, lambda loc: (("compare", *loc), lines.of(("compare", *loc))))
         raise InputError(f"{path}: {'; '.join(faults)}.") from error
-    faults: list[str] = []
-    rows: list[_TableRow] = []
+    faults, rows = list[str](), list[_TableRow]()
     for k, table in enumerate(cast("list[dict[str, Any]]", tables)):
         where = f"line {lines.of(('specimens', k))}"
         cells, lists = dict[str, str](), dict[str, tuple[str, ...]]()
@@ -195,9 +200,6 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     return _checked(path, rows, replace(plan, sections=sections, declared=declared, watch=watch))
 
 
-_EXAMPLES = {"set": '["volume.top=low"]', "layers": '["ct=scan", "image.tif"]'}
-
-
 def _check_common(path: Path, sections: Mapping[str, Any], lines: KeyLines) -> None:
     """Refuse options that no study has; each with its line."""
     if "layers" in sections:
@@ -205,10 +207,10 @@ def _check_common(path: Path, sections: Mapping[str, Any], lines: KeyLines) -> N
             f"{path}: line {lines.of(('layers',))}, layers: each specimen names its own; take them out, or write "
             f"layers = {_EXAMPLES['layers']} under [[specimens]]."
         )
-    tables = {name: dict(value) if isinstance(value, Mapping) else value for name, value in sections.items()}  # type: ignore[reportUnknownArgumentType]
+    tables = dict(sections)
     for kind in ("volume", "image"):
-        if isinstance(table := tables.setdefault(kind, {}), dict):
-            cast("dict[str, Any]", table).setdefault("path", "x")
+        if isinstance(table := tables.get(kind, {}), dict):
+            tables[kind] = {"path": "x"} | cast("dict[str, Any]", table)
     try:
         as_study(tables)
     except ValidationError as error:
@@ -226,8 +228,7 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
     """Check the specimens of either form against each other."""
     if not rows and not plan.watch:
         raise InputError(f"{path} names no specimen. {_NEEDED}.")
-    faults: list[str] = []
-    specimens: list[PlannedSpecimen] = []
+    faults, specimens = list[str](), list[PlannedSpecimen]()
     for row, name in zip(rows, _names(rows, plan.home), strict=True):
         if row.layers and {"volume", "image"} & set(row.cells):
             faults.append(f"{row.where}: give layers, or volume and image, not both")
@@ -238,7 +239,7 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
         files = row.layers or tuple(row.cells[kind] for kind in ("volume", "image") if kind in row.cells)
         specimens.append(PlannedSpecimen(
             name=name, files=tuple(_absolute(file, plan.home) for file in files), changes=row.changes,
-            factors={key: cell for key, cell in row.cells.items() if key not in _NO_FACTORS},
+            factors=row.factors,
         ))  # fmt: skip
     first: dict[Any, str] = {}
     for row, specimen in zip(rows, specimens, strict=True):
@@ -260,8 +261,8 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
 
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     """Names as given; else the factors, or the files, whichever tells all specimens apart."""
-    by_factor = ["-".join(cell for key, cell in row.cells.items() if key not in _NO_FACTORS) for row in rows]
-    first = [(row.layers[:1] or (row.cells.get("volume", ""),))[0].rpartition("=")[2] for row in rows]
+    by_factor = ["-".join(row.factors.values()) for row in rows]
+    first = [(row.layers[0] if row.layers else row.cells.get("volume", "")).rpartition("=")[2] for row in rows]
     by_file = [find_place(home / file).stem if file else "" for file in first]
     width = len(str(len(rows)))
     guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]

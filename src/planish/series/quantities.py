@@ -17,8 +17,8 @@ _STATISTICS: tuple[What, ...] = ("mean", "sd", "thin_share")
 _ALIKE = 1e-3  # of a length: point sizes that are one
 _MOST_SCATTERED = 4.0  # independent points, from which on the scatter of Fisher's z is known
 
+# Layers and maps of a correlation, the sheet first: layer, map, other layer, other map
 Pair = tuple[str, str, str, str]
-"""Layers and maps of a correlation, the sheet first: layer, map, other layer, other map."""
 
 
 def check_maps_known(declared: Declared) -> None:
@@ -74,33 +74,26 @@ def quantities_of(
             )
     usual = Counter(name for run in runs.values() for name in run.headlines).most_common()
     limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
-    thin_um = declared.thin_um if declared.thin_um is not None else max(limits, key=lambda k: limits[k], default=None)
+    thin_um = declared.thin_um if declared.thin_um is not None else max(limits, key=limits.__getitem__, default=None)
     quantities: list[Quantity] = []
     for name in dict.fromkeys([*(declared.headline or (name for name, _ in usual)), *wanted]):
         of_map = [row for row in rows if name in (row.map, row.other_map)]
         for layer in dict.fromkeys(row.layer for row in of_map if row.quantity == "mean"):
-            of_layer = [row for row in of_map if row.map == name and row.layer == layer]
-            statistics = (_statistic(of_layer, statistic, layer, thin_um) for statistic in _STATISTICS)
-            quantities += [q for q in statistics if q is not None]
+            words = _in_words(name, layer)
+            titles: dict[What, str] = {
+                "mean": f"mean {words}", "sd": f"standard deviation of {words}",
+                "thin_share": f"share with {words} below {thin_um:g} um" if thin_um else f"share without {words}",
+            }  # fmt: skip
+            for what, title in titles.items():
+                at_um = thin_um if what == "thin_share" else None
+                of_what = (r for r in of_map if (r.map, r.layer, r.quantity) == (name, layer, what))
+                row = next((r for r in of_what if at_um is None or _alike(r.at_um, at_um)), None)
+                if row is not None and (what != "thin_share" or at_um is not None):
+                    quantities.append(Quantity(
+                        layer=layer, map=name, what=what, at_um=at_um, unit=row.unit, title=title, map_title=words
+                    ))  # fmt: skip
         quantities += _correlations(of_map, name)
     return tuple(quantities)
-
-
-def _statistic(rows: Sequence[FigureRow], statistic: What, layer: str, thin_um: float | None) -> Quantity | None:
-    """Mean, standard deviation or thin share of a map; None where no run states it."""
-    at_um = thin_um if statistic == "thin_share" else None
-    rows = [row for row in rows if row.quantity == statistic]
-    rows = [row for row in rows if _alike(row.at_um, at_um)] if statistic == "thin_share" else rows
-    if not rows:
-        return None
-    words = _in_words(rows[0].map, layer)
-    title = {
-        "mean": f"mean {words}", "sd": f"standard deviation of {words}",
-        "thin_share": f"share with {words} below {thin_um:g} um" if thin_um else f"share without {words}",
-    }[statistic]  # fmt: skip
-    return Quantity(
-        layer=layer, map=rows[0].map, what=statistic, at_um=at_um, unit=rows[0].unit, title=title, map_title=words
-    )
 
 
 def _in_words(name: str, layer: str) -> str:
@@ -114,18 +107,16 @@ def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     """Correlations of a map with the images, or with the same map of another sheet, at the usual points."""
     sizes_of: dict[Pair, Counter[float]] = {}
     for specimen in dict.fromkeys(row.specimen for row in rows):
-        of_specimen = [row for row in rows if row.specimen == specimen]
-        for pair, size in _largest_points(of_specimen, name).items():
+        for pair, size in _largest_points([row for row in rows if row.specimen == specimen], name).items():
             sizes_of.setdefault(pair, Counter())[round(size, 3)] += 1
     quantities: list[Quantity] = []
     for (layer, first, other_layer, second), sizes in sizes_of.items():
         at_um = max(sizes, key=lambda size: (sizes[size], size))
         words = _in_words(first, layer)
-        other = f"{other_layer or 'the image'}" if second == "image" else f"that of {other_layer}"
-        title = f"r of {words} and {other}, points of {at_um:g} um"
+        other = other_layer or "the image" if second == "image" else f"that of {other_layer}"
         quantities.append(Quantity(
             layer=layer, map=first, what="r", other_layer=other_layer, other_map=second, at_um=at_um, unit="1",
-            title=title, map_title=words,
+            title=f"r of {words} and {other}, points of {at_um:g} um", map_title=words,
         ))  # fmt: skip
     return quantities
 
@@ -143,7 +134,7 @@ def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
 def _pair_of(row: FigureRow) -> Pair | None:
     """Pair of a correlation; None where it is none with an image or the same map."""
     first, second = (row.layer, row.map), (row.other_layer, row.other_map)
-    if first[1] == "image" and second[1] != "image":
+    if row.map == "image" != row.other_map:
         first, second = second, first
     return (*first, *second) if second[1] in ("image", first[1]) else None
 

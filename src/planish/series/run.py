@@ -14,18 +14,18 @@ from collections import Counter, deque
 from collections.abc import Callable, Generator, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
 from planish.core.series_results import Member
 from planish.core.threads import count_threads
 from planish.run.compute import Compute, engine
-from planish.series.jobs import Job, JobOutcome, SeriesState, do, killed
+from planish.series.jobs import KILLED, Job, JobOutcome, SeriesState, do
 from planish.series.plan import Plan, PlannedSpecimen
 
+# Called with each specimen that is done, and the seconds that it took; None where it was done before
 Tell = Callable[[Member, float | None], None]
-"""Called with each specimen that is done, and the seconds that it took; None where it was done before."""
 
 _PAUSE = 1.0  # seconds until it is asked again whether there is more to do
 _END: Final = object()
@@ -74,28 +74,29 @@ def run_series(
                 continue
             specimens[specimen.name] = specimen
             job = state.open(specimen, of_job)
+            members[specimen.name] = specimen.member if isinstance(job, Job) else job
             if isinstance(job, Job):
-                members[specimen.name] = specimen.member
                 yield job
             else:
-                members[specimen.name] = job
                 tell(job, None)
 
-    for job, outcome in _outcomes(opened(), compute, jobs):
-        members[job.name] = state.close(specimens[job.name], job, outcome)
-        tell(members[job.name], outcome.seconds)
+    with _workers(compute, jobs) as workers:
+        for job, outcome in _run_jobs(opened(), workers):
+            members[job.name] = state.close(specimens[job.name], job, outcome)
+            tell(members[job.name], outcome.seconds)
 
 
-def _outcomes(jobs: Iterator[Job | None], compute: Compute, at_once: int) -> Generator[tuple[Job, JobOutcome]]:
-    """Give each job with its outcome as it is done, by the workers of a scheduler or by processes of this computer."""
+@contextmanager
+def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
+    """Give the workers of a scheduler, or else processes of this computer."""
     if compute.scheduler is not None:
         with engine(compute) as cluster:
             assert cluster.executor is not None
-            yield from _run_jobs(jobs, _Cluster(cluster.executor, cluster.at_once))
+            yield _Cluster(cluster.executor, cluster.at_once)
         return
-    processes = _Processes(at_once)
+    processes = _Processes(jobs)
     try:
-        yield from _run_jobs(jobs, processes)
+        yield processes
     finally:
         processes.stop()
 
@@ -129,7 +130,7 @@ def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> 
                 if tries[job.name] < workers.tries:
                     again.append(job)
                 else:
-                    yield job, killed()
+                    yield job, KILLED
 
 
 class _Cluster:

@@ -70,7 +70,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))
     compared_by = _compared_by(gathered, factors, declared)
     separate = ["paper", "treatment", "side", *([] if compared_by is None else [compared_by])]
-    grouped_by = tuple(f for f in dict.fromkeys(separate) if f in factors and len(_levels(gathered, f)) > 1)
+    grouped_by = tuple(f for f in dict.fromkeys(separate) if _varies(gathered, f))
     rows = gathered.rows_of_series()
     quantities = quantities_of(rows, gathered.runs, declared)
     specimens = _specimens(gathered, rows, quantities, declared)
@@ -100,8 +100,7 @@ def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared)
     """The factor that is compared."""
     name = declared.compare
     if name is None:
-        usual = ("treatment", "paper", "side")
-        return next((f for f in usual if f in factors and len(_levels(gathered, f)) > 1), None)
+        return next((factor for factor in ("treatment", "paper", "side") if _varies(gathered, factor)), None)
     if name not in factors:  # tables are read in small letters
         name = next((f for f in factors if f.casefold() == name.casefold()), name)
     if name in NEST:
@@ -117,12 +116,14 @@ def _compared_by(gathered: Gathered, factors: Sequence[str], declared: Declared)
     return name
 
 
-def _levels(gathered: Gathered, factor: str) -> list[str]:
-    """Levels of a factor among the specimens with a run, in the order of the table; before comes before after."""
-    return _in_order(member.factors.get(factor, "") for member in gathered.members if member.name in gathered.runs)
+def _varies(gathered: Gathered, factor: str) -> bool:
+    """Whether a factor has several levels among the specimens with a run."""
+    levels = {member.factors.get(factor, "") for member in gathered.members if member.name in gathered.runs}
+    return len(levels - {""}) > 1
 
 
 def _in_order(levels: Iterable[str]) -> list[str]:
+    """Levels in the order of the table; before comes before after."""
     ordered = [*dict.fromkeys(level for level in levels if level)]
     return ordered[::-1] if [level.casefold() for level in ordered] == ["after", "before"] else ordered
 
@@ -166,19 +167,18 @@ def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = F
 
 def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
     """State one quantity over the sheets of one group."""
-    members = [specimen for specimen in specimens if _levels_of(specimen, [*group]) == tuple(group.values())]
+    members = [s for s in specimens if all(s.factor(name) == level for name, level in group.items())]
     fields = _fields(members, k)
     if quantity.what == "r":
         mean = pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
-        figures: dict[str, Any] = {"mean": mean.r, "between_sheets": _heterogeneity(mean.between_sheets)}
-        figures["between_fields"] = _heterogeneity(mean.between_fields)
+        figures: dict[str, Any] = {
+            "mean": mean.r, "between_sheets": _heterogeneity(mean.between_sheets),
+            "between_fields": _heterogeneity(mean.between_fields),
+        }  # fmt: skip
     else:
-        mean, v = over_sheets(fields), variances_of(fields)
-        variances = VarianceFacts(
-            sd_between=v.sd_between, sd_within=v.sd_within, share=v.share, share_interval=v.share_interval, p=v.p,
-            reason=v.reason,
-        )  # fmt: skip
-        figures = {"mean": mean.mean, "sd": mean.sd, "variances": variances}
+        mean, variances = over_sheets(fields), variances_of(fields)
+        figures = {"mean": mean.mean, "sd": mean.sd}
+        figures["variances"] = VarianceFacts.model_validate(variances, from_attributes=True)
     return GroupFacts(
         quantity=k, group=dict(group), sheets=mean.sheets, fields=mean.fields, left_out=_left_out(members, k),
         interval=mean.interval, reason=mean.reason, **figures,
@@ -227,7 +227,7 @@ def _compare(
     first: Sequence[SeriesSpecimen], second: Sequence[SeriesSpecimen], k: int, quantity: Quantity
 ) -> SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
-    paired = bool({specimen.sheet for specimen in first} & {specimen.sheet for specimen in second})
+    paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
     keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
     named = paired and all(all(field for _, field in of_set) and len({*of_set}) == len(of_set) for of_set in keys)
     fields = [_fields(specimens, k, with_names=named) for specimens in (first, second)]
@@ -242,8 +242,7 @@ def _compare(
 def _difference(about: Mapping[str, Any], change: SheetDifference, margin: float | None) -> DifferenceFacts:
     facts = None
     if margin is not None:
-        test = equivalence(change, margin=margin)
-        facts = EquivalenceFacts(margin=test.margin, interval=test.interval, p=test.p, verdict=test.verdict)
+        facts = EquivalenceFacts.model_validate(equivalence(change, margin=margin), from_attributes=True)
     return DifferenceFacts(
         **about, kind=change.kind, sheets=change.sheets, means=change.means, difference=change.difference,
         interval=change.interval, p=change.p, p_of_table=change.p_of_table, smallest_seen=change.smallest_seen(),

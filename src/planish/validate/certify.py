@@ -104,15 +104,13 @@ class Certificate:
 
     def lines(self) -> dict[str, LedgerLine]:
         """Every figure that a specimen has or a limit names, in the order of the line."""
-        limits = self.scenario.limits
+        limits, lines = self.scenario.limits, dict[str, LedgerLine]()
         names = {name for entry in self.judged for name in entry.values} | limits.keys()
-        return {
-            name: LedgerLine(
-                figure=figure, values=tuple(e.values.get(name) for e in self.judged), limit=limits.get(name)
-            )
-            for name, figure in FIGURES.items()
-            if name in names
-        }  # fmt: skip
+        for name, figure in FIGURES.items():
+            if name in names:
+                values = tuple(entry.values.get(name) for entry in self.judged)
+                lines[name] = LedgerLine(figure=figure, values=values, limit=limits.get(name))
+        return lines
 
     @property
     def passed(self) -> bool:
@@ -141,8 +139,7 @@ def run_scenario(
     Certificate
         A seed on which the program refuses is an entry with its message, no error.
     """
-    numbers = seed_numbers(scenario, seeds)
-    entries: list[Entry] = []
+    numbers, entries = seed_numbers(scenario, seeds), list[Entry]()
     for k, seed in enumerate(numbers):
         progress(scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
         if scenario.kind == "mesh":

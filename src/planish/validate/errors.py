@@ -44,7 +44,7 @@ def section_errors(comparison: Comparison) -> Values:
 
     A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
     """
-    sections, surfaces = comparison.groups.get("sections"), comparison.groups["surfaces"]
+    sections, surfaces = comparison.groups.get("sections"), comparison.surfaces
     frame, across = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.
     if sections is None or frame.through == "z" or across.size < 4:
@@ -73,9 +73,8 @@ def section_errors(comparison: Comparison) -> Values:
 
 def surface_errors(comparison: Comparison) -> Values:
     """Heights of the four faces at the measured columns, along the true normals."""
-    surfaces, sheet = comparison.groups["surfaces"], comparison.specimen.sheet
-    values: Values = {}
-    pool: list[Floats] = []
+    surfaces, sheet = comparison.surfaces, comparison.specimen.sheet
+    values, pool = Values(), list[Floats]()
     for face, field in zip(FACES, sheet.faces, strict=True):
         heights = np.where(comparison.measured, comparison.take(surfaces[face].values), np.nan)
         u, v, s = np.moveaxis(comparison.material_at(comparison.places(heights, *comparison.columns)), -1, 0)
@@ -89,28 +88,16 @@ def surface_errors(comparison: Comparison) -> Values:
     status = comparison.take(surfaces["status"].values)
     has_sheet = outside & (status != Status.RIM)
     has_faces = (status == 0) | (status == Status.NORMAL_LEAVES_SHEET)
-    values["found_share"] = 100.0 * float(np.mean(has_faces[has_sheet])) if has_sheet.any() else None
-    values["measured_share"] = 100.0 * float(np.mean(comparison.measured[has_sheet])) if has_sheet.any() else None
+    for name, of_columns in (("found_share", has_faces), ("measured_share", comparison.measured)):
+        values[name] = 100.0 * float(np.mean(of_columns[has_sheet])) if has_sheet.any() else None
     return values
 
 
 def centre_errors(comparison: Comparison) -> Values:
-    """Height of the found centre surface over the true one, and the angle between their normals."""
+    """Height of the found centre surface over the true one, and the angle between their normals in degrees."""
     u, v, s = np.moveaxis(np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0)
-    mean, angle = mean_of(s), _angles(comparison, u, v)
-    return {
-        "centre_mean": mean,
-        "centre_rms": None if mean is None else rms(s - mean),
-        "angle_rms": rms(angle),
-        "angle_p95": percentile(angle, 95),
-    }
-
-
-def _angles(comparison: Comparison, u: Floats, v: Floats) -> Floats:
-    """Angles in degrees between found and true normals; NaN where a neighbour is missing."""
-    surfaces = comparison.groups["surfaces"]
-    centre = surfaces["centre"].values
-    reach = [max(1, round(_WIDE_UM / p)) if "sections" in comparison.groups else 1 for p in pitch(surfaces)]
+    centre = comparison.surfaces["centre"].values
+    reach = [max(1, round(_WIDE_UM / p)) if "sections" in comparison.groups else 1 for p in pitch(comparison.surfaces)]
     sides: list[Floats] = []
     for axis, (n, r) in enumerate(zip(centre.shape, reach, strict=True)):
         ends: list[Floats] = []
@@ -123,22 +110,27 @@ def _angles(comparison: Comparison, u: Floats, v: Floats) -> Floats:
     normals = np.cross(sides[1], sides[0])
     length = np.linalg.norm(normals, axis=-1)
     is_valid = np.isfinite(u) & (length > 0)
-    angle = np.full(u.shape, np.nan)
     true = comparison.specimen.warp.normals(u[is_valid], v[is_valid])
     # The arc sine of the cross product keeps small angles, which the arc cosine loses to rounding.
     sine = np.linalg.norm(np.cross(normals[is_valid] / length[is_valid][:, None], true), axis=-1)
-    angle[is_valid] = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
-    return angle
+    angle = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
+    mean = mean_of(s)
+    return {
+        "centre_mean": mean,
+        "centre_rms": None if mean is None else rms(s - mean),
+        "angle_rms": rms(angle),
+        "angle_p95": percentile(angle, 95),
+    }
 
 
 def thickness_errors(comparison: Comparison) -> Values:
     """Measured thicknesses of the columns against those of the material that they show."""
     u, v = comparison.material[..., 0], comparison.material[..., 1]
-    values: Values = {}
+    values = Values()
     for name in THICKNESSES:
-        measured = comparison.take(comparison.groups["surfaces"][name].values)
+        measured = comparison.take(comparison.surfaces[name].values)
         values |= bias_rmse_p95(f"column_{name}", measured - true_thickness(comparison.specimen.sheet, name, u, v))
-        if (stated := comparison.groups["surfaces"].get(f"{name}_se")) is not None:
+        if (stated := comparison.surfaces.get(f"{name}_se")) is not None:
             values[f"predicted_{name}"] = rms(comparison.take(stated.values)[np.isfinite(measured)])
     return values
 
@@ -152,19 +144,17 @@ def flattening_errors(comparison: Comparison) -> Values:
     if np.count_nonzero(is_valid) < 3:
         return {}
     every = max(1, np.count_nonzero(is_valid) // FITTED)
-    rigid, similar = (
-        fit_transform(flat[is_valid][::every], true[is_valid][::every], model=model, mirrored=None, robust=False)
-        for model in ("rigid", "similarity")
-    )
+    ends = flat[is_valid][::every], true[is_valid][::every]
+    rigid, similar = (fit_transform(*ends, model=m, mirrored=None, robust=False) for m in ("rigid", "similarity"))
     off = true[is_valid] - rigid.transform(flat[is_valid])
     away = np.hypot(*(off - off.mean(axis=0)).T)
     strains: list[Floats] = []
     for axis, step in enumerate(comparison.pitch_um):
         n = max(1, round(_EDGE_UM / step))
-        along = [np.moveaxis(places, axis, 0) for places in (flat, true)]
-        edges = [np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in along]
+        along = (np.moveaxis(places, axis, 0) for places in (flat, true))
+        of_flat, of_true = (np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in along)
         with np.errstate(invalid="ignore", divide="ignore"):
-            strains.append((edges[0] / edges[1] - 1.0).ravel())
+            strains.append((of_flat / of_true - 1.0).ravel())
     strain = rms(np.concatenate(strains))
     return {
         "node_rms": rms(away),
@@ -275,10 +265,8 @@ def _side_errors(holes_uv: Floats, true: Floats, inside: Bools, side: str) -> Va
 
 def registration_errors(comparison: Comparison) -> Values:
     """Error of every pixel in the sheet, what the marks say of it, and what it would be without flattening."""
-    fit, linked, away = comparison.fit, comparison.linked, comparison.away_um
-    expected = (
-        rms(linked["expected_error"].values[comparison.valid].astype(np.float64)) if comparison.valid.any() else None
-    )
+    fit, away = comparison.fit, comparison.away_um
+    expected = rms(comparison.linked["expected_error"].values[comparison.valid].astype(np.float64))
     true, scale = rms(away), None
     uv = np.stack([values[comparison.valid] for values in comparison.true_uv], axis=1)
     if len(uv) >= 3:  # of the similarity that is nearest to the true pose over the valid pixels
@@ -337,11 +325,10 @@ def statistic_errors(comparison: Comparison) -> Values:
     measured = comparison.linked_values(comparison.headline)
     true = np.where(np.isfinite(measured), comparison.pixel_thickness(comparison.headline, *comparison.true_uv), np.nan)
     point_um = comparison.run.study.correlate.point_um
-    values: Values = {}
-    for key, (r_measured, r_true) in {
-        "pixel": [pearson(m, image) for m in (measured, true)],
-        "point": [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured, true)],
-    }.items():
+    pixels = [pearson(m, image) for m in (measured, true)]
+    points = [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured, true)]
+    values = Values()
+    for key, (r_measured, r_true) in (("pixel", pixels), ("point", points)):
         is_finite = np.isfinite(r_measured) and np.isfinite(r_true)
         correlations = (r_measured, r_true, r_measured - r_true) if is_finite else (None, None, None)
         values |= dict(zip((f"r_{key}", f"r_true_{key}", f"r_difference_{key}"), correlations, strict=True))

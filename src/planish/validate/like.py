@@ -17,7 +17,6 @@ from planish.run import Run, open_run
 from planish.synthetic import SIZES_UM, SpecimenParams
 from planish.validate.scenario import Scenario
 
-_FWHM = 2.3548  # of a Gaussian, in standard deviations: 2 sqrt(2 ln 2)
 _LEAST_UM = (1200.0, 900.0)  # lateral extent that holds enough holes
 _LEAST_HOLES, _BORDER_UM, _HOLE_UM2 = 5, 260.0, 75_000.0  # holes, their distance from the border, area for each
 
@@ -96,14 +95,11 @@ class SpecimenTemplate:
 
     def scan(self) -> None:
         """Voxel, size, blur and noise of the volume."""
-        source, surfaces = self.layer.source, self.sheet.surfaces
-        voxel = source.size_um
+        surfaces, voxel = self.sheet.surfaces, self.layer.source.size_um
         size = float(np.exp(np.mean(np.log(voxel))))
-        sides = dict(zip("zyx", (n * v for n, v in zip(source.shape, voxel, strict=True)), strict=True))
+        sides = dict(zip("zyx", np.multiply(self.layer.source.shape, voxel).tolist(), strict=True))
         field = sides[surfaces.col_axis], sides[surfaces.row_axis]
-        wide, high = (
-            float(np.clip(s, low, most)) for s, low, most in zip(field, _LEAST_UM, SIZES_UM["T1"], strict=True)
-        )
+        wide, high = np.clip(field, _LEAST_UM, SIZES_UM["T1"]).tolist()
         self.params = replace(self.params, size_um=(wide, high))
         self.derived.append(f"Voxels of {size:.3g} um.")
         if max(voxel) > 1.05 * min(voxel):
@@ -113,15 +109,13 @@ class SpecimenTemplate:
             run_field, specimen_field = (f"{a / 1000:.2g} x {b / 1000:.2g} mm" for a, b in (field, (wide, high)))
             self.assumed.append(f"The field is {run_field}; specimens of {specimen_field} are made.")
         self.change("scanner", voxel_um=size)
-        if surfaces.blur_um:
-            self.change("scanner", fwhm_um=_FWHM * surfaces.blur_um)
-            self.derived.append(
-                f"Blur of {surfaces.blur_um:.2g} um (standard deviation), learnt by the surface search."
-            )
-        air, base, noise, coating = (getattr(surfaces, f"grey_{k}") for k in ("air", "base", "noise", "coating_top"))
-        coating = surfaces.grey_coating_bottom if coating is None else coating
+        if blur := surfaces.blur_um:
+            self.change("scanner", fwhm_um=2.3548 * blur)  # of a Gaussian: 2 sqrt(2 ln 2)
+            self.derived.append(f"Blur of {blur:.2g} um (standard deviation), learnt by the surface search.")
+        air, base, noise = surfaces.grey_air, surfaces.grey_base, surfaces.grey_noise
+        coating = surfaces.grey_coating_bottom if surfaces.grey_coating_top is None else surfaces.grey_coating_top
         bright = base if coating is None else coating
-        if None in (air, base, noise) or bright == air:
+        if air is None or base is None or noise is None or bright is None or bright == air:
             return
         self.change("scanner", noise=noise / abs(bright - air))
         self.derived.append(f"Noise of {100 * self.params.scanner.noise:.2g} % of the contrast to air.")
@@ -168,8 +162,7 @@ class SpecimenTemplate:
         slope = float(np.percentile(np.abs(along), 95))  # of a sine, 0.997 of the steepest
         if Frame.of(surfaces).mirrored:
             directions = directions * np.array([[-1.0], [1.0]])
-        ruling = float(np.rad2deg(np.arctan2(directions[1, 1], directions[0, 1])))
-        ruling = (ruling + 90.0) % 180.0 - 90.0
+        ruling = (float(np.rad2deg(np.arctan2(*directions[::-1, 1]))) + 90.0) % 180.0 - 90.0
         waves = _wavelength(centre, every, steps, slope)
         self.change("warp", slope=slope, wavelength_um=waves, ruling_deg=ruling)
         self.derived.append(
@@ -207,9 +200,8 @@ class SpecimenTemplate:
         """Number and diameter of the holes that the run's image shows."""
         width, height = self.params.size_um
         room = max(_LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2))
-        sizes = np.empty(0)
+        sizes, diameter = np.empty(0), self.run.study.holes.hole_um
         if (linked := self.run.groups.get("linked")) is not None:
-            diameter = self.run.study.holes.hole_um
             holes = find_holes(np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=diameter)
             sizes = np.asarray(holes["diameter"].values, dtype=np.float64)
         if sizes.size > 1:

@@ -26,18 +26,13 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     flat = grid(ROWS, COLS)
     if once:  # the first call compiles, which is no part of the time
         relax_dynamically(start, rest, params=RelaxationParams(most_steps=1))
-    values: Values = {}
     begin = time.perf_counter()
     relaxed = relax_dynamically(start, rest)
-    values["mesh_seconds"] = time.perf_counter() - begin
-    values["mesh_inverted"] = float(relaxed.inverted)
-    rested = relaxed.outcome is Outcome.RESTED
+    values: Values = {"mesh_seconds": time.perf_counter() - begin, "mesh_inverted": float(relaxed.inverted)}
     fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
-    for name, error, fine_error in zip(
-        ("width", "height", "aspect"), size_errors(relaxed.uv, flat), size_errors(fine.uv, flat), strict=True
-    ):
-        values[f"mesh_{name}"] = 100.0 * float(error) if rested else None
-        values[f"mesh_{name}_fine"] = 100.0 * float(fine_error) if fine.outcome is Outcome.RESTED else None
+    for end, state in (("", relaxed), ("_fine", fine)):
+        for name, error in zip(("width", "height", "aspect"), size_errors(state.uv, flat), strict=True):
+            values[f"mesh_{name}{end}"] = 100.0 * float(error) if state.outcome is Outcome.RESTED else None
     first = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
     values["mesh_first"] = 100.0 * float(np.abs(size_errors(first.uv, flat)).max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
@@ -45,26 +40,19 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     for name, params in (("feedback", feedback), ("euler", euler)):
         outcome = relax_dynamically(start, rest, params=params).outcome
         values[f"mesh_{name}_fails"] = float(outcome is not Outcome.RESTED)
-    return values | (_once() if once else {})
-
-
-def _once() -> Values:
-    """The cylinder, and both solvers' minimum on a dome, which has no flat state without strain."""
-    flat, points = cylinder()
+    if not once:
+        return values
+    # The cylinder, and both solvers' minimum on a dome, which has no flat state without strain.
+    projected, points = cylinder()
     begin = time.perf_counter()
-    relaxed = relax_dynamically(flat, rest_lengths(points))
-    seconds = time.perf_counter() - begin
-    mesh = grid(ROWS, COLS)
-    away = np.sum((mesh - mesh.mean(axis=(0, 1))) ** 2, axis=-1)
-    dome = np.concatenate([mesh, 2.0 * np.exp(-away / 72.0)[..., None]], axis=-1)
-    solved, moved = (
-        relax_grid(dome, method=method, rest="chord").uv for method in ("multigrid", RelaxationParams(mean_speed=1e-4))
-    )
-    return {
-        "mesh_cylinder": node_error(relaxed.uv, unrolled(flat)),
-        "mesh_cylinder_seconds": seconds,
-        "mesh_minimum": node_error(solved, moved),
-    }
+    relaxed = relax_dynamically(projected, rest_lengths(points))
+    values["mesh_cylinder_seconds"] = time.perf_counter() - begin
+    values["mesh_cylinder"] = node_error(relaxed.uv, unrolled(projected))
+    away = np.sum((flat - flat.mean(axis=(0, 1))) ** 2, axis=-1)
+    dome = np.concatenate([flat, 2.0 * np.exp(-away / 72.0)[..., None]], axis=-1)
+    solvers = ("multigrid", RelaxationParams(mean_speed=1e-4))
+    solved, moved = (relax_grid(dome, method=method, rest="chord").uv for method in solvers)
+    return values | {"mesh_minimum": node_error(solved, moved)}
 
 
 def grid(rows: int, cols: int) -> Floats:

@@ -35,29 +35,30 @@ def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
     error = measured - comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
     worst = percentile(comparison.away_um, 99.9) or 1.0
     valid = image[comparison.valid] if comparison.valid.any() else image
-    panels: list[tuple[Array, Scale, str, str, str]] = [
-        (
-            image, limits(valid, GREYS, percent=0.2), "", "The image of one specimen",
-            f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.",
-        ),
-        (
-            measured, limits(measured), "µm", f"Measured {name}",
-            "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
-        ),
-        (
-            comparison.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "µm", "Error of place",
-            "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
-            f"99.9 % of the pixels are below {length(worst)}.",
-        ),
-        (
-            error, limits(error, SIGNED, symmetric=True), "µm", f"Error of the {name}",
-            f"Measured minus true; {length(mean_of(error))} in the mean.",
-        ),
-    ]  # fmt: skip
-    return [
-        draw_map(values, rows, cols, scale=scale, label=label)[0].picture(title=title, caption=caption)
-        for values, scale, label, title, caption in panels
-    ]
+    pictures: list[Picture] = []
+
+    def draw(values: Array, scale: Scale, title: str, caption: str, label: str = "µm") -> None:
+        canvas, _ = draw_map(values, rows, cols, scale=scale, label=label)
+        pictures.append(canvas.picture(title=title, caption=caption))
+
+    draw(
+        image, limits(valid, GREYS, percent=0.2), "The image of one specimen",
+        f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.", label="",
+    )  # fmt: skip
+    draw(
+        measured, limits(measured), f"Measured {name}",
+        "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
+    )  # fmt: skip
+    draw(
+        comparison.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "Error of place",
+        "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
+        f"99.9 % of the pixels are below {length(worst)}.",
+    )  # fmt: skip
+    draw(
+        error, limits(error, SIGNED, symmetric=True), f"Error of the {name}",
+        f"Measured minus true; {length(mean_of(error))} in the mean.",
+    )  # fmt: skip
+    return pictures
 
 
 def draw_expected(entries: Sequence[Entry]) -> Picture | None:

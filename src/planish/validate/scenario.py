@@ -27,8 +27,7 @@ from planish.synthetic.presets import NUISANCES, PRESETS, nuisances_of, with_onl
 _KINDS = (("bias", "mean error", "mean"), ("rmse", "rms error", "root mean square"),
           ("p95", "95 % error", "95th percentile of the absolute value"))  # fmt: skip
 
-Values = dict[str, float | None]
-"""Figure name -> value; None where a run has no such thing."""
+Values = dict[str, float | None]  # figure name -> value; None where a run has no such thing
 
 
 class Figure(NamedTuple):
@@ -72,14 +71,13 @@ Length = Annotated[float, Field(gt=0, allow_inf_nan=False)]
 ALL: Literal["all"] = "all"
 NONE: Literal["none"] = "none"
 
-PAIR = ("first", "second")
-"""Names of the two layers of a pair."""
+PAIR = ("first", "second")  # names of the two layers of a pair
 
 _FOLDER = Path(__file__).with_name("scenarios")
+# Field -> the names that it may hold, and what they are
 _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
     "preset": (PRESETS, "paper"), "nuisances": (NUISANCES, "nuisance"), "limits": (FIGURES, "figure"),
 }  # fmt: skip
-"""Field -> the names that it may hold, and what they are."""
 
 
 class ScenarioTable(BaseModel):

@@ -24,8 +24,8 @@ _SHORT = {
 _VERDICTS = {
     "line": "On specimens like these a point of the map is off by {tre_median} (median), {tre_p95} (95 %).",
     "pair": "Two volumes of one sheet, linked through their maps: a point is off by {pair_median} (median), "
-            "{pair_p95} (95 %).",
-}  # fmt: skip
+    "{pair_p95} (95 %).",
+}
 _THICKNESSES = {
     "pixel_coating_top_rmse": "the coating's thickness", "pixel_base_thickness_rmse": "that of the base paper",
     "pixel_thickness_rmse": "that of the sheet",
@@ -81,12 +81,11 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """The certificate as a section of Markdown."""
     text = [f"## {certificate.scenario.title}", "", f"{verdict(certificate)} {summary(certificate)}", ""]
-    text += [f"- {note}" for note in certificate.notes]
-    text += [""] if certificate.notes else []
-    text += [f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal]
-    text += [f"- Seed {entry.seed}, failed: {check}" for entry in certificate.entries for check in entry.failed]
-    if text[-1]:
-        text.append("")
+    notes = [f"- {note}" for note in certificate.notes]
+    ends = [f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal]
+    ends += [f"- Seed {entry.seed}, failed: {check}" for entry in certificate.entries for check in entry.failed]
+    for listed in (notes, ends):
+        text += [*listed, ""] if listed else []
     text += ["| Stage | Figure | Unit | Mean | sd | Worst | Limit | |", "|---|---|---|---:|---:|---:|---:|---|"]
     for stage, group in by_stage(certificate):
         for k, line in enumerate(group):
@@ -138,10 +137,10 @@ def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[
 
 def verdict(certificate: Certificate) -> str:
     """Say in one or two sentences which errors a user may expect."""
-    means = {name: line.mean for name, line in certificate.lines().items() if line.mean is not None}
+    lines = certificate.lines()
+    means = {name: line.mean for name, line in lines.items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
-        lines = certificate.lines()
-        worst = [abs(lines[name].worst or 0.0) for name in _SIZES if name in lines and lines[name].measured]
+        worst = [abs(lines[name].worst or 0.0) for name in _SIZES if name in means]
         if not worst:
             return "The mesh came to no rest."
         return (
@@ -150,10 +149,10 @@ def verdict(certificate: Certificate) -> str:
         )
     if not means:
         return "The program gave no result on specimens like these."
-    sentences: list[str] = []
+    sentences, written = list[str](), {name: length(mean, 2) for name, mean in means.items()}
     if {"tre_median", "pair_median"} & means.keys():
-        sentences.append(_VERDICTS[certificate.scenario.kind].format_map({k: length(v, 2) for k, v in means.items()}))
-    parts = [f"{what} by {length(means[name], 2)}" for name, what in _THICKNESSES.items() if name in means]
+        sentences.append(_VERDICTS[certificate.scenario.kind].format_map(written))
+    parts = [f"{what} by {written[name]}" for name, what in _THICKNESSES.items() if name in means]
     if parts:
         sentences.append(f"At a pixel {', '.join(parts)} (rms).".replace(" by ", " is off by ", 1))
     return " ".join(sentences) or "The maps of specimens like these were made, but not linked to an image."
@@ -180,12 +179,10 @@ def summary(certificate: Certificate) -> str:
 
 def limit_sentence(line: LedgerLine) -> str:
     """Write one limit and whether it is met."""
-    start = f"{STAGES[line.figure.stage]}, {line.figure.title}"
+    start, limit = f"{STAGES[line.figure.stage]}, {line.figure.title}", limit_text(line)
     if line.worst is None:
-        return f"{start}: could not be measured; {limit_text(line)} is required."
-    return (
-        f"{start}: {with_unit(line.figure, line.worst)}, {limit_text(line)} required{'' if line.met else ': missed'}."
-    )
+        return f"{start}: could not be measured; {limit} is required."
+    return f"{start}: {with_unit(line.figure, line.worst)}, {limit} required{'' if line.met else ': missed'}."
 
 
 def limit_text(line: LedgerLine) -> str:

@@ -22,13 +22,12 @@ from planish.validate.scenario import Values
 Index = NDArray[np.intp]
 
 FACES = ("top", "interface_top", "interface_bottom", "bottom")
+# Thickness -> its outer and inner face
 THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0, 3)}
-"""Thickness -> its outer and inner face."""
 _MOST_COLUMNS = 400_000  # more columns do not make a percentile any surer
 _FINEST_UM = 4.0  # of a pixel that counts as a point: the sheet holds little below
 
-FITTED = 400
-"""Places that a similarity is fitted to: more make it no better, and their square is held in memory."""
+FITTED = 400  # places that a similarity is fitted to: more make it no better, and their square is held in memory
 
 
 @dataclass(frozen=True)
@@ -48,18 +47,23 @@ class Comparison:
         """Datasets of the run."""
         return self.run.groups
 
+    @property
+    def surfaces(self) -> xr.Dataset:
+        """Surfaces and thicknesses of the columns."""
+        return self.groups["surfaces"]
+
     @cached_property
     def columns(self) -> tuple[Index, Index]:
         """Rows and columns of the chosen columns."""
-        surfaces = self.groups["surfaces"]
-        step = max(1, int(np.ceil(np.sqrt(surfaces["status"].size / _MOST_COLUMNS))))
-        return np.arange(0, surfaces.sizes["y"], step), np.arange(0, surfaces.sizes["x"], step)
+        rows, cols = self.surfaces["status"].shape
+        step = max(1, int(np.ceil(np.sqrt(rows * cols / _MOST_COLUMNS))))
+        return np.arange(0, rows, step), np.arange(0, cols, step)
 
     @cached_property
     def pitch_um(self) -> tuple[float, float]:
         """Distance of neighbours among the chosen columns, along rows and columns."""
         step = int(np.diff(self.columns[0][:2])[0]) if self.columns[0].size > 1 else 1
-        down, across = pitch(self.groups["surfaces"])
+        down, across = pitch(self.surfaces)
         return step * down, step * across
 
     def take(self, values: NDArray[Any]) -> Floats:
@@ -69,21 +73,19 @@ class Comparison:
     @cached_property
     def material(self) -> Floats:
         """True material (rows, cols, 3) of the points of the centre surface that the run found."""
-        heights = self.groups["surfaces"]["centre"].values[np.ix_(*self.columns)]
-        return self.material_at(self.places(heights, *self.columns))
+        return self.material_at(self.places(self.take(self.surfaces["centre"].values), *self.columns))
 
     @cached_property
     def measured(self) -> Bools:
         """True where the run measured the column."""
-        return self.take(self.groups["surfaces"]["status"].values) == 0
+        return self.take(self.surfaces["status"].values) == 0
 
     def places(self, heights: Floats, rows: Index, cols: Index) -> Floats:
         """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
-        surfaces = self.groups["surfaces"]
-        frame = Frame.of(surfaces)
+        frame = Frame.of(self.surfaces)
         along = {
-            frame.rows: surfaces["y"].values[rows][:, None],
-            frame.cols: surfaces["x"].values[cols][None, :],
+            frame.rows: self.surfaces["y"].values[rows][:, None],
+            frame.cols: self.surfaces["x"].values[cols][None, :],
             frame.through: np.asarray(heights, dtype=np.float64),
         }
         return np.stack([np.broadcast_to(along[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
@@ -152,10 +154,11 @@ class Comparison:
 
         A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is taken as a point.
         """
-        truth = self.specimen.truth
-        parts = [max(1, round(step / _FINEST_UM)) for step in pitch(truth)]
-        y, x = (s * ((np.arange(n) + 0.5) / n - 0.5) for s, n in zip(pitch(truth), parts, strict=True))
-        around = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+        truth, sides = self.specimen.truth, list[Floats]()
+        for step in pitch(truth):
+            n = max(1, round(step / _FINEST_UM))
+            sides.append(step * ((np.arange(n) + 0.5) / n - 0.5))
+        around = np.stack(np.meshgrid(*sides[::-1]), axis=-1).reshape(-1, 2)
         middle = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
         inverse = self.specimen.pose.inverse
         return np.asarray(inverse(middle + around) - inverse(middle[None]), dtype=np.float64)
