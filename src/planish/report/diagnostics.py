@@ -74,9 +74,9 @@ def _size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
     low, high = min(0.0, *ends), max(0.0, *ends)
     room = 0.06 * (high - low) or 0.1
     sizes = [math.log10(row.point_um) for row in rows]
-    span = sizes[0] - 0.05, sizes[-1] + 0.05
-    axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, (*span, low - room, high + room))
-    axes.line([(x, 0.0) for x in span], colour=SOFT, width=0.8)
+    extent = sizes[0] - 0.05, sizes[-1] + 0.05, low - room, high + room
+    axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, extent)
+    axes.across(0.0)
     held = [(size, row.band) for size, row in zip(sizes, rows, strict=True) if is_known(row.band)]
     _draw_band(axes, [size for size, _ in held], [ends for _, ends in held])
     for size, row in zip(sizes, rows, strict=True):
@@ -92,9 +92,8 @@ def _octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
     if not evidence.bands:
         return
     edges = [math.log10(v) for band in evidence.bands for v in (band.shortest_um, band.longest_um)]
-    span = min(edges) - 0.03, max(edges) + 0.03
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, (*span, -0.05, 1.02))
-    axes.line([(x, 0.0) for x in span], colour=SOFT, width=0.8)
+    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, (min(edges) - 0.03, max(edges) + 0.03, -0.05, 1.02))
+    axes.across(0.0)
     for band in evidence.bands:
         if not is_known(band.coherence):
             continue
@@ -128,11 +127,11 @@ def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], without: 
     """Draw the variogram of each of the two maps, with its sill and range; ``titles`` are those of the maps."""
     canvas = Canvas(FULL, 345)
     for x0, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
-        far, high = curve.distances_um[-1], _ROOM * max(*curve.values, curve.sill, 1e-12)
-        axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (0.0, far, 0.0, high))
-        axes.line([(0.0, curve.sill), (far, curve.sill)], colour=SOFT, width=1.2, dash="6 4")
+        high = _ROOM * max(*curve.values, curve.sill, 1e-12)
+        axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (0.0, curve.distances_um[-1], 0.0, high))
+        axes.across(curve.sill, width=1.2, dash="6 4")
         if is_known(curve.range_um):
-            axes.line([(curve.range_um, 0.0), (curve.range_um, high)], colour=SOFT, width=1.2, dash="2 3")
+            axes.upright(curve.range_um, width=1.2, dash="2 3")
         nugget = (0.0, curve.nugget)
         axes.line([nugget, *zip(curve.distances_um, curve.values, strict=True)], colour=ACCENT, width=2.0)
         axes.dots([nugget], colour=ACCENT, size=6)
@@ -191,12 +190,11 @@ def _lags(axis: str, profile: LagProfile) -> Table:
 def _profile(canvas: Canvas, x0: float, axis: str, profile: LagProfile) -> None:
     ends = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
     high = min(_ROOM * max(ends, default=1.0), 1.0)
-    span = profile.lags_um[0], profile.lags_um[-1]
-    axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (*span, -high, high))
+    axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -high, high))
     held = [(lag, v) for lag, v in zip(profile.lags_um, profile.limit, strict=True) if is_known(v)]
     _draw_band(axes, [lag for lag, _ in held], [(v, -v) for _, v in held])
-    axes.line([(x, 0.0) for x in span], colour=SOFT, width=0.8)
-    axes.line([(0.0, -high), (0.0, high)], colour=SOFT, width=0.8)
+    axes.across(0.0)
+    axes.upright(0.0)
     for sign in (1, -1):
         limits = [sign * v if is_known(v) else math.nan for v in profile.limit_of_any]
         axes.line(list(zip(profile.lags_um, limits, strict=True)), colour=POINT, width=1.2, dash="6 4")
@@ -209,14 +207,13 @@ def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str
     canvas = Canvas(FULL, 345)
     waves = [math.log10(ring.wavelength_um) for ring in twice.rings]
     low = min(0.0, *(ring.correlation for ring in twice.rings))
-    span = min(waves) - 0.03, max(waves) + 0.03
-    axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, (*span, low - 0.05, 1.04))
-    axes.line([(x, 0.0) for x in span], colour=SOFT, width=0.8)
+    extent = min(waves) - 0.03, max(waves) + 0.03, low - 0.05, 1.04
+    axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, extent)
+    axes.across(0.0)
     thresholds = [(x, ring.threshold) for x, ring in zip(waves, twice.rings, strict=True)]
     axes.line(thresholds, colour=SOFT, width=1.4, dash="6 4")
     if twice.resolution_um:
-        x = math.log10(twice.resolution_um)
-        axes.line([(x, low - 0.05), (x, 1.04)], colour=SOFT, width=1.2, dash="2 3")
+        axes.upright(math.log10(twice.resolution_um), width=1.2, dash="2 3")
     points = [(x, ring.correlation) for x, ring in zip(waves, twice.rings, strict=True)]
     axes.line(points, colour=ACCENT, width=2.0)
     axes.dots(points, colour=ACCENT, size=4)

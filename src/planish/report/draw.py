@@ -18,6 +18,7 @@ from planish.core.area import area_mean
 from planish.report.colours import MISSING, Array, Scale, image_uri
 from planish.report.text import count, fixed, length, plain
 
+Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
 Extent = tuple[float, float, float, float]  # left, right, bottom and top in um, or in the units of a plot
 
 FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
@@ -104,6 +105,14 @@ class Axes:
     def line(self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0) -> None:
         """Draw a line through points (n, 2); NaN interrupts it."""
         self._stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity)
+
+    def across(self, y: float, *, colour: str = SOFT, width: float = 0.8, dash: str = "") -> None:
+        """Draw a line over the whole width."""
+        self.line([(x, y) for x in self.extent[:2]], colour=colour, width=width, dash=dash)
+
+    def upright(self, x: float, *, width: float = 0.8, dash: str = "") -> None:
+        """Draw a line over the whole height."""
+        self.line([(x, y) for y in self.extent[2:]], colour=SOFT, width=width, dash=dash)
 
     def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
         """Fill the area within points (n, 2)."""
@@ -418,7 +427,7 @@ def _path(points: Array) -> str:
     return data
 
 
-def _image(box: tuple[float, float, float, float], values: Array, scale: Scale, missing: str = MISSING) -> str:
+def _image(box: Box, values: Array, scale: Scale, missing: str = MISSING) -> str:
     x, y, width, height = (_n(v) for v in box)
     coarse = ' style="image-rendering:pixelated"' if values.shape[1] < box[2] else ""
     return (

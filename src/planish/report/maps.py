@@ -12,25 +12,8 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.report import draw
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
-from planish.report.draw import (
-    ACCENT,
-    BELOW,
-    BESIDE,
-    FULL,
-    HALF,
-    MARGIN,
-    SOFT,
-    THIRD,
-    Canvas,
-    Picture,
-    Table,
-    draw_map,
-    n_of,
-    panel_height,
-    pixel_of,
-    reduced,
-)
 from planish.report.registration import ARROW, EDGE, ground_of
 from planish.report.text import (
     HOLES,
@@ -116,7 +99,7 @@ class Groups:
 
 def draw_maps(
     maps: xr.Dataset, facts: Mapping[str, PropertyFacts], *, headline: str, rim_um: float, lead_only: bool = False
-) -> list[Picture]:
+) -> list[draw.Picture]:
     """Draw every property that has values, the headline first and large; ``rim_um`` around holes is left out.
 
     ``lead_only``: the first alone, for the first page. Mean and standard deviation are those of ``facts``, over the
@@ -124,7 +107,7 @@ def draw_maps(
     """
     names = [name for name in facts if name in maps and bool(np.isfinite(maps[name].values).any())]
     names.sort(key=lambda name: name != headline)
-    widths = [2 * THIRD] if lead_only else [FULL, *[HALF] * len(names)]
+    widths = [2 * draw.THIRD] if lead_only else [draw.FULL, *[draw.HALF] * len(names)]
     return [
         _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=partner_of(name, names))
         for name, width in zip(names, widths, strict=False)
@@ -133,18 +116,18 @@ def draw_maps(
 
 def _draw(
     maps: xr.Dataset, name: str, facts: PropertyFacts, *, width: float, rim_um: float, shared: str | None
-) -> Picture:
-    data, room = maps[name], width - MARGIN - _BESIDE
+) -> draw.Picture:
+    data, room = maps[name], width - draw.MARGIN - _BESIDE
     values = data.values.astype(np.float64)
-    shown = reduced(values, data["v"].values, data["u"].values, width=room)
-    box = shown.fit(room, 480.0 if width < FULL else 640.0)
+    shown = draw.reduced(values, data["v"].values, data["u"].values, width=room)
+    box = shown.fit(room, 480.0 if width < draw.FULL else 640.0)
     scale = colours_of(data, np.concatenate([maps[key].values.ravel() for key in sorted({name, shared or name})]))
-    high = panel_height(box, "colours")
-    canvas = Canvas(width, high + BELOW + 38)
-    axes = canvas.map_axes(MARGIN, 8, box, shown, scale)
-    x0 = MARGIN + box[0] + 12
+    high = draw.panel_height(box, "colours")
+    canvas = draw.Canvas(width, high + draw.BELOW + 38)
+    axes = canvas.map_axes(draw.MARGIN, 8, box, shown, scale)
+    x0 = draw.MARGIN + box[0] + 12
     canvas.colour_bar(x0, 8, 13, high, scale)
-    canvas.text(MARGIN + box[0] + _BESIDE - 10, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
+    canvas.text(draw.MARGIN + box[0] + _BESIDE - 10, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
     counted = _distribution(canvas, (x0 + 58, 8, 62, high), values, scale, facts)
     canvas.row_below(axes, 2, "u, v")
     stated = ""
@@ -158,9 +141,9 @@ def _draw(
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{stated}Drawn: n = {n_of(values)} map pixels of {pixel_of(data['v'].values)}; mask: columns with both "
-            f"faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the 1st to the "
-            f"99th percentile{of_both}."
+            f"{stated}Drawn: n = {draw.n_of(values)} map pixels of {draw.pixel_of(data['v'].values)}; mask: columns "
+            f"with both faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the "
+            f"1st to the 99th percentile{of_both}."
         ),
         data={"histogram": counted},
     )
@@ -168,18 +151,18 @@ def _draw(
 
 def draw_side_by_side(
     maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, str], shared: bool, without: str = HOLES
-) -> Picture:
+) -> draw.Picture:
     """Draw two maps (y, x) on one grid side by side, NaN where not valid.
 
     ``shared``: they have one colour scale; ``without`` says in words what the mask of valid pixels leaves out.
     """
-    y, x, room = maps[0]["y"].values, maps[0]["x"].values, HALF - MARGIN - BESIDE
-    fields = [reduced(data.values, y, x, width=room) for data in maps]
+    y, x, room = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
+    fields = [draw.reduced(data.values, y, x, width=room) for data in maps]
     box = fields[0].fit(room, 480.0)
-    canvas = Canvas(FULL, panel_height(box, "colours") + BELOW + 64)
+    canvas = draw.Canvas(draw.FULL, draw.panel_height(box, "colours") + draw.BELOW + 64)
     for k, (data, drawn, name) in enumerate(zip(maps, fields, names, strict=True)):
-        x0 = k * (FULL - HALF)
-        canvas.text(x0 + MARGIN, 18, name, bold=True, size=13)
+        x0 = k * (draw.FULL - draw.HALF)
+        canvas.text(x0 + draw.MARGIN, 18, name, bold=True, size=13)
         coloured = np.concatenate([m.values.ravel() for m in maps]) if shared else data.values
         canvas.panel(x0, 24, drawn, box, scale=colours_of(data, coloured), label=label_of(data))
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
@@ -188,15 +171,13 @@ def draw_side_by_side(
         caption=(
             f"Left, {titles[0]} of {names[0]}; right, {titles[1]} of {names[1]}, at the same places. "
             f"{'Both have the same colour scale' if shared else 'Each has its own colour scale'}, from the 1st to the "
-            f"99th percentile. n = {' and '.join(n_of(m.values) for m in maps)} pixels of {pixel_of(x)}; units: "
-            f"{' and '.join(units)}; mask: measured, without {without}."
+            f"99th percentile. n = {' and '.join(draw.n_of(m.values) for m in maps)} pixels of {draw.pixel_of(x)}; "
+            f"units: {' and '.join(units)}; mask: measured, without {without}."
         ),
     )
 
 
-def _distribution(
-    canvas: Canvas, box: tuple[float, float, float, float], values: Array, scale: Scale, facts: PropertyFacts
-) -> Table:
+def _distribution(canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts) -> draw.Table:
     """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
     counts, edges = np.histogram(values, bins=_BINS, range=(low, high))
@@ -204,15 +185,15 @@ def _distribution(
     axes = canvas.axes(*box, (0, 1.25 * most, low, high))
     outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
     axes.area(outline, colour="#b9c0c7")
-    axes.line([(0, low), (0, high)], colour=SOFT, width=1.6)
+    axes.upright(0, width=1.6)
     x, mean, sd = 1.14 * most, facts.mean, facts.sd
     if mean is not None and sd is not None:
-        axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=ACCENT, width=1.6)
-        axes.dots([(x, min(max(mean, low), high))], colour=ACCENT, size=5)
+        axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=draw.ACCENT, width=1.6)
+        axes.dots([(x, min(max(mean, low), high))], colour=draw.ACCENT, size=5)
     return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 
-def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str = HOLES) -> list[Picture]:
+def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str = HOLES) -> list[draw.Picture]:
     """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6).
 
     ``without`` says in words what the mask of valid pixels leaves out.
@@ -221,10 +202,10 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str
     ground = ground_of(linked["image"], of="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
     title = title_of(linked[name])
-    tail = f"n = {n_of(values)} pixels of {pixel_of(x)}; mask: measured, without {without}."
-    left, _ = draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
-    right, _ = draw_map(ground.values, y, x, scale=ground.scale, label="")
-    canvas, axes = ground.draw(FULL)
+    tail = f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without {without}."
+    left, _ = draw.draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
+    right, _ = draw.draw_map(ground.values, y, x, scale=ground.scale, label="")
+    canvas, axes = ground.draw(draw.FULL)
     share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
     limit, note = thin_um, f"Outlined: {in_words(title)} below {plain(thin_um)}, {percent(share)} of the valid pixels."
     if share < _HARDLY:
@@ -246,7 +227,7 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str
         right.picture(
             title="(b) The image, same region",
             caption=f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
-            f"{n_of(ground.values)} pixels of {pixel_of(x)}, no mask.",
+            f"{draw.n_of(ground.values)} pixels of {draw.pixel_of(x)}, no mask.",
         ),
         canvas.picture(title="(c) Thin regions on the image", caption=f"{note}{tail}"),
     ]

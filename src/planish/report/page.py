@@ -19,20 +19,9 @@ from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.core.tables import table_text
-from planish.report import (
-    diagnostics,
-    first,
-    flattening,
-    maps,
-    registration,
-    relation,
-    slices,
-    statement,
-    summary,
-    tables,
-    text,
-)
+from planish.report import diagnostics, first, flattening, maps, registration, slices, statement, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
+from planish.report.relation import Points, block_means, draw_pair, largest, maps_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 if TYPE_CHECKING:
@@ -50,7 +39,7 @@ _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 class _Pair(NamedTuple):
     """Two maps on one grid as a figure, with their means over the largest points and the correlation of these."""
 
-    points: relation.Points
+    points: Points
     row: CorrelationRow
     picture: Picture
 
@@ -229,18 +218,18 @@ def _pairs(groups: maps.Groups) -> dict[summary.PairKey, _Pair]:
     results, pairs = groups.results, dict[summary.PairKey, _Pair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for rows in summary.by_pair(results):
-        row, (pair, valid) = rows[0], relation.maps_of(groups.linked, rows[0])
+        row, (pair, valid) = rows[0], maps_of(groups.linked, rows[0])
         is_shown = row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}
         if len(pair) < 2 or not is_shown:
             continue
-        (a, b), largest = pair, relation.largest(rows)
-        points = relation.block_means(a, b, point_um=largest.point_um, valid=valid)
+        (a, b), coarse = pair, largest(rows)
+        points = block_means(a, b, point_um=coarse.point_um, valid=valid)
         names = summary.titles_of(row, groups.titles, with_layers=len(results.layers) > 2 or row.same_quantity)
-        picture = relation.draw_pair(
+        picture = draw_pair(
             a, b, rows, names=names, valid=valid, without=groups.without, points=points,
             density=summary.density_of(results, row),
         )  # fmt: skip
-        pairs[summary.key_of(row)] = _Pair(points, largest, picture)
+        pairs[summary.key_of(row)] = _Pair(points, coarse, picture)
     return pairs
 
 

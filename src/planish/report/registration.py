@@ -11,25 +11,8 @@ from numpy.typing import NDArray
 
 from planish.analyze import LagNumbers
 from planish.core.facts import is_known
+from planish.report import draw
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
-from planish.report.draw import (
-    BELOW,
-    FULL,
-    HALF,
-    INK,
-    MARGIN,
-    Axes,
-    Canvas,
-    Magnified,
-    Picture,
-    draw_map,
-    levels_between,
-    magnified,
-    n_of,
-    pitch,
-    pixel_of,
-    reduced,
-)
 from planish.report.text import capital, count, in_words, length, plain, title_of, with_article
 from planish.results import RegistrationFacts
 
@@ -53,12 +36,12 @@ class Ground:
     edge: NDArray[np.bool_] | None = None
     edge_of: str = ""
 
-    def draw(self, width: float) -> tuple[Canvas, Axes]:
+    def draw(self, width: float) -> tuple[draw.Canvas, draw.Axes]:
         """Draw it with its scale bar, and the border where there is one; below it is room for another scale bar."""
-        shown = reduced(self.values, self.y, self.x, width=width - MARGIN)
-        box = shown.fit(width - MARGIN - 12, 700.0 if width == FULL else 480.0)
-        canvas = Canvas(width, box[1] + BELOW + 36)
-        axes = canvas.map_axes((width - box[0] + MARGIN - 12) / 2, 4, box, shown, self.scale)
+        shown = draw.reduced(self.values, self.y, self.x, width=width - draw.MARGIN)
+        box = shown.fit(width - draw.MARGIN - 12, 700.0 if width == draw.FULL else 480.0)
+        canvas = draw.Canvas(width, box[1] + draw.BELOW + 36)
+        axes = canvas.map_axes((width - box[0] + draw.MARGIN - 12) / 2, 4, box, shown, self.scale)
         canvas.row_below(axes, 2, most=0.2)
         return canvas, axes
 
@@ -73,7 +56,7 @@ def ground_of(
     """
     values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
     window = values[valid] if valid is not None and valid.any() else values
-    pixels = f"{n_of(values)} pixels of {pixel_of(x)}"
+    pixels = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
     name, caption = "the image", f"{title_of(data)} of {pixels}, no mask."
     if data.name != "image":
         name = f"the layer {of}"
@@ -92,22 +75,23 @@ def blank_ground(points: Array, *, of: str) -> Ground:
 
 
 def _arrows(
-    canvas: Canvas, axes: Axes, places: Array, vectors: Array, *, share: float, most: float, label: str, width: float
-) -> Magnified:
+    canvas: draw.Canvas, axes: draw.Axes, places: Array, vectors: Array, *, share: float, most: float, label: str,
+    width: float,
+) -> draw.Magnified:  # fmt: skip
     """Draw vectors, the longest over a share of the width, with a scale bar of their own beside that of the ground."""
-    factor = magnified(vectors, share * axes.shown.width)
+    factor = draw.magnified(vectors, share * axes.shown.width)
     axes.arrows(places, factor.times * vectors, colour=ARROW, width=width)
     if factor.longest > 1e-9:
         canvas.scale_bar(
-            axes.x + 0.4 * axes.width, axes.height + BELOW + 6, width=axes.width, um=axes.shown.width / factor.times,
-            most=most, colour=ARROW, label=label,
+            axes.x + 0.4 * axes.width, axes.height + draw.BELOW + 6, width=axes.width,
+            um=axes.shown.width / factor.times, most=most, colour=ARROW, label=label,
         )  # fmt: skip
     return factor
 
 
 def draw_registration(
     r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, source: str, width: float
-) -> Picture:
+) -> draw.Picture:
     """Draw a ground with its marks (``fixed_*``), numbered, and the residual of each as an arrow.
 
     ``hole_um`` is the diameter at which marks are drawn, ``source`` the layer of their partners.
@@ -116,11 +100,11 @@ def draw_registration(
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
     fixed = points(marks, "fixed")
-    _draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == FULL else 11)
+    _draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == draw.FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
     factor = _arrows(
         canvas, axes, fixed, -points(marks, "residual"), share=0.09, most=0.12, label="{} of residual",
-        width=3.0 if width == FULL else 2.2,
+        width=3.0 if width == draw.FULL else 2.2,
     )  # fmt: skip
     words = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
     if (axis := machine_direction(r, source)) is not None:
@@ -143,7 +127,7 @@ def draw_registration(
     )
 
 
-def _draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> None:
+def _draw_marks(axes: draw.Axes, fixed: Array, *, hole_um: float, size: float) -> None:
     """Draw marks as circles with their numbers."""
     turn = np.linspace(0, 2 * np.pi, 49)
     ring = hole_um / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
@@ -151,12 +135,12 @@ def _draw_marks(axes: Axes, fixed: Array, *, hole_um: float, size: float) -> Non
         axes.line(ring + np.array([x, y]), colour=_MARK, width=1.9)
         axes.text(x, y, "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
         corner = x - 0.42 * hole_um, y - 0.42 * hole_um
-        axes.text(*corner, str(k), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=INK, bold=True)
+        axes.text(*corner, str(k), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=draw.INK, bold=True)
 
 
 def draw_expected_error(
     error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, of: str, shown: str
-) -> Picture | None:
+) -> draw.Picture | None:
     """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
 
     ``of`` is the layer whose pixels they are, ``shown`` the one that was brought to them.
@@ -167,13 +151,13 @@ def draw_expected_error(
         return None
     least, mean, most = float(errors.min()), float(errors.mean()), float(errors.max())
     scale = limits(errors, GEOMETRY, percent=0.1)
-    levels, step = levels_between(least, most, steps=_STEPS)
+    levels, step = draw.levels_between(least, most, steps=_STEPS)
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
-    canvas, axes = draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
+    canvas, axes = draw.draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
     places = points(marks, "fixed") if marks is not None else np.empty((0, 2))
     axes.contours(levels, labels=True, avoid=places)
-    _draw_marks(axes, places, hole_um=hole_um, size=14 if width == FULL else 11)
+    _draw_marks(axes, places, hole_um=hole_um, size=14 if width == draw.FULL else 11)
     lines = f"Contour lines every {length(step, 1)}. " if levels.size else ""
     numbered = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
     return canvas.picture(
@@ -181,20 +165,20 @@ def draw_expected_error(
         caption=(
             f"Expected error of the position in {with_article(of)} (rms, from the scatter of the marks): "
             f"{length(least, 2)} to {length(most, 2)}, median {length(float(np.median(errors)), 2)}. {lines}{numbered}"
-            "It grows away from the marks; an error that all marks share is not included. "
-            f"n = {n_of(errors)} pixels of {pixel_of(x)}; unit µm; mask: where {with_article(shown)} is shown."
+            f"It grows away from the marks; an error that all marks share is not included. n = {draw.n_of(errors)} "
+            f"pixels of {draw.pixel_of(x)}; unit µm; mask: where {with_article(shown)} is shown."
         ),
     )
 
 
-def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str) -> Picture | None:
+def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str) -> draw.Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
     if lag is None:
         return None
     places, lags, silent = lag_places(lag, ground)
     if not len(places):
         return None
-    canvas, axes = ground.draw(HALF)
+    canvas, axes = ground.draw(draw.HALF)
     axes.dots(silent, size=4, colour=_SILENT, halo="white")
     axes.dots(places, size=4, colour=ARROW, halo="white")
     factor = _arrows(canvas, axes, places, lags, share=0.11, most=0.16, label="{} of lag", width=2.2)
@@ -225,7 +209,7 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
 
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
-    y0, x0 = (float(c[0]) + (p - pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
+    y0, x0 = (float(c[0]) + (p - draw.pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
     rows = np.array([(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64).reshape(-1, 4)
     distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
     return rows[distinct, :2], rows[distinct, 2:], rows[~distinct, :2]
@@ -236,7 +220,7 @@ def points(marks: xr.Dataset, name: str) -> Array:
     return np.stack([marks[f"{name}_{axis}"].values.astype(np.float64) for axis in ("x", "y")], axis=1)
 
 
-def _draw_axis(canvas: Canvas, axes: Axes, degrees: float, fixed: Array) -> None:
+def _draw_axis(canvas: draw.Canvas, axes: draw.Axes, degrees: float, fixed: Array) -> None:
     """Draw an axis with a head at both ends in the corner that is farthest from all marks."""
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
     marks = axes.place(fixed[np.isfinite(fixed).all(axis=1)])
@@ -248,5 +232,5 @@ def _draw_axis(canvas: Canvas, axes: Axes, degrees: float, fixed: Array) -> None
     corner = canvas.axes(x0, y0, _AXIS, _AXIS, (-1, 1, 1, -1))
     along = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
     side = np.array([-along[1], along[0]])
-    corner.arrows([-0.22 * side] * 2, [0.92 * along, -0.92 * along], colour=INK, width=2.0, halo="")
+    corner.arrows([-0.22 * side] * 2, [0.92 * along, -0.92 * along], colour=draw.INK, width=2.0, halo="")
     corner.text(0.36 * side[0], 0.36 * side[1], "MD", shift=(0, 4), anchor="middle", bold=True)

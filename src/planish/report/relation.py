@@ -206,11 +206,10 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
     room = 0.04 * (high - low)
     span = min(low, *levels) - room if levels else low, max(high, *levels) + room if levels else high
     axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_limits(mean), *span))
-    across = axes.extent[:2]
-    axes.line([(x, 0.0) for x in across], colour=SOFT, width=1)
+    axes.across(0.0, width=1)
     axes.dots(np.stack([mean, difference], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
     for k, value in enumerate(levels):
-        draw_fit(axes, [(x, value) for x in across], dash="7 4" if k else "", width=2)
+        draw_fit(axes, [(x, value) for x in axes.extent[:2]], dash="7 4" if k else "", width=2)
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
     end = f" {units}" if units else ""

@@ -9,19 +9,7 @@ from itertools import combinations
 from typing import Any
 
 import planish
-from planish.analyze import (
-    Fields,
-    RandomEffects,
-    SheetDifference,
-    difference_of_pooled_r,
-    equivalence,
-    over_sheets,
-    p_of_tables,
-    paired_over_sheets,
-    pooled_r,
-    two_groups,
-    variances_of,
-)
+from planish import analyze
 from planish.core.errors import InputError
 from planish.core.series_results import (
     DifferenceFacts,
@@ -81,7 +69,7 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         for k, q in enumerate(quantities)
     ]
     pairs = [] if compared_by is None else [*_pairs(counted, quantities, compared_by, grouped_by)]
-    holm = p_of_tables([change for _, change in pairs])
+    holm = analyze.p_of_tables([change for _, change in pairs])
     return SeriesResults(
         planish=planish.__version__, declared=declared.model_dump(mode="json"), quantities=quantities,
         headline_declared=bool(declared.headline), factors=factors, grouped_by=grouped_by, compared_by=compared_by,
@@ -157,12 +145,12 @@ def _levels_of(specimen: SeriesSpecimen, factors: Sequence[str]) -> tuple[str, .
     return tuple(specimen.factor(name) for name in factors)
 
 
-def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False) -> Fields:
+def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False) -> analyze.Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
     values = [_nan(cell.value) if cell.counts else math.nan for cell in cells]
     names = [specimen.factor("field") for specimen in specimens] if with_names else []
-    return Fields(values, [specimen.sheet for specimen in specimens], names)
+    return analyze.Fields(values, [specimen.sheet for specimen in specimens], names)
 
 
 def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, group: Mapping[str, str]) -> GroupFacts:
@@ -170,13 +158,13 @@ def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, grou
     members = [s for s in specimens if all(s.factor(name) == level for name, level in group.items())]
     fields = _fields(members, k)
     if quantity.what == "r":
-        mean = pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
+        mean = analyze.pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
         figures: dict[str, Any] = {
             "mean": mean.r, "between_sheets": _heterogeneity(mean.between_sheets),
             "between_fields": _heterogeneity(mean.between_fields),
         }  # fmt: skip
     else:
-        mean, variances = over_sheets(fields), variances_of(fields)
+        mean, variances = analyze.over_sheets(fields), analyze.variances_of(fields)
         figures = {"mean": mean.mean, "sd": mean.sd}
         figures["variances"] = VarianceFacts.model_validate(variances, from_attributes=True)
     return GroupFacts(
@@ -189,7 +177,7 @@ def _nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
-def _heterogeneity(effects: RandomEffects | None) -> HeterogeneityFacts | None:
+def _heterogeneity(effects: analyze.RandomEffects | None) -> HeterogeneityFacts | None:
     if effects is None:
         return None
     return HeterogeneityFacts(
@@ -203,7 +191,7 @@ def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
 
 def _pairs(
     specimens: Sequence[SeriesSpecimen], quantities: Sequence[Quantity], factor: str, grouped_by: Sequence[str]
-) -> Iterator[tuple[dict[str, Any], SheetDifference]]:
+) -> Iterator[tuple[dict[str, Any], analyze.SheetDifference]]:
     """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
     other_factors = [name for name in grouped_by if name != factor]
     levels = _in_order(specimen.factor(factor) for specimen in specimens)
@@ -225,24 +213,24 @@ def _pairs(
 
 def _compare(
     first: Sequence[SeriesSpecimen], second: Sequence[SeriesSpecimen], k: int, quantity: Quantity
-) -> SheetDifference:
+) -> analyze.SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
     keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
     named = paired and all(all(field for _, field in of_set) and len({*of_set}) == len(of_set) for of_set in keys)
     fields = [_fields(specimens, k, with_names=named) for specimens in (first, second)]
     if quantity.what == "r":
-        change = difference_of_pooled_r(*fields, paired=paired)
+        change = analyze.difference_of_pooled_r(*fields, paired=paired)
     else:
-        change = paired_over_sheets(*fields) if paired else two_groups(*fields)
+        change = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
     sheets = dict.fromkeys(specimen.sheet for specimen in (*first, *second))
     return replace(change, unpaired=tuple(sheet for sheet in sheets if sheet in change.unpaired))
 
 
-def _difference(about: Mapping[str, Any], change: SheetDifference, margin: float | None) -> DifferenceFacts:
+def _difference(about: Mapping[str, Any], change: analyze.SheetDifference, margin: float | None) -> DifferenceFacts:
     facts = None
     if margin is not None:
-        facts = EquivalenceFacts.model_validate(equivalence(change, margin=margin), from_attributes=True)
+        facts = EquivalenceFacts.model_validate(analyze.equivalence(change, margin=margin), from_attributes=True)
     return DifferenceFacts(
         **about, kind=change.kind, sheets=change.sheets, means=change.means, difference=change.difference,
         interval=change.interval, p=change.p, p_of_table=change.p_of_table, smallest_seen=change.smallest_seen(),
