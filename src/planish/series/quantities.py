@@ -84,13 +84,13 @@ def quantities_of(
                 "mean": f"mean {words}", "sd": f"standard deviation of {words}",
                 "thin_share": f"share with {words} below {thin_um:g} um" if thin_um else f"share without {words}",
             }  # fmt: skip
-            for what, title in titles.items():
-                at_um = thin_um if what == "thin_share" else None
-                of_what = (r for r in of_map if (r.map, r.layer, r.quantity) == (name, layer, what))
-                row = next((r for r in of_what if at_um is None or _alike(r.at_um, at_um)), None)
-                if row is not None and (what != "thin_share" or at_um is not None):
+            for statistic, title in titles.items():
+                at_um = thin_um if statistic == "thin_share" else None
+                of_statistic = (r for r in of_map if (r.map, r.layer, r.quantity) == (name, layer, statistic))
+                row = next((r for r in of_statistic if at_um is None or _alike(r.at_um, at_um)), None)
+                if row is not None and (statistic != "thin_share" or at_um is not None):
                     quantities.append(Quantity(
-                        layer=layer, map=name, what=what, at_um=at_um, unit=row.unit, title=title, map_title=words
+                        layer=layer, map=name, what=statistic, at_um=at_um, unit=row.unit, title=title, map_title=words
                     ))  # fmt: skip
         quantities += _correlations(of_map, name)
     return tuple(quantities)
