@@ -17,7 +17,6 @@ from folders import refused
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.grid import Grid, values_at
 from planish.exports import FORMATS, ExportParams, formats_table, writer_of
-from planish.exports.formats import imported
 from planish.io import map_store, write_tree
 from planish.run import open_run
 
@@ -35,7 +34,6 @@ OF_A_FILE = {
 def test_a_row_of_the_table_names_functions_and_options_that_exist(to):
     form = FORMATS[to]
     assert callable(writer_of(to))
-    assert form.check is None or callable(imported(form.check))
     assert set(form.options) <= set(ExportParams.model_fields)
     assert form.suffixes or form.endings or form.holds == ("run",)
     assert ExportParams(to=to).to == to

@@ -24,8 +24,7 @@ def image_with(path, holes):
 
 def instead_of_mapping(monkeypatch, work):
     """Put ``work`` where volumes are mapped; the package hides its modules behind functions of the same names."""
-    for module in ("linking", "save"):
-        monkeypatch.setattr(import_module(f"planish.run.{module}"), "map_layer", work)
+    monkeypatch.setattr(import_module("planish.run.save"), "map_layer", work)
 
 
 def mapped(*_args, **_more):
@@ -213,7 +212,7 @@ def test_a_piece_that_fills_a_third_of_its_box_is_covered(passes, specimen, tmp_
 
 
 NOT_REPEATED = {
-    "all": [("linking", "map_layer")],
+    "all": [("save", "map_layer")],
     "measurement": [("sheet", "read_sheet_volume"), ("sheet", "find_surfaces"), ("sheet", "measure_properties")],
     "search": [("sheet", "find_surfaces")],
     "nothing": [],

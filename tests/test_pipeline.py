@@ -15,7 +15,7 @@ from planish.analyze import compare
 from planish.cli import runs
 from planish.marks import read_any
 from planish.register import fit_transform
-from planish.run import cached_maps, layers, link, open_results, open_run, read_study, run, save_run
+from planish.run import cached_maps, link, open_results, open_run, read_study, run, save_run
 
 ROWS = [*(name for name, _, _ in compare.REGISTRATION_VARIANTS[:2]), "flattened, similarity"]
 
@@ -153,12 +153,12 @@ def test_a_run_of_other_code_is_said_to_be_one_and_its_maps_are_not_taken(linked
     other = Path(shutil.copytree(linked_run, tmp_path / "other"))
     study = read_study(other / "run.toml")
     hashes = [layer.source.sha256 for layer in open_results(other).layers]
-    assert cached_maps.sheets_of(other, study, hashes).ready.keys() == {"sheet"}
+    assert cached_maps.sheets_of(other, study, hashes)[0].keys() == {"sheet"}
     assert run.open_sheet(other).unchanged
     results = open_results(other)
     assert len(results.code) == 16
     (other / "results.json").write_text(results.model_copy(update={"code": ""}).to_json(), encoding="utf-8")
-    assert cached_maps.sheets_of(other, study, hashes) == layers.MappedSheets()
+    assert cached_maps.sheets_of(other, study, hashes) == ({}, {})
     assert not run.open_sheet(other).unchanged
     runs._compare(other, linked_run)
     said = f"results.json differs from {other}, which was made by other code (planish {results.planish})"

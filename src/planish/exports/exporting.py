@@ -2,31 +2,31 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from contextlib import nullcontext
+import math
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
+import xarray as xr
 from pydantic import ValidationError
 
 from planish.analyze.compare import is_property
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
-from planish.core.files import new_file, writing
+from planish.core.files import new_file
 from planish.core.grid import Grid
 from planish.core.mistakes import mistakes
 from planish.core.options import by_field, option_names
 from planish.core.threads import limit_threads
 from planish.exports.content import Maps
-from planish.exports.formats import FORMATS, ExportFormat, ExportParams, check_content, formats_with, is_file, writer_of
+from planish.exports.formats import FORMATS, ExportFormat, ExportParams, formats_with, is_file, writer_of
 from planish.exports.meshes import SURFACES, Surface, steps_of
 from planish.exports.source import IMAGE, STRAIGHTENED, ExportSource, checked_names
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside
 from planish.io.store import write_store
-from planish.results import LayerFacts
 from planish.run.compute import Compute, Progress, silent
 from planish.run.run import Run
+from planish.run.study import changed
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -47,43 +47,40 @@ class ExportRequest:
 
     def write(self, content: object, path: Path) -> None:
         """Write a content of the format."""
-        writer_of(self.params.to)(content, path, self.source.history, self.params)
+        source = self.source
+        if isinstance(content, xr.DataArray) and self.form.is_folder:  # the working store of a volume
+            note = source.history.json(**{str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"})
+            write_store(content.assign_attrs(history=note), path, memory_bytes=self.compute.block_bytes)
+            return
+        # A map of so few pixels is read once more for the limits between which it is shown first.
+        if isinstance(content, Maps) and self.form.shows_limits and math.prod(content.shape) <= 2**22:
+            # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
+            group = source.group(content.group).assign(content.data.data_vars)
+            content = replace(content, scales={name: source.scale_of(group, name) for name in content.names})
+        writer_of(self.params.to)(content, path, source.history, self.params)
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class OutputFile:
-    """A part of an export.
+class OutputFile(NamedTuple):
+    """One call of a writer: names of its files in a folder, the first of which it is given, what it writes, in words.
 
-    Attributes
-    ----------
-    names : tuple of str
-        Names of its files in a folder.
-    write : callable
-        Writes them; it gets the path of the first one.
-    is_atomic : bool
-        Whether it makes its file whole or not at all by itself.
+    ``content`` is one of those in :mod:`planish.exports.formats`.
     """
 
-    names: tuple[str, ...]
-    write: Callable[[Path], object]
-    is_atomic: bool = False
+    names: list[str]
+    content: object
+    words: str
 
 
-def output_files(request: ExportRequest) -> list[OutputFile]:
-    """Give the parts of an export; one where it is a single file.
-
-    Raises
-    ------
-    InputError, StudyError, FileError, ResourceError
-        As :func:`planish.export`.
-    """
+def _output_files(request: ExportRequest) -> list[OutputFile]:
+    """Give the files of an export; a single one where ``out`` is a file."""
     group, form = request.params.group, request.form
     if "surface" in form.holds:
         if group not in (None, "surfaces"):
             raise InputError(f"{form.title} holds surfaces, and --group says {group}. Leave --group out.")
         return _surfaces(request)
-    of_registration = "marks" in form.holds or "registration" in form.holds
-    if of_registration and not ("maps" in form.holds and group in request.source.groups):
+    if ("marks" in form.holds or "registration" in form.holds) and not (
+        "maps" in form.holds and group in request.source.groups
+    ):
         return _registrations(request)
     return _straightened(request) if group == STRAIGHTENED else _maps(request)
 
@@ -123,58 +120,30 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     rows, cols = maps.shape
     _check_size(request, rows * cols, f"{rows} x {cols}", "Write them as tiff, txt or netcdf, which have no limit.")
     if form.apart and not request.single:
-        return [_file_of_maps(request, maps.only(name), name) for name in names]
+        return [OutputFile([f"{name}{form.suffixes[0]}"], maps.only(name), name) for name in names]
     if not form.stack and len(names) > 1:
         raise StudyError(
             f"{out.name} holds one map, and {len(names)} are asked for. Choose one with --map, or give a folder. The "
             f"group {group} holds {', '.join(names)}."
         )
-    return [_file_of_maps(request, maps, group.rsplit("/", 1)[-1])]
-
-
-def _file_of_maps(request: ExportRequest, maps: Maps, name: str) -> OutputFile:
-    source, form = request.source, request.form
-    if "point_um" in form.options and request.params.point_um is None:
-        params = request.params.model_copy(update={"point_um": source.study.correlate.point_um})
-        request = replace(request, params=params)
-    check_content(request.params.to, maps, request.params)
-
-    def write(path: Path) -> None:
-        request.progress("write", ", ".join(maps.names) if len(maps.names) < 5 else f"{len(maps.names)} maps")
-        scales = maps.scales
-        # A map of so few pixels is read once more for the limits between which it is shown first.
-        if form.shows_limits and maps.shape[0] * maps.shape[1] <= 2**22:
-            # A map shares its limits with the other side of the sheet, and those of an image are of what is valid.
-            group = source.group(maps.group).assign(maps.data.data_vars)
-            scales = {name: source.scale_of(group, name) for name in maps.names}
-        request.write(replace(maps, scales=scales), path)
-
-    return OutputFile(names=(f"{name}{form.suffixes[0]}",), write=write)
+    words = ", ".join(names) if len(names) < 5 else f"{len(names)} maps"
+    return [OutputFile([f"{group.rsplit('/', 1)[-1]}{form.suffixes[0]}"], maps, words)]
 
 
 # --- the straightened volume ---------------------------------------------------------------------------------------
 
 
 def _straightened(request: ExportRequest) -> list[OutputFile]:
-    params, form, history = request.params, request.form, request.source.history
+    params, form = request.params, request.form
     if "volume" not in form.holds:
         able = ", ".join(name for name, other in FORMATS.items() if "volume" in other.holds)
         raise InputError(f"The straightened volume is written as {able}, not as {params.to}.")
     if params.maps:
         raise StudyError("The straightened volume holds grey values, and --map chooses maps. Leave --map out.")
     volume = request.source.straightened(params.depth_um, request.compute, request.progress)
-    check_content(params.to, volume, params)
     voxel_um = " x ".join(f"{v:g}" for v in volume.attrs["voxel_um"])
-
-    def write(path: Path) -> None:
-        request.progress("straighten", f"{' x '.join(map(str, volume.shape))} voxels of {voxel_um} um")
-        if form.is_folder:  # the working store of a volume
-            note = history.json(**{str(key): fact for key, fact in volume.attrs.items() if key != "voxel_um"})
-            write_store(volume.assign_attrs(history=note), path, memory_bytes=request.compute.block_bytes)
-        else:
-            request.write(volume, path)
-
-    return [OutputFile(names=(f"{STRAIGHTENED}{form.suffixes[0]}",), write=write, is_atomic=form.is_folder)]
+    words = f"{' x '.join(map(str, volume.shape))} voxels of {voxel_um} um"
+    return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, words)]
 
 
 # --- surfaces ------------------------------------------------------------------------------------------------------
@@ -211,14 +180,10 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
     _check_size(request, count, f"{count / 1e6:.1f} million", "Give a larger --mesh-um, such as four columns.")
     scales = {name: source.scale_of(exported, name) for name in maps[:1]}
 
-    def file_of(surface: Surface) -> OutputFile:
-        def write(path: Path) -> None:
-            request.progress("write", surface.name)
-            request.write(surface, path)
-
-        return OutputFile(names=(f"{surface.name}{request.form.suffixes[0]}",), write=write)
-
-    return [file_of(Surface(data=exported, name=name, maps=maps, scales=scales)) for name in chosen]
+    return [
+        OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(exported, name, maps, scales), name)
+        for name in chosen
+    ]
 
 
 # --- registrations -------------------------------------------------------------------------------------------------
@@ -234,35 +199,18 @@ def _registrations(request: ExportRequest) -> list[OutputFile]:
             f"{request.out.name} holds one registration, and there are {len(layers)}. Choose one of {names} with "
             "--group, or give a folder."
         )
-    return [_file_of_registration(request, layer) for layer in layers if layer.registration is not None]
-
-
-def _file_of_registration(request: ExportRequest, layer: LayerFacts) -> OutputFile:
-    assert layer.registration is not None
-    source, form, name, target = request.source, request.form, layer.name, layer.registration.to
-    directions = [f"{name}_to_{target}", f"{target}_to_{name}"]
-    if "marks" in form.holds:
-
-        def write_marks(path: Path) -> None:
-            request.write(source.landmarks(layer), path)
-
-        return OutputFile(names=(f"{directions[0]}{form.suffixes[0]}",), write=write_marks, is_atomic=True)
-
-    endings = form.endings_of(affine=source.is_affine(name))
-
-    def write(path: Path) -> None:
-        request.progress("write", f"{name} to {target}")
-        pair = source.transforms(layer)
-        if not form.apart:
-            request.write(pair, path)
-        elif request.single:
-            request.write(pair.forward, path)
+    form, files = request.form, list[OutputFile]()
+    for layer in layers:
+        pair = request.source.transforms(layer)
+        if "marks" in form.holds:
+            contents: dict[str, object] = {pair.forward.name: request.source.landmarks(layer)}
+        elif form.apart:
+            contents = {t.name: t for t in (pair.forward, *([] if request.single else [pair.back]))}
         else:
-            for transform in (pair.forward, pair.back):
-                request.write(transform, path.with_name(f"{transform.name}{endings[0]}"))
-
-    written = directions if form.apart else directions[:1]
-    return OutputFile(names=tuple(f"{name}{ending}" for name in written for ending in endings), write=write)
+            contents = {pair.forward.name: pair}
+        endings = form.endings_of(affine=pair.forward.exact)
+        files += [OutputFile([f"{name}{end}" for end in endings], part, name) for name, part in contents.items()]
+    return files
 
 
 def export(
@@ -323,6 +271,8 @@ def export(
     source = ExportSource.of(run)
     if source.folder is not None:
         refuse_inside(out, [source.folder])
+    if params.point_um is None and "point_um" in form.options:
+        params = changed(params, point_um=source.study.correlate.point_um)
     with limit_threads(compute.threads):
         request = ExportRequest(
             source=source, params=params, compute=compute, progress=progress, out=out, single=single
@@ -332,19 +282,20 @@ def export(
                 raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")
             if source.folder is None:
                 raise FileError("The run stands in no folder. Save it first: give out to link or map_sheet.")
-            with new_folder(out) as path:
-                request.write(source.folder, path)
-            return [out]
-        files = output_files(request)
-        if single:
+            files = [OutputFile([], source.folder, str(source.folder))]
+        else:
+            files = _output_files(request)
+        if single or "run" in form.holds:
             (file,) = files
-            with writing(out):
-                out.parent.mkdir(parents=True, exist_ok=True)
-            place = nullcontext(out) if file.is_atomic else new_folder(out) if form.is_folder else new_file(out)
-            with place as path:
-                file.write(path)
+            progress("write", file.words)
+            if form.is_folder and isinstance(file.content, xr.DataArray):
+                request.write(file.content, out)  # a store, which goes on where it was killed
+            else:
+                with new_folder(out) if form.is_folder or "run" in form.holds else new_file(out) as path:
+                    request.write(file.content, path)
             return [out]
         with new_folder(out) as folder:
             for file in files:
-                file.write(folder / file.names[0])
+                progress("write", file.words)
+                request.write(file.content, folder / file.names[0])
         return [out / name for file in files for name in file.names]

@@ -13,12 +13,6 @@ from planish.core.errors import InputError
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 
-_LONG_NAMES = {
-    "y": "Place of rows, downwards", "x": "Place of columns", "v": "Flat coordinate v", "u": "Flat coordinate u",
-}  # fmt: skip
-
-_UDUNITS = {"deg": "degree", "g/m2": "g m-2", "g/cm3": "g cm-3", "1/mm2": "mm-2"}
-
 
 def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write maps in their own type: NaN is ``_FillValue``, and the coordinates are the middles of the pixels in um.
@@ -27,11 +21,15 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
     """
     import h5netcdf
 
+    udunits = {"deg": "degree", "g/m2": "g m-2", "g/cm3": "g cm-3", "1/mm2": "mm-2"}
+    long_names = {
+        "y": "Place of rows, downwards", "x": "Place of columns", "v": "Flat coordinate v", "u": "Flat coordinate u",
+    }  # fmt: skip
     with h5netcdf.File(path, "w", track_order=True) as file:
         file.dimensions = dict(zip(maps.dims, maps.shape, strict=True))
         for axis, places in zip(maps.dims, maps.at_um, strict=True):
             variable = file.create_variable(axis, (axis,), np.float64, data=places)
-            variable.attrs.update({"units": "um", "long_name": _LONG_NAMES[axis]})
+            variable.attrs.update({"units": "um", "long_name": long_names[axis]})
         for name in maps.names:
             dtype = plain_type(maps.data[name].dtype)
             missing: Any = dtype.type(np.nan) if dtype.kind == "f" else None
@@ -40,7 +38,7 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
             for rows, band in maps.bands(name):
                 variable[rows] = band
             units, stored = maps.units[name], maps.data[name].attrs
-            variable.attrs.update({"long_name": maps.titles[name], "units": _UDUNITS.get(units, units)})
+            variable.attrs.update({"long_name": maps.titles[name], "units": udunits.get(units, units)})
             if maps.data[name].dtype.kind == "b":
                 variable.attrs.update({"flag_values": np.array([0, 1], np.uint8), "flag_meanings": "false true"})
             elif "flag_values" in stored:
@@ -75,15 +73,14 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
         missing = ~np.isfinite(pixels)
         pixels[missing] = 0.0 if missing.all() else float(pixels[~missing].mean())
         file[f"/{k}/data/title"] = maps.titles[name]
-        file[f"/{k}/data"] = GwyDataField(
-            pixels * factor, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=units), **place
-        )
-        if missing.any():
-            file[f"/{k}/mask"] = GwyDataField(
-                missing.astype(np.float64), si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=""), **place
+        fields = [("data", pixels * factor, units)]
+        fields += [("mask", missing.astype(np.float64), "")] if missing.any() else []
+        for key, values, unit in fields:
+            file[f"/{k}/{key}"] = GwyDataField(
+                values, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=unit), **place
             )
-        about = {"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})}
-        file[f"/{k}/meta"] = GwyContainer(about)
+        note = history.json(**maps.facts() | {"missing": "mask"})
+        file[f"/{k}/meta"] = GwyContainer({"name": name, "planish": note})
         file[f"/{k}/data/visible"] = True
     with path.open("wb") as target:
         file.tofile(target)

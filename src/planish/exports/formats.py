@@ -46,8 +46,6 @@ class ExportFormat:
         Its name in messages and documents.
     writer : str
         The function that writes it: ``module:function`` of this package.
-    check : str or None
-        A function of ``(content, params)`` that refuses before work what the format does not hold.
     holds : tuple of str
         What it can hold; the first is what is meant where nothing else is asked for.
     suffixes : tuple of str
@@ -79,7 +77,6 @@ class ExportFormat:
 
     title: str
     writer: str
-    check: str | None = None
     holds: tuple[Holds, ...]
     suffixes: tuple[str, ...]
     endings: tuple[str, ...] = ()
@@ -117,7 +114,7 @@ _MESH = ("mesh_um", "as_seen")
 
 FORMATS: dict[str, ExportFormat] = {
     "tiff": ExportFormat(
-        title="TIFF", writer="tiff:write_imagej", check="tiff:check_imagej", holds=("maps", "volume"),
+        title="TIFF", writer="tiff:write_imagej", holds=("maps", "volume"),
         suffixes=(".tif", ".tiff"), stack=True, shows_limits=True,
         gives="32-bit maps with pixel size in um; several in one file as channels with names; history under Show Info",
         opens="ImageJ, Fiji", missing="NaN",
@@ -140,7 +137,7 @@ FORMATS: dict[str, ExportFormat] = {
         opens="R, Python, MATLAB", missing="NaN as `_FillValue`",
     ),
     "mat": ExportFormat(
-        title="MATLAB", writer="matlab:write", check="matlab:chosen_version", holds=("maps",), suffixes=(".mat",),
+        title="MATLAB", writer="matlab:write", holds=("maps",), suffixes=(".mat",),
         stack=True, options=("mat_version",),
         gives="a variable for each map, `x_um`, `y_um`, `pixel_um`, `units`, `titles`, `history`; version 5 or 7.3",
         opens="MATLAB, GNU Octave", missing="NaN",
@@ -255,18 +252,7 @@ def writer_of(name: str) -> Callable[..., Any]:
                 f"{form.title} needs the library {form.needs}, which is not installed. Run: pip install "
                 '"planish[export]"'
             ) from error
-    return imported(form.writer)
-
-
-def check_content(name: str, content: Any, params: Any) -> None:
-    """Refuse what a format does not hold, with an error of its module."""
-    if (check := FORMATS[name].check) is not None:
-        imported(check)(content, params)
-
-
-def imported(place: str) -> Callable[..., Any]:
-    """Import a function of this package that stands as ``module:function``."""
-    module, _, function = place.partition(":")
+    module, _, function = form.writer.partition(":")
     return getattr(importlib.import_module(f"planish.exports.{module}"), function)
 
 

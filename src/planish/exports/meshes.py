@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import StudyError
 from planish.core.frame import Frame
+from planish.core.grid import pitch
 from planish.exports.content import ExportHistory, column_of, units_of
 from planish.exports.formats import ExportParams
 from planish.report.colours import Scale
@@ -25,18 +26,8 @@ from planish.report.colours import Scale
 SURFACES = ("top", "bottom", "interface_top", "interface_bottom", "centre")
 """Names of the surfaces in the group ``surfaces``."""
 
-_COLOURLESS = np.array([212, 214, 216], np.uint8)
 
-_LINES = 100_000  # of an OBJ that are made at a time
-
-_STL_HEAD = 80  # bytes
-_STL_TRIANGLE = [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")]
-_STL_COLOURED = 1 << 15
-
-_VTK_TYPES = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class Surface:
     """A surface of the sheet and what it carries.
 
@@ -58,7 +49,7 @@ class Surface:
     scales: Mapping[str, Scale]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class SurfaceMesh:
     """A mesh.
 
@@ -93,15 +84,13 @@ def write_ply(surface: Surface, path: Path, history: ExportHistory, params: Expo
     if mesh.colours is not None:
         columns |= zip(("red", "green", "blue"), mesh.colours.T, strict=True)
     columns |= mesh.maps
-    nodes = np.empty(len(mesh.points), [(name, column.dtype.newbyteorder("<")) for name, column in columns.items()])
-    for name, column in columns.items():
-        nodes[name] = column
+    nodes = np.rec.fromarrays(columns.values(), [(k, column.dtype.newbyteorder("<")) for k, column in columns.items()])
     cells = np.empty(len(mesh.quads), dtype=[("count", "u1"), ("nodes", "<i4", (4,))])
     cells["count"], cells["nodes"] = 4, mesh.quads
-    kinds = {name: "uchar" if column.dtype == np.uint8 else "float" for name, column in columns.items()}
     head = [
         "ply", "format binary_little_endian 1.0", f"comment {mesh.about}", f"comment {history.json()}",
-        f"element vertex {len(nodes)}", *(f"property {kind} {name}" for name, kind in kinds.items()),
+        f"element vertex {len(nodes)}",
+        *(f"property {'uchar' if column.dtype == np.uint8 else 'float'} {k}" for k, column in columns.items()),
         f"element face {len(cells)}", "property list uchar int vertex_indices", "end_header",
     ]  # fmt: skip
     with path.open("wb") as file:
@@ -122,8 +111,8 @@ def write_obj(surface: Surface, path: Path, history: ExportHistory, params: Expo
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.write(f"# {mesh.about}\n# {history.json()}\no {surface.name}\n")
         for rows, line in ((columns, form), (mesh.quads + 1, "f %d %d %d %d")):
-            for begin in range(0, len(rows), _LINES):
-                part = rows[begin : begin + _LINES]
+            for begin in range(0, len(rows), 100_000):  # lines that are made at a time
+                part = rows[begin : begin + 100_000]
                 file.write(f"{line}\n" * len(part) % tuple(part.ravel().tolist()))
 
 
@@ -134,7 +123,7 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     """
     mesh = mesh_of(surface, params)
     corners = mesh.quads[:, [[0, 1, 2], [0, 2, 3]]].reshape(-1, 3)
-    triangles = np.zeros(len(corners), dtype=_STL_TRIANGLE)
+    triangles = np.zeros(len(corners), [("normal", "<f4", (3,)), ("corners", "<f4", (3, 3)), ("colour", "<u2")])
     points = mesh.points[corners]
     normal = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0]).astype(np.float64)
     length = np.linalg.norm(normal, axis=1, keepdims=True)
@@ -143,10 +132,10 @@ def write_stl(surface: Surface, path: Path, history: ExportHistory, params: Expo
     if mesh.colours is not None:
         # Five bits each, blue the lowest; the sixteenth says that they hold.
         red, green, blue = np.rint(mesh.colours[corners].mean(axis=1) / 255 * 31).astype(np.uint16).T
-        triangles["colour"] = _STL_COLOURED | red << 10 | green << 5 | blue
+        triangles["colour"] = 1 << 15 | red << 10 | green << 5 | blue
     head = f"{history.program}, {surface.name}, um, study {history.study_sha256[:16]}".encode("ascii", "replace")
     with path.open("wb") as file:
-        file.write(head[:_STL_HEAD].ljust(_STL_HEAD))
+        file.write(head[:80].ljust(80))
         file.write(len(triangles).to_bytes(4, "little"))
         file.write(triangles.data)
 
@@ -159,13 +148,13 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
     mesh = mesh_of(surface, params)
     cells = len(mesh.quads)
     first = f" Scalars={quoteattr(next(iter(mesh.maps)))}" if mesh.maps else ""
+    note = f"{mesh.about} {history.json()}".replace("--", "- -")  # two dashes would end a comment
     with path.open("w", encoding="utf-8", newline="\n") as file:
-        file.write('<?xml version="1.0"?>\n')
-        # Two dashes would end a comment.
-        note = f"{mesh.about} {history.json()}".replace("--", "- -")
-        file.write(f"<!-- {escape(note)} -->\n")
-        file.write('<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n')
-        file.write(f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cells}">\n<Points>\n')
+        file.write(
+            f'<?xml version="1.0"?>\n<!-- {escape(note)} -->\n'
+            '<VTKFile type="UnstructuredGrid" version="1.0" byte_order="LittleEndian" header_type="UInt64">\n'
+            f'<UnstructuredGrid><Piece NumberOfPoints="{len(mesh.points)}" NumberOfCells="{cells}">\n<Points>\n'
+        )
         _write_vtk_array(file, "Points", mesh.points)
         file.write("</Points>\n<Cells>\n")
         _write_vtk_array(file, "connectivity", mesh.quads)
@@ -179,8 +168,8 @@ def write_vtu(surface: Surface, path: Path, history: ExportHistory, params: Expo
 
 def _write_vtk_array(file: IO[str], name: str, numbers: NDArray[Any]) -> None:
     """Write an array: its number of bytes and its bytes, as base64."""
-    kind = _VTK_TYPES[numbers.dtype.str[1:]]
-    components = f' NumberOfComponents="{numbers.shape[1]}"' if numbers.ndim == 2 and name == "Points" else ""
+    kind = {"f4": "Float32", "i4": "Int32", "i8": "Int64", "u1": "UInt8"}[numbers.dtype.str[1:]]
+    components = ' NumberOfComponents="3"' if name == "Points" else ""
     file.write(f'<DataArray type="{kind}" Name={quoteattr(name)}{components} format="binary">\n')
     packed = np.ascontiguousarray(numbers, numbers.dtype.newbyteorder("<")).tobytes()
     file.write(base64.b64encode(len(packed).to_bytes(8, "little") + packed).decode("ascii"))
@@ -215,35 +204,31 @@ def mesh_of(surface: Surface, params: ExportParams) -> SurfaceMesh:
     if params.as_seen:
         points[:, 1] *= -1
     # Cells of (row, col), (row, col + 1) ... have to run anticlockwise as seen from outside of the sheet.
-    unit = {axis: np.eye(3)[k] for k, axis in enumerate("xyz")}
+    unit = dict(zip("xyz", np.eye(3), strict=True))
     outside = unit[frame.through] * frame.sign * (-1 if surface.name.endswith("bottom") else 1)
-    anticlockwise = float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0
-    if anticlockwise == params.as_seen:
+    if (float(np.cross(unit[frame.cols], unit[frame.rows]) @ outside) > 0) == params.as_seen:
         quads = quads[:, ::-1]
     maps = {column_of(n, units_of(nodes[n])): nodes[n].values[is_node].astype(np.float32) for n in surface.maps}
-    about = f"surface {surface.name}; um; "
-    about += "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
-    first = surface.maps[0] if surface.maps else None
-    colours = None
-    if first is not None and (scale := surface.scales.get(first)) is not None:
+    places = "y of the volume with its sign turned" if params.as_seen else "x, y, z of the volume"
+    about, colours = f"surface {surface.name}; um; {places}", None
+    for first in surface.maps[:1]:
         from planish.exports.picture import colormap_of  # matplotlib is needed for colours alone
 
+        scale = surface.scales[first]
         share = (nodes[first].values[is_node].astype(np.float64) - scale.low) / (scale.high - scale.low)
         colours = colormap_of(scale)(np.clip(share, 0, 1), bytes=True)[:, :3]
-        colours = np.where(np.isfinite(share)[:, None], colours, _COLOURLESS).astype(np.uint8)
+        colours = np.where(np.isfinite(share)[:, None], colours, (212, 214, 216)).astype(np.uint8)
         units = units_of(nodes[first])
         about += f"; colour: {first} from {scale.low:.6g} to {scale.high:.6g}{f' {units}' if units != '1' else ''}"
-    return SurfaceMesh(
-        points=np.ascontiguousarray(points, np.float32), quads=np.ascontiguousarray(quads), maps=maps,
-        colours=colours, about=about,
-    )  # fmt: skip
+    points, quads = np.ascontiguousarray(points, np.float32), np.ascontiguousarray(quads)
+    return SurfaceMesh(points, quads, maps, colours, about)
 
 
 def steps_of(columns: xr.Dataset, mesh_um: float | None) -> tuple[int, int]:
     """Give how many rows and columns lie between nodes; StudyError where ``mesh_um`` is less than a column."""
     if mesh_um is None:
         return 1, 1
-    pitch = [float(columns[axis].values[1] - columns[axis].values[0]) for axis in ("y", "x")]
-    if mesh_um < 0.999 * max(pitch):
-        raise StudyError(f"--mesh-um {mesh_um:g} is less than a column of {max(pitch):g} um. Give a multiple of it.")
-    return max(1, round(mesh_um / pitch[0])), max(1, round(mesh_um / pitch[1]))
+    pitches = pitch(columns)
+    if mesh_um < 0.999 * max(pitches):
+        raise StudyError(f"--mesh-um {mesh_um:g} is less than a column of {max(pitches):g} um. Give a multiple of it.")
+    return max(1, round(mesh_um / pitches[0])), max(1, round(mesh_um / pitches[1]))

@@ -19,9 +19,7 @@ from planish.core.threads import thread_pool
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
 
-# As the large maps of a run are stored, so that their chunks are those of the image, too.
-_CHUNK = 512
-_CODECS = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
+_CHUNK = 512  # as the large maps of a run are stored, so that their chunks are those of the image, too
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
@@ -35,10 +33,11 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     for _ in range(count_of(maps.shape)):
         sizes.append(((sizes[-1][0] + 1) // 2, (sizes[-1][1] + 1) // 2))
     channels = (len(names),) if several else ()
+    codecs = (BloscCodec(cname="lz4", clevel=1, shuffle="shuffle"), Crc32cCodec())
     arrays: list[Any] = [
         group.create_array(
             str(level), shape=(*channels, *size), dtype=np.float32,
-            chunks=(*(1 for _ in channels), *(min(n, _CHUNK) for n in size)), fill_value=np.nan, compressors=_CODECS,
+            chunks=(*(1 for _ in channels), *(min(n, _CHUNK) for n in size)), fill_value=np.nan, compressors=codecs,
             dimension_names=[*("c" for _ in channels), "y", "x"], config={"write_empty_chunks": True},
         )
         for level, size in enumerate(sizes)

@@ -32,7 +32,7 @@ from planish.results import LayerFacts, Results
 from planish.run.compute import Compute, Progress
 from planish.run.registration import Registration
 from planish.run.run import MAPS, Run, marks_file, open_results
-from planish.run.study import LayerParams, Study, read_study, to_dict
+from planish.run.study import RUN_TOML, LayerParams, Study, read_study, to_dict
 from planish.run.volume import read_sheet_volume
 
 IMAGE = "image"
@@ -58,8 +58,8 @@ class ExportSource:
         Groups that are in memory already, or were read.
     registrations : dict of Registration
         Registrations that were read.
-    is_in_memory : bool
-        Whether there are no other groups.
+    store : Path or None
+        Store with the other groups; None where all are in memory.
     """
 
     results: Results
@@ -67,7 +67,7 @@ class ExportSource:
     folder: Path | None
     datasets: dict[str, xr.Dataset] = field(default_factory=dict[str, xr.Dataset])
     registrations: dict[str, Registration] = field(default_factory=dict[str, Registration])
-    is_in_memory: bool = False
+    store: Path | None = None
 
     @classmethod
     def of(cls, run: Run | str | Path) -> ExportSource:
@@ -75,16 +75,17 @@ class ExportSource:
         if isinstance(run, Run):
             return cls(
                 results=run.results, study=run.study, folder=run.folder, datasets=dict(run.groups),
-                registrations=dict(run.registrations), is_in_memory=True,
+                registrations=dict(run.registrations),
             )  # fmt: skip
         folder = Path(run)
-        return cls(results=open_results(folder), study=read_study(folder / "run.toml"), folder=folder)
+        results = open_results(folder)
+        return cls(results=results, study=read_study(folder / RUN_TOML), folder=folder, store=folder / MAPS)
 
     @cached_property
     def history(self) -> ExportHistory:
         """Versions, study and inputs of the run."""
         if self.folder is not None:
-            text = (self.folder / "run.toml").read_bytes()
+            text = (self.folder / RUN_TOML).read_bytes()
         else:
             text = tomli_w.dumps({"planish": self.results.planish} | to_dict(self.study)).encode()
         sources = [(layer.name, layer.source) for layer in self.results.layers]
@@ -98,17 +99,17 @@ class ExportSource:
     @cached_property
     def groups(self) -> list[str]:
         """Names of the groups."""
-        if self.is_in_memory or self.folder is None:
+        if self.store is None:
             return sorted(name for name in self.datasets if not name.startswith("overviews/"))
-        return group_names(self.folder / MAPS)
+        return group_names(self.store)
 
     def group(self, name: str, variables: Sequence[str] | None = None) -> xr.Dataset:
         """Read a group, or some of its variables."""
-        if name not in self.datasets and self.folder is not None:
+        if name not in self.datasets and self.store is not None:
             if variables is not None:
-                return read_group(self.folder / MAPS, name, variables)
+                return read_group(self.store, name, variables)
             if name in self.groups:
-                self.datasets[name] = read_group(self.folder / MAPS, name)
+                self.datasets[name] = read_group(self.store, name)
         return self.datasets[name] if variables is None else self.datasets[name][list(variables)]
 
     def map_group(self, name: str | None) -> str:
@@ -145,30 +146,24 @@ class ExportSource:
     def maps(self, group: str, names: Sequence[str]) -> xr.Dataset:
         """Maps of a group in the order of their names, the image on the flat sheet among those of the sheet."""
         maps = self.group(group)
-        if IMAGE in names and IMAGE not in maps:
-            maps = maps.assign({IMAGE: self.image_on_sheet(maps)})
+        if IMAGE in names and IMAGE not in maps:  # means over areas where it is finer, through the marks
+            image = self.group("linked", [IMAGE])[IMAGE].load()
+            # Seen from its fixed layer, a fit takes an image there back to the moving one.
+            back = SimpleNamespace(inverse=self.registration(self.results.moving[0].name).fit)
+            image = image.assign_attrs(pixel_um=Grid.of(image).pixel_um)
+            grey = resample_image(image, Grid.of(maps), back)[IMAGE].values.astype(np.float32)
+            attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
+            maps = maps.assign({IMAGE: (("v", "u"), grey, attrs)})
         return maps[list(names)]
 
     def levels(self, group: str, name: str) -> list[Path]:
         """Folders of a map and its overviews in the store of the run, the finest first; none where it has no store."""
-        if self.folder is None or self.is_in_memory:
+        if self.store is None:
             return []
-        store = self.folder / MAPS
-        levels = [store / group / name]
-        while (overview := store / OVERVIEWS / group / str(len(levels)) / name).is_dir():
+        levels = [self.store / group / name]
+        while (overview := self.store / OVERVIEWS / group / str(len(levels)) / name).is_dir():
             levels.append(overview)
         return levels if levels[0].is_dir() else []
-
-    def image_on_sheet(self, maps: xr.Dataset) -> xr.DataArray:
-        """The image on the pixels (v, u) of the flat maps: means over areas where it is finer, through the marks."""
-        image = self.group("linked", [IMAGE])[IMAGE].load()
-        grid = Grid.of(image)
-        image = image.assign_attrs(pixel_um=grid.pixel_um)
-        # Seen from its fixed layer, a fit takes an image there back to the moving one.
-        back = SimpleNamespace(inverse=self.registration(self.results.moving[0].name).fit)
-        grey = resample_image(image, Grid.of(maps), back)[IMAGE].values.astype(np.float32)
-        attrs = image_attrs(image) | {"long_name": "Grey value of the image"}
-        return xr.DataArray(grey, dims=("v", "u"), coords={k: maps[k] for k in ("v", "u")}, attrs=attrs)
 
     def scale_of(self, maps: xr.Dataset, name: str) -> Scale:
         """Give limits and colours of a map, those of the page: both sides of the sheet share theirs."""
@@ -252,10 +247,10 @@ class ExportSource:
         layer = next(layer for layer in self.study.layers if layer.name == name)
         if layer.run is None:
             return layer
-        folder = Path(layer.run)
-        if not (folder / "run.toml").is_file():
-            raise FileError(f"The volume of this run stands in the run {folder}, which is not there. Put it back.")
-        return next(layer for layer in read_study(folder / "run.toml").layers if layer.volume is not None)
+        path = Path(layer.run) / RUN_TOML
+        if not path.is_file():
+            raise FileError(f"The volume of this run stands in the run {layer.run}, which is not there. Put it back.")
+        return next(layer for layer in read_study(path).layers if layer.volume is not None)
 
     # --- registrations ------------------------------------------------------------------------------------------
 
@@ -282,32 +277,23 @@ class ExportSource:
             raise InputError(f"No layer {wanted!r} is registered; there are {', '.join(names)}.{likely(wanted, names)}")
         return [layer for layer in moving if wanted in (None, layer.name)]
 
-    def is_affine(self, name: str) -> bool:
-        """Tell whether the registration of a moving layer is an affine map."""
-        return isinstance(self.registration(name).fit.transform, Similarity | Affine)
-
     def transforms(self, layer: LayerFacts) -> TransformPair:
         """Give the registration of a moving layer in both directions, with the pixels of both layers."""
         assert layer.registration is not None
         fit, target = self.registration(layer.name).fit, layer.registration.to
         transform = fit.transform
         middle = np.zeros(2) if isinstance(transform, Similarity) else np.array(transform.source)
-        image = transform(middle)
         (a, b), (c, d) = transform.matrix().tolist()
-        affine = Affine(
-            linear=((a, b), (c, d)), source=(float(middle[0]), float(middle[1])),
-            target=(float(image[0]), float(image[1])),
+        (x, y), (x1, y1) = middle.tolist(), transform(middle).tolist()
+        affine = Affine(linear=((a, b), (c, d)), source=(x, y), target=(x1, y1))
+        exact = isinstance(transform, Similarity | Affine)
+        moving, fixed = (
+            self.grid_of(name) or _grid_around(marks) for name, marks in ((layer.name, fit.moving), (target, fit.fixed))
+        )
+        return TransformPair(
+            DirectedTransform(layer.name, target, fit, moving, affine, exact),
+            DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, exact), fit.model,
         )  # fmt: skip
-        exact = self.is_affine(layer.name)
-        sides = ((layer.name, fit.moving), (target, fit.fixed))
-        moving, fixed = (self.grid_of(name) or _grid_around(marks) for name, marks in sides)
-        forward = DirectedTransform(
-            source=layer.name, target=target, function=fit, grid=moving, affine=affine, exact=exact
-        )
-        back = DirectedTransform(
-            source=target, target=layer.name, function=fit.inverse, grid=fixed, affine=affine.inverse, exact=exact
-        )
-        return TransformPair(forward=forward, back=back, model=fit.model)
 
     def landmarks(self, layer: LayerFacts) -> xr.Dataset:
         """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""

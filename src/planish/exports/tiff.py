@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import uuid
 from collections.abc import Iterator
 from dataclasses import dataclass
@@ -22,19 +23,6 @@ from planish.exports.formats import ExportParams
 MOST = 2**32 - 2**20
 """Bytes of the values of a TIFF for ImageJ."""
 
-_VOLUME_BYTES = 2**26  # of a volume that are in memory at a time
-
-
-def check_imagej(content: Maps | xr.DataArray, _params: ExportParams) -> None:
-    """Raise ResourceError for more than a TIFF of ImageJ holds: places in it are counted in 32 bits."""
-    planes = len(content.names) if isinstance(content, Maps) else content.shape[0]
-    size = 4 * planes * content.shape[-2] * content.shape[-1]
-    if size > MOST:
-        remedy = "or a folder for a file each" if planes > 1 and isinstance(content, Maps) else "or --to ome-zarr"
-        raise ResourceError(
-            f"These values take {size / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give --to ome-tiff, {remedy}."
-        )
-
 
 def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write maps (channels), or a volume (z, y, x), in one file for ImageJ.
@@ -44,8 +32,19 @@ def write_imagej(content: Maps | xr.DataArray, path: Path, history: ExportHistor
     ImageJ reads the unit from the description and the pixel size from the resolution, which is a fraction: sizes with
     up to six digits come back exactly. Positions count from the middle of the first pixel there; where that lies in the
     sheet stands in the history.
+
+    Raises
+    ------
+    ResourceError
+        If the values take more than a TIFF of ImageJ holds: places in it are counted in 32 bits.
     """
     stack = _Stack.of(content)
+    size = 4 * math.prod(stack.shape)
+    if size > MOST:
+        remedy = "or a folder for a file each" if len(stack.labels) > 1 else "or --to ome-zarr"
+        raise ResourceError(
+            f"These values take {size / 1e9:.1f} GB, and a TIFF for ImageJ holds 4 GB. Give --to ome-tiff, {remedy}."
+        )
     metadata: dict[str, Any] = {"axes": stack.axes, "unit": "um", "Info": history.json(**stack.facts)}
     if isinstance(content, Maps):
         if all(name in content.scales for name in content.names):  # limits between which maps are shown at first
@@ -73,7 +72,7 @@ def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, 
     }  # fmt: skip
     for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
         metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
-    first, planes = stack.first_um, stack.planes
+    first, planes = stack.first_um, stack.shape[0] if len(stack.shape) > 2 else 1
     positions = {"PositionX": [first[-1]] * planes, "PositionY": [first[-2]] * planes}
     if isinstance(content, Maps):
         metadata["Channel"] = {"Name": stack.labels}
@@ -125,11 +124,6 @@ class _Stack:
             labels=[], facts=facts | {"missing": "NaN"},
         )  # fmt: skip
 
-    @property
-    def planes(self) -> int:
-        """Number of planes."""
-        return self.shape[0] if len(self.shape) > 2 else 1
-
     def parts(self) -> Iterator[tuple[int, int, NDArray[Any]]]:
         """Give plane, first row, and values (rows, cols) of each part."""
         if isinstance(self.content, Maps):
@@ -138,7 +132,7 @@ class _Stack:
                     yield k, rows.start, band
             return
         deep, high, wide = self.content.shape
-        step = max(1, _VOLUME_BYTES // (4 * deep * wide))
+        step = max(1, 2**26 // (4 * deep * wide))  # bytes that are in memory at a time
         for begin in range(0, high, step):
             block = np.asarray(self.content[:, begin : begin + step, :].values, dtype=self.dtype)
             for k in range(deep):

@@ -20,12 +20,10 @@ from planish.marks.exchange import write_any
 
 Array = NDArray[np.float64]
 
-_COARSEST = 64  # pixels of the layer between nodes of a field
-_WRONG = 1 / 400  # of a pixel: what a field may err by in the middle between nodes
 _CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols in (slice(None, -1), slice(1, None))]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class DirectedTransform:
     """A transformation from one layer to another.
 
@@ -56,7 +54,7 @@ class DirectedTransform:
         return f"{self.source}_to_{self.target}"
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
+@dataclass(frozen=True, slots=True)
 class TransformPair:
     """A registration in both directions, and its model."""
 
@@ -65,7 +63,7 @@ class TransformPair:
     model: str
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class DisplacementField:
     """Displacements on a regular grid, between whose nodes they are linear.
 
@@ -73,8 +71,10 @@ class DisplacementField:
     ----------
     vectors : (rows, cols, 2)
         Displacement along x and y in um.
-    origin_um, pitch_um : (float, float)
-        Place of the first node and distance of nodes, (x, y).
+    origin_um : (float, float)
+        Place of the first node, (x, y).
+    pitch_um : float
+        Distance of nodes.
     error_um : float
         Largest error in the middle of a cell, over the source layer.
     filled : int
@@ -83,7 +83,7 @@ class DisplacementField:
 
     vectors: Array
     origin_um: tuple[float, float]
-    pitch_um: tuple[float, float]
+    pitch_um: float
     error_um: float
     filled: int
 
@@ -95,16 +95,6 @@ class DisplacementField:
     def facts(self) -> dict[str, float]:
         """Errors of the field, for the history."""
         return {"largest_error_um": float(f"{self.error_um:.3g}"), "nodes_by_affine_map": self.filled}
-
-    @property
-    def y_um(self) -> Array:
-        """Rows."""
-        return self.origin_um[1] + self.pitch_um[1] * np.arange(self.shape[0], dtype=np.float64)
-
-    @property
-    def x_um(self) -> Array:
-        """Columns."""
-        return self.origin_um[0] + self.pitch_um[0] * np.arange(self.shape[1], dtype=np.float64)
 
 
 def displacement(transform: DirectedTransform) -> DisplacementField:
@@ -127,7 +117,7 @@ def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], facto
     around = 0.1 * float(size.max())  # of the layer's longer side: the field reaches so far beyond it
     low = np.array(transform.grid.origin_um) - 0.5 * pixel - around
     length = size + 2 * around
-    pitch = _COARSEST * float(np.sqrt(pixel.prod()))
+    pitch = 64 * float(np.sqrt(pixel.prod()))  # at most so many pixels of the layer between nodes
 
     def nodes(shift: float, counts: NDArray[np.intp]) -> Array:
         axes = [low[k] + pitch * (np.arange(counts[k] - (shift > 0)) + shift) for k in (0, 1)]
@@ -151,21 +141,15 @@ def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], facto
         counted &= ((middles >= low + around) & (middles <= low + length - around)).all(axis=-1)
         errors = np.linalg.norm(interpolated - exact, axis=-1)[counted]
         error = float(errors.max()) if errors.size else 0.0
-        # A map that is affine needs no finer grid, however large its pixels are.
-        if error <= _WRONG * pixel.min() or 2 * vectors.size > 2_000_000:  # nodes
+        # In the middle between nodes it may err by so much. An affine map needs no finer grid.
+        if error <= 1 / 400 * pixel.min() or 2 * vectors.size > 2_000_000:  # nodes
             break
         pitch /= 2
-    return DisplacementField(
-        vectors=vectors @ factor.T, origin_um=(float(low[0]), float(low[1])), pitch_um=(pitch, pitch), error_um=error,
-        filled=int(np.count_nonzero(~has_image)),
-    )  # fmt: skip
+    filled = int(np.count_nonzero(~has_image))
+    return DisplacementField(vectors @ factor.T, (float(low[0]), float(low[1])), pitch, error, filled)
 
 
 UNITS = {"um": 1.0, "mm": 1e-3}
-
-_ZARR_FORMAT = "planish displacement 1"
-_OUTSIDE = -1e30
-"""Value of resampled pixels beside the image: elastix reads no NaN, and 0 would be taken for a measurement."""
 
 
 def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, params: ExportParams) -> None:
@@ -184,7 +168,7 @@ def write_itk(transform: DirectedTransform, path: Path, history: ExportHistory, 
         field = before_affine(transform)
         facts = field.facts()
         rows, cols = field.shape
-        layout = [cols, rows, *(scale * v for v in (*field.origin_um, *field.pitch_um)), 1, 0, 0, 1]
+        layout = [cols, rows, *(scale * v for v in (*field.origin_um, field.pitch_um, field.pitch_um)), 1, 0, 0, 1]
         local = ("DisplacementFieldTransform_double_2_2", (field.vectors * scale).ravel(), layout)
         parts = [("CompositeTransform_double_2_2", [], []), *parts, local]
     lines = ["#Insight Transform File V1.0", f"#{transform.name}: {history.json(**facts)}"]
@@ -221,15 +205,15 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
         coefficients = np.moveaxis(field.vectors, -1, 0).ravel() * scale
         local = _elastix_parameters("BSplineTransform", coefficients, "NoInitialTransform") | {
             "GridSize": field.shape[::-1], "GridIndex": [0, 0],
-            "GridSpacing": [v * scale for v in field.pitch_um], "GridOrigin": [v * scale for v in field.origin_um],
+            "GridSpacing": [field.pitch_um * scale] * 2, "GridOrigin": [v * scale for v in field.origin_um],
             "GridDirection": [1, 0, 0, 1], "BSplineTransformSplineOrder": [1], "UseCyclicTransform": ["false"],
         }  # fmt: skip
         _write_elastix_file(path.with_name(first), note + history.json(**field.facts()), local | image)
     linear, center = _affine_parameters(transform, scale)
     affine = _elastix_parameters("AffineTransform", linear, first) | {"CenterOfRotationPoint": center}
-    after = {
+    after = {  # beside the image stands -1e30: elastix reads no NaN, and 0 would be taken for a measurement
         "ResampleInterpolator": ["FinalBSplineInterpolator"], "FinalBSplineInterpolationOrder": [1],
-        "Resampler": ["DefaultResampler"], "DefaultPixelValue": [_OUTSIDE], "ResultImageFormat": ["nrrd"],
+        "Resampler": ["DefaultResampler"], "DefaultPixelValue": [-1e30], "ResultImageFormat": ["nrrd"],
         "ResultImagePixelType": ["float"], "CompressResultImage": ["false"],
     }  # fmt: skip
     _write_elastix_file(path, note + history.json(), affine | image | after)
@@ -238,15 +222,16 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
 def write_zarr(pair: TransformPair, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Write a group for each direction: ``displacement_x`` and ``displacement_y`` (y, x) in um."""
     root = zarr.open_group(path, mode="w-", zarr_format=3)
-    root.attrs.update({"format": _ZARR_FORMAT, "model": pair.model, "history": history.json()})
+    root.attrs.update({"format": "planish displacement 1", "model": pair.model, "history": history.json()})
     for transform in (pair.forward, pair.back):
         source, target = transform.source, transform.target
         field = displacement(transform)
         group = root.create_group(transform.name)
         group.attrs.update({"source": source, "target": target} | field.facts())
-        arrays: dict[str, tuple[Any, tuple[str, ...], str]] = {
-            axis: (um, (axis,), f"{axis} of {source}") for axis, um in (("y", field.y_um), ("x", field.x_um))
-        }
+        arrays: dict[str, tuple[Any, tuple[str, ...], str]] = {}
+        for k, axis in ((1, "y"), (0, "x")):
+            um = field.origin_um[k] + field.pitch_um * np.arange(field.shape[1 - k], dtype=np.float64)
+            arrays[axis] = (um, (axis,), f"{axis} of {source}")
         for k, axis in enumerate("xy"):
             title = f"{axis} of {target} minus {axis} of {source}"
             arrays[f"displacement_{axis}"] = (field.vectors[..., k], ("y", "x"), title)
@@ -291,12 +276,6 @@ def _write_lines(path: Path, lines: Iterable[str]) -> None:
     path.write_text("\n".join(lines) + "\n", encoding="utf-8", newline="\n")
 
 
-_TYPES = {
-    "float32": "float", "float64": "double", "uint8": "uint8", "int8": "int8", "uint16": "uint16", "int16": "int16",
-    "int32": "int32", "int64": "int64",
-}  # fmt: skip
-
-
 def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
     """Write the displacement (x, y) of every node of a field, or one map.
 
@@ -307,7 +286,7 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
         field = displacement(content)
         title = f"displacement of points of {content.source} to {content.target}"
         dtype, components, shape = field.vectors.dtype, ["vector"], field.shape
-        (x, y), (across, down) = field.origin_um, field.pitch_um
+        (x, y), across, down = field.origin_um, field.pitch_um, field.pitch_um
         about = {"value_unit": unit, "planish": history.json(**field.facts())}
         parts: Iterable[NDArray[Any]] = [field.vectors * UNITS[unit]]
     else:
@@ -318,8 +297,9 @@ def write_nrrd(content: DirectedTransform | Maps, path: Path, history: ExportHis
         parts = (band for _, band in content.bands(name))
     x, y, across, down = (f"{v * UNITS[unit]:.12g}" for v in (x, y, across, down))
     sizes = [*("2" for _ in components), str(shape[1]), str(shape[0])]
+    kind = {"float32": "float", "float64": "double"}.get(dtype.name, dtype.name)
     head = [
-        "NRRD0005", f"content: {title}", f"type: {_TYPES[dtype.name]}", f"dimension: {len(sizes)}",
+        "NRRD0005", f"content: {title}", f"type: {kind}", f"dimension: {len(sizes)}",
         "space dimension: 2", f"sizes: {' '.join(sizes)}",
         f"space directions: {'none ' * len(components)}({across},0) (0,{down})",
         f"kinds: {' '.join([*components, 'domain', 'domain'])}", "endian: little", "encoding: raw",

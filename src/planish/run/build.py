@@ -22,15 +22,9 @@ from planish.run.array_layers import ArrayLayer, LayerInput, layer_sources
 from planish.run.compute import Compute, Progress, silent
 from planish.run.run import Run, is_run
 from planish.run.save import run_study
-from planish.run.study import SECTIONS, Kind, Study
+from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, Kind, Study
 
-_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}")
 _OF_BOTH = ("override_size", "unusual_size")  # said once, of volumes and images
-_OF_A_VOLUME = ("surface", "properties", "flatten")
-_OF_THE_LINK = ("holes", "registration", "correlate")
-_ALIKE = 0.7  # of difflib
-_ARGUMENTS = ("out", "progress", "chain")
-_ALL = {**SECTIONS, "compute": Compute}
 
 
 def map_sheet(
@@ -67,7 +61,7 @@ def map_sheet(
     --------
     ``run = pl.map_sheet("volume.tif", out="run", voxel_um=3, through="y")``
     """
-    return _make([layer], out, options, ("volume", *_OF_A_VOLUME), compute, progress, "pl.map_sheet")
+    return _make([layer], out, options, ("volume", *MAP_SECTIONS), compute, progress, "pl.map_sheet")
 
 
 def link(
@@ -141,7 +135,7 @@ def study_of(
         raise StudyError(f"There is no group of options called {', '.join(unknown)}; there are {', '.join(SECTIONS)}.")
     sources = [_source(layer, is_link=len(layers) > 1) for layer in layers]
     # What is given and means nothing without a volume.
-    unused = [name for group in _OF_A_VOLUME for name in options.get(group, {})]
+    unused = [name for group in MAP_SECTIONS for name in options.get(group, {})]
     unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
     if unused and all(source.kind != "volume" for source in sources):
         flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
@@ -154,12 +148,20 @@ def study_of(
             "--marks holds pairs of two layers, but more are given. Write them into a study file (docs/linking.md)."
         )
     tables = [_table(name, source, options) for name, source in zip(_all_names(sources), sources, strict=True)]
-    of_link = {k: options[k] for k in _OF_THE_LINK if k in options}
+    of_link = {k: options[k] for k in LINK_SECTIONS if k in options}
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **of_link})
     except ValidationError as error:
-        faults = dict.fromkeys(mistakes(error, Study, lambda loc: (flag_of(loc), None)))
-        raise StudyError("; ".join(faults)) from error
+        flags = {place: f"--{word.replace('_', '-')}" for word, place in words_of(SECTIONS).items()}
+
+        def flag_of(loc: Key) -> tuple[Key, None]:
+            names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
+            # A message about a whole section is one of options that do not fit together, which it names.
+            if len(names) == 1 and names[0] in SECTIONS:
+                return (), None
+            return ((flags[names],) if names in flags else names), None
+
+        raise StudyError("; ".join(dict.fromkeys(mistakes(error, Study, flag_of)))) from error
 
 
 class _Source(NamedTuple):
@@ -178,7 +180,7 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> _Source:
     name, path = None, Path(layer)
     prefix, sign, rest = str(layer).partition("=")
     if sign and rest and not find_place(str(layer)).path.exists():
-        if _NAME.fullmatch(prefix):
+        if re.fullmatch(r"[A-Za-z0-9][A-Za-z0-9_-]{0,39}", prefix):
             name, path = prefix, Path(rest)
         elif find_place(rest).path.exists():
             raise StudyError(
@@ -200,7 +202,7 @@ def _table(name: str, source: _Source, options: Mapping[str, dict[str, Any]]) ->
     if source.kind == "image":
         shared = {name: volume[name] for name in _OF_BOTH if name in volume}
         return {"name": name, "image": shared | source.options | options.get("image", {}) | place}
-    of_volume = {k: options[k] for k in _OF_A_VOLUME if k in options}
+    of_volume = {k: options[k] for k in MAP_SECTIONS if k in options}
     return {"name": name, "volume": source.options | volume | place, **of_volume}
 
 
@@ -240,18 +242,20 @@ def sections_of(
     places = words_of([*sections, "compute"])
     tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
     faults: list[str] = []
-    for section, value in options.items():
-        if section in sections and isinstance(value, Params):
-            tables[section] = value.model_dump(exclude_unset=True)
-        elif section in sections and isinstance(value, Mapping):
-            tables[section] = deepcopy(dict[str, Any](value))
-        elif section in sections:
-            faults.append(f"{section}={value!r}: needed is a dict of options, or one of them by itself.")
-    for word, value in options.items():
-        if word in sections or value is None:
+    # Whole sections first: a word by itself is put into them.
+    for word, value in sorted(options.items(), key=lambda pair: pair[0] not in sections):
+        if word in sections:
+            if isinstance(value, Params):
+                tables[word] = value.model_dump(exclude_unset=True)
+            elif isinstance(value, Mapping):
+                tables[word] = deepcopy(dict[str, Any](value))
+            else:
+                faults.append(f"{word}={value!r}: needed is a dict of options, or one of them by itself.")
+            continue
+        if value is None:
             continue
         if word not in places:
-            faults.append(_unknown(word, [*sections, *places, *_ARGUMENTS]))
+            faults.append(_unknown(word, [*sections, *places, "out", "progress", "chain"]))
             continue
         *outer, name = places[word]
         table = tables
@@ -269,19 +273,10 @@ def sections_of(
     return tables, None if limits is None else params_of(Compute, limits, call)
 
 
-def flag_of(loc: Key) -> Key:
-    """The option of the command line for a place in a study, as a message names it; the place where there is none."""
-    names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
-    flags = {place: f"--{word.replace('_', '-')}" for word, place in words_of(SECTIONS).items()}
-    # A message about a whole section is one of options that do not fit together, which it names.
-    if len(names) == 1 and names[0] in SECTIONS:
-        return ()
-    return (flags[names],) if names in flags else names
-
-
 def words_of(sections: Iterable[str]) -> dict[str, tuple[str, ...]]:
     """Words of some sections, and where each stands in a study; of the same word in two the first one."""
-    places = [pair for section in sections for pair in _words(_ALL[section], section)]
+    models = {**SECTIONS, "compute": Compute}
+    places = [pair for section in sections for pair in _words(models[section], section)]
     return dict(reversed(places))
 
 
@@ -294,7 +289,7 @@ def _words(model: type[Params], *outer: str) -> Iterator[tuple[str, tuple[str, .
 
 
 def _unknown(word: str, possible: list[str]) -> str:
-    if likely := difflib.get_close_matches(word.casefold(), possible, 1, _ALIKE):
+    if likely := difflib.get_close_matches(word.casefold(), possible, 1, 0.7):
         return f"{word}= is unknown; did you mean {likely[0]}=?"
     if word in SECTIONS or word in words_of(SECTIONS):
         return f"{word}= is for pl.link, which has an image and marks. Leave it out."

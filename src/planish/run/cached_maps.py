@@ -10,10 +10,10 @@ from pathlib import Path
 from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.text import quoted
 from planish.run.compute import Compute, run_key
-from planish.run.layers import Layer, MappedSheets
+from planish.run.layers import Layer
 from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
-from planish.run.study import LayerParams, Study, changed, read_study, to_dict
+from planish.run.study import RUN_TOML, LayerParams, Study, changed, read_study, to_dict
 
 _REQUEST = ".request"  # file of such a run: what was asked for, as a hash, and the study of the link
 
@@ -63,17 +63,17 @@ class CachedMaps:
         (folder / _REQUEST).write_text(f"{self.key}\n{study.model_dump_json()}\n", encoding="utf-8", newline="\n")
 
 
-def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> MappedSheets:
-    """Sheets of a run that a study asks for, of the same files and by this code of planish.
+def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> tuple[dict[str, Layer], dict[str, Layer]]:
+    """Give the sheets of a run that a study asks for, of the same files and by this code of planish.
 
-    Those whose parameters are the same are ready; similar are those of the same surface with other properties,
-    flattening, or corrections.
+    The first need not be mapped again: their parameters are the same. The second have the same surface, and other
+    properties, flattening, or corrections.
     """
     ready, similar = dict[str, Layer](), dict[str, Layer]()
     try:
-        results, asked = open_results(old), {layer.name: layer for layer in read_study(old / "run.toml").layers}
+        results, asked = open_results(old), {layer.name: layer for layer in read_study(old / RUN_TOML).layers}
     except PlanishError:
-        return MappedSheets()
+        return ready, similar
     sources = {layer.name: layer.source.sha256 for layer in results.layers}
     whole = len(results.layers) == 1 or [layer.kind for layer in results.layers] == ["sheet", "image"]
     for layer, sha256 in zip(study.layers, hashes, strict=True):
@@ -81,17 +81,16 @@ def sheets_of(old: Path, study: Study, hashes: Sequence[str]) -> MappedSheets:
         if layer.kind != "volume" or before is None or not results.is_of_this_code:
             continue
         place = old if whole else old / "layers" / layer.name
-        is_similar = before.volume == layer.volume and changed(before.surface, corrections=None) == changed(
-            layer.surface, corrections=None
-        )
-        if not (is_similar and sources.get(layer.name) == sha256 and is_run(place)):
+        bare, wanted = (changed(params.surface, corrections=None) for params in (before, layer))
+        is_same_file = before.volume == layer.volume and sources.get(layer.name) == sha256
+        if not (is_same_file and bare == wanted and is_run(place)):
             continue
         is_same = changed(before, marks=layer.marks, surface=layer.surface) == layer
         with suppress(PlanishError):  # damaged: it is mapped again
             sheet = open_sheet(place)
             is_same &= made_corrections(sheet.groups["surfaces"]) == asked_corrections(layer)
             (ready if is_same else similar)[layer.name] = sheet
-    return MappedSheets(ready=ready, similar=similar)
+    return ready, similar
 
 
 def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Study) -> str:

@@ -50,7 +50,7 @@ LINKED = "linked"
 Textures = dict[tuple[str, str], TextureFound]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class LinkedLayers:
     """Layers registered to the last one, the reference, with their maps on its pixels."""
 
@@ -95,7 +95,14 @@ def gather_link(linked: LinkedLayers) -> Run:
             is_given=all(layer.side_given is not None for layer in (a, b) if layer.kind == "image"),
         ) for a, b in pairs if a.kind != b.kind or a.side == b.side
     }  # fmt: skip
-    facts = tuple(_layer_facts(linked, layer, textures) for layer in layers)
+    reference = linked.reference
+    lags = {a: texture.lag for (a, b), texture in textures.items() if b == reference.name}
+    facts = tuple(
+        layer_facts(
+            layer, maps[layer.name], linked.links.get(layer.name), _side_of(layer, reference), lags.get(layer.name),
+            wanted.headline,
+        ) for layer in layers
+    )  # fmt: skip
     checks = [*_checks(linked, facts, textures)]
     numbers["evidence"] = tuple(_evidence(linked, facts))
     if wanted.mottle:
@@ -112,7 +119,7 @@ def gather_link(linked: LinkedLayers) -> Run:
         checks += run_checks(more["linked"], layers[0].name, layers[1].name)
     regions = linked.mask.regions
     if regions is not None:
-        numbers["regions"] = region_facts(regions, linked.reference.grid)
+        numbers["regions"] = region_facts(regions, reference.grid)
     study = changed(study, layers=tuple(layer.params for layer in layers))
     results = Results(
         planish=__version__, code=hash_sources() if all(layer.by_this_code for layer in layers) else "",
@@ -124,14 +131,6 @@ def gather_link(linked: LinkedLayers) -> Run:
         registrations={name: link.registration for name, link in linked.links.items()},
         unchanged=layers[0].unchanged if is_one_sheet else {},
         sheets={} if is_one_sheet else {layer.name: layer for layer in layers if layer.params.kind == "volume"},
-    )  # fmt: skip
-
-
-def _layer_facts(linked: LinkedLayers, layer: Layer, textures: Textures) -> LayerFacts:
-    texture = textures.get((layer.name, linked.reference.name))
-    return layer_facts(
-        layer, linked.maps[layer.name], linked.links.get(layer.name), _side_of(layer, linked.reference),
-        None if texture is None else texture.lag, linked.study.correlate.headline,
     )  # fmt: skip
 
 
@@ -193,7 +192,12 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
     """Checks of all layers, their registrations, and what they share."""
     layers, maps, reference = linked.layers, linked.maps, linked.reference
     for layer, numbers in zip(layers, facts, strict=True):
-        yield from _layer_checks(linked, layer, numbers)
+        scaled = [*_scale_checks(linked, layer)]
+        names = {check.name for check in scaled}
+        yield from for_layers((check for check in layer.checks if check.name not in names), layer.name)
+        yield from scaled
+        if numbers.registration is not None:
+            yield from _registration_checks(linked, layer, numbers)
     for name, link in linked.links.items():
         moving, to = link.path[:2]
         if moving.kind == "sheet" and to is reference and link.registration.source == "found":
@@ -209,14 +213,9 @@ def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textu
         yield from run_checks(TextureChecks(*checks), a, b)
 
 
-def _layer_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:
-    """Checks of one layer, and of its registration."""
-    scaled = [*_scale_checks(linked, layer)]
-    names = {check.name for check in scaled}
-    yield from for_layers((check for check in layer.checks if check.name not in names), layer.name)
-    yield from scaled
-    if facts.registration is None:
-        return
+def _registration_checks(linked: LinkedLayers, layer: Layer, facts: LayerFacts) -> Iterator[Check]:
+    """Checks of the registration of a layer."""
+    assert facts.registration is not None
     (_, to, *_), registration, _ = linked.links[layer.name]
     registered = RegisteredLayer(
         layer=layer.name, facts=facts.registration, fit=registration.fit, agreement=registration.agreement(),

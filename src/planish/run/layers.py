@@ -73,26 +73,6 @@ class Layer:
         return self.side_given or "top"
 
 
-@dataclass(slots=True)
-class MappedSheets:
-    """Sheets of the volumes of a study, by name; the caller reads here what was mapped, whatever becomes of the link.
-
-    ``ready`` need not be mapped again, ``similar`` have the same surfaces but for corrections, and other parameters.
-    """
-
-    ready: Mapping[str, Layer] = field(default_factory=dict[str, Layer])
-    similar: Mapping[str, Layer] = field(default_factory=dict[str, Layer])
-    mapped: dict[str, Layer] = field(default_factory=dict[str, Layer])
-
-    def add(self, sheet: Layer) -> None:
-        """Add a sheet that was mapped."""
-        self.mapped[sheet.name] = sheet
-
-    def by_name(self) -> dict[str, Layer]:
-        """All sheets that are mapped by now."""
-        return {**self.ready, **self.mapped}
-
-
 class LayerHoles:
     """Laser holes of the layers of a link by one set of parameters; each face is searched once."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -35,11 +35,6 @@ class ValidMask:
     circles: Floats
     regions: Regions | None = None
 
-    @classmethod
-    def of(cls, circles: Iterable[Floats], regions: Regions | None = None) -> ValidMask:
-        """From the circles of all layers."""
-        return cls(np.concatenate([np.empty((0, 3)), *circles]), regions)
-
     def __call__(self, part: Grid) -> Bools:
         """Say it of some pixels."""
         allowed = ~hole_mask(part, self.circles[:, :2], self.circles[:, 2])
@@ -51,40 +46,32 @@ class ValidMask:
         return f"Measured, and away from holes and their rims{', outside of declared regions' if self.regions else ''}"
 
 
-class _MovingLayer:
-    """A layer that is brought onto the pixels of a reference, tile by tile; the reference itself without a chain."""
+def _on_tiles(shown: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, Grid], xr.Dataset]:
+    """Give the function from a tile of a reference to the maps of a layer there, with their errors where it was moved.
 
-    def __init__(self, name: str, shown: Shown, chain: Chain | None, grid: Grid) -> None:
-        self.name, self.is_met, self._errors = name, chain is None, None
-        self._on: Callable[[Tile, Grid], xr.Dataset]
-        if chain is None:
-            maps = _reference_maps(shown)
-            self._on = lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
-            return
-        if isinstance(shown, xr.DataArray):
-            self._on = lambda _, part: resample_image(shown, part, chain, must_meet=False)
-            self._errors = PositionErrors(None, chain, grid)
+    Without a chain it is the reference itself.
+    """
+    is_image = isinstance(shown, xr.DataArray)
+    if chain is None:
+        if is_image:
+            maps = xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
         else:
-            sheet = SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
-            self._on = lambda _, part: sheet.on(part)
-            self._errors = PositionErrors(shown, chain, grid)
+            maps = shown["maps"].rename({"v": "y", "u": "x"})
+            hidden = ("projected_", "presence", "valid")
+            maps = maps.drop_vars([name for name in maps.data_vars if str(name).startswith(hidden)])
+        return lambda tile, _: maps.isel(y=tile.rows, x=tile.cols)
+    errors = PositionErrors(None if is_image else shown, chain, grid)
+    sheet = None if is_image else SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
 
-    def on(self, tile: Tile, part: Grid) -> xr.Dataset:
-        """Its maps on a tile of the reference, ``expected_error`` and its shares where it was moved."""
-        maps = self._on(tile, part)
-        if self._errors is None:
-            return maps
-        present = maps["image" if "image" in maps else "u"].values
-        self.is_met |= bool(np.isfinite(present).any())
-        return maps.assign(self._errors.on(part, present))
+    def moved(_: Tile, part: Grid) -> xr.Dataset:
+        if is_image:
+            maps = resample_image(shown, part, chain, must_meet=False)
+            return maps.assign(errors.on(part, maps["image"].values))
+        assert sheet is not None
+        maps = sheet.on(part)
+        return maps.assign(errors.on(part, maps["u"].values))
 
-
-def _reference_maps(shown: Shown) -> xr.Dataset:
-    """The maps of the reference on its own pixels."""
-    if isinstance(shown, xr.DataArray):
-        return xr.Dataset({"image": (("y", "x"), shown.values, image_attrs(shown))}, coords=Grid.of(shown).coords)
-    maps = shown["maps"].rename({"v": "y", "u": "x"})
-    return maps.drop_vars([n for n in maps.data_vars if str(n).startswith(("projected_", "presence", "valid"))])
+    return moved
 
 
 def resample_layers(
@@ -97,21 +84,27 @@ def resample_layers(
     with its shares: as ``layers/NAME``, or a sheet and an image as one group ``together``. Returned are the maps of
     each layer.
     """
-    layers = [_MovingLayer(name, *part, grid) for name, part in parts.items()]
+    layers = {name: _on_tiles(*part, grid) for name, part in parts.items()}
+    absent = [name for name, (_, chain) in parts.items() if chain is not None]
     meaning = {"long_name": mask.sentence}
     for tile in map_tiles(grid.shape):
         part = grid.part(tile.rows, tile.cols)
         allowed, maps = mask(part), dict[str, xr.Dataset]()
-        for layer in layers:
-            data = layer.on(tile, part)
+        for name, on_tile in layers.items():
+            data = on_tile(tile, part)
             is_measured = np.isfinite(data["thickness" if "thickness" in data else "image"].values)
-            maps[layer.name] = data.assign(valid=(("y", "x"), is_measured & allowed, meaning))
-        groups = {f"layers/{name}": data for name, data in maps.items()}
-        for group, data in groups.items() if together is None else [(together, merged(*maps.values()))]:
-            sink.add(group, grid, tile, data)
-    if absent := next((layer.name for layer in layers if not layer.is_met), None):
+            maps[name] = data.assign(valid=(("y", "x"), is_measured & allowed, meaning))
+        absent = [k for k in absent if not np.isfinite(maps[k]["image" if "image" in maps[k] else "u"].values).any()]
+        if together is None:
+            for name, data in maps.items():
+                sink.add(f"layers/{name}", grid, tile, data)
+        else:
+            sheet, image = maps.values()
+            valid = sheet["valid"] & image["valid"]
+            sink.add(together, grid, tile, sheet.assign(image=image["image"], valid=valid))
+    if absent:
         raise CannotRegister(
-            f"The layer {absent} does not meet the reference: by its marks it lies beside it. Check the marks."
+            f"The layer {absent[0]} does not meet the reference: by its marks it lies beside it. Check the marks."
         )
     if together is None:
         return {name: sink.group(f"layers/{name}") for name in parts}
@@ -136,11 +129,6 @@ def hole_circles(
         circles = np.column_stack([chain(circles[:, :2]), circles[:, 2] * chain.similarity.scale])
         circles = circles[np.isfinite(circles).all(axis=1)]
     return circles + np.array([0.0, 0.0, rim_um])
-
-
-def merged(sheet: xr.Dataset, image: xr.Dataset) -> xr.Dataset:
-    """The maps of a sheet and an image on the image's pixels as one dataset, ``linked``."""
-    return sheet.assign(image=image["image"], valid=sheet["valid"] & image["valid"]).assign_attrs()
 
 
 def resample_maps(
@@ -212,13 +200,10 @@ def resample_maps(
         )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
-    circles = (
-        hole_circles(registration.marks, "moving", rim_um, chain=chain),
-        hole_circles(registration.marks, "fixed", rim_um, image=onto),
-    )
+    marks, sink = registration.marks, HeldMaps()
+    circles = hole_circles(marks, "moving", rim_um, chain=chain), hole_circles(marks, "fixed", rim_um, image=onto)
     parts: dict[str, tuple[Shown, Chain | None]] = {
         "sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None),
     }  # fmt: skip
-    sink = HeldMaps()
-    resample_layers(parts, ValidMask.of(circles), grid, sink, together="linked")
+    resample_layers(parts, ValidMask(np.concatenate(circles)), grid, sink, together="linked")
     return sink.group("linked")

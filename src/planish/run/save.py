@@ -21,18 +21,14 @@ from planish.report import FIGURES, write_report
 from planish.run.cached_maps import CachedMaps, next_step, sheets_of
 from planish.run.compute import Compute, Progress, return_memory, run_key, silent
 from planish.run.gathering import LINKED, gather_sheet
-from planish.run.layers import MappedSheets
-from planish.run.linking import link_study
+from planish.run.layers import Layer
+from planish.run.linking import link_layers, read_inputs
 from planish.run.preflight import check_request
 from planish.run.regions import REGIONS, write_regions
 from planish.run.run import MAPS, Run, is_run, marks_file
 from planish.run.sheet import CORRECTIONS, map_layer, write_corrections
-from planish.run.study import Study, changed, to_dict, write_study
+from planish.run.study import LayerParams, Study, changed, to_dict, write_study
 from planish.run.summaries import figures_text
-
-_DEEP = 3  # edits/NAME/FILE of a run
-_READ_BACK = 0.03  # of the memory, for maps that are read back
-_PAGES = 5_000_000  # bytes of report.html and the tables
 
 
 def run_study(
@@ -70,7 +66,7 @@ def run_study(
     with limit_threads(compute.threads):
         if out is None:
             check_request(study, compute, held=True)
-            return replace(_make(study, MappedSheets(), compute=settled, progress=progress), unchanged={})
+            return replace(_make(study, {}, {}, settled, progress), unchanged={})
         out = Path(out)
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
@@ -78,55 +74,58 @@ def run_study(
         hashes = [_hash(layer.path) for layer in study.layers]
         with work_folder(out, run_key(to_dict(study), hashes)) as work:
             caches = CachedMaps.of_link(study, hashes, out, compute)
-            sheets = MappedSheets() if old is None else sheets_of(old, study, hashes)
-            if caches:
-                cached = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
-                sheets = replace(sheets, ready={**cached, **sheets.ready})
-                for name in sheets.ready:
-                    progress("read", f"{name}, mapped before")
-            store = StoredMaps(
-                work / f".{secrets.token_hex(4)}.partial", keep_bytes=int(settled.memory * _READ_BACK)
-            ) if len(study.layers) > 1 else None  # fmt: skip
-            try:
-                run = _make(study, sheets, compute=settled, progress=progress, tiles=work / "tiles", sink=store)
-            except PlanishError as error:
-                with suppress(PlanishError, OSError):  # a disk that is full now does not hide what was wrong before
-                    _keep_maps(sheets, caches, study, work)
-                if advice := next_step(error, caches, study):
-                    raise type(error)(f"{error.text} {advice}") from error
-                raise
+            sheets = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
+            similar: dict[str, Layer] = {}
+            if old is not None:
+                ready, similar = sheets_of(old, study, hashes)
+                sheets |= ready
+            for name in sheets:
+                progress("read", f"{name}, mapped before")
+            store, keep_bytes = None, int(settled.memory * 0.03)  # for maps that are read back
+            if len(study.layers) > 1:
+                store = StoredMaps(work / f".{secrets.token_hex(4)}.partial", keep_bytes=keep_bytes)
+            run = _make(study, sheets, similar, settled, progress, caches=caches, work=work, sink=store)
             progress("write", str(out))
-            with new_folder(out, inside=work, needed=_size(run)) as folder:
+            # About the bytes of its pages, and of its maps, which hold noise, with overviews.
+            needed = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+            with new_folder(out, inside=work, needed=needed) as folder:
                 save_run(run, folder, home=out, store=store, figures=figures)
             moved = {name: stored_group(out / MAPS, name) for name in store.stored} if store is not None else {}
             return replace(run, groups=run.groups | moved, unchanged={})
 
 
 def _make(
-    study: Study, sheets: MappedSheets, *, compute: Compute, progress: Progress, tiles: Path | None = None,
-    sink: HeldMaps | None = None,
+    study: Study, ready: Mapping[str, Layer], similar: Mapping[str, Layer], compute: Compute, progress: Progress, *,
+    caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None, sink: HeldMaps | None = None,
 ) -> Run:  # fmt: skip
-    layer, more = study.layers[0], study.layers[1:]
-    if more:
-        return link_study(study, sheets, compute=compute, progress=progress, tiles=tiles, sink=sink)
-    similar = sheets.similar.get(layer.name)
-    return gather_sheet(map_layer(layer, compute=compute, progress=progress, tiles=tiles, before=similar), study)
-
-
-def _keep_maps(sheets: MappedSheets, caches: Mapping[str, CachedMaps], study: Study, work: Path) -> None:
-    """Keep the sheets of a link that was refused as runs beside its place."""
-    for name in sheets.ready.keys() & caches.keys():
-        if caches[name].path.exists():
-            caches[name].note(caches[name].path, study)
-    for name, sheet in sheets.mapped.items():
-        with new_folder(caches[name].path, inside=work) as folder:
-            save_run(gather_sheet(sheet, Study(layers=(sheet.params,))), folder, home=caches[name].path)
-            caches[name].note(folder, study)
-
-
-def _size(run: Run) -> int:
-    """About how many bytes its folder takes: those of its maps, which hold noise, of overviews, and of its pages."""
-    return _PAGES + sum(data.nbytes for data in run.groups.values()) * 4 // 3
+    """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
+    sheets, tiles, is_link = {**ready}, work and work / "tiles", len(study.layers) > 1
+    try:
+        # Volumes come last: what is wrong with images, runs, marks and regions should not cost their time.
+        inputs = read_inputs(study, progress) if is_link else None
+        for layer in study.layers:
+            if layer.kind == "volume" and layer.name not in sheets:
+                folder = tiles / layer.name if tiles is not None and is_link else tiles
+                before = similar.get(layer.name)
+                sheets[layer.name] = map_layer(layer, compute=compute, progress=progress, tiles=folder, before=before)
+        if inputs is None:
+            return gather_sheet(sheets[study.layers[0].name], study)
+        return link_layers(study, inputs, sheets, progress, sink or HeldMaps())
+    except PlanishError as error:
+        if not caches or work is None:
+            raise
+        with suppress(PlanishError, OSError):  # a disk that is full now does not hide what was wrong before
+            for name, cache in caches.items():
+                if cache.path.exists():
+                    cache.note(cache.path, study)
+                elif name in sheets and name not in ready:
+                    sheet = sheets[name]
+                    with new_folder(cache.path, inside=work) as folder:
+                        save_run(gather_sheet(sheet, Study(layers=(sheet.params,))), folder, home=cache.path)
+                        cache.note(folder, study)
+        if advice := next_step(error, caches, study):
+            raise type(error)(f"{error.text} {advice}") from error
+        raise
 
 
 def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = None, figures: bool = False) -> None:
@@ -151,8 +150,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     if run.regions is not None:
         write_regions(run.regions, folder)
         study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
-    study = _with_run_corrections(_with_run_marks(study, run, home), run, folder, home)
-    write_study(study, folder, home=home, version=__version__)
+    write_study(_with_own_files(study, run, folder, home), folder, home=home, version=__version__)
     write_report(
         folder / "report.html", results=run.results, groups=run.groups, marks=pairs,
         figures=folder / FIGURES if figures else None,
@@ -170,42 +168,37 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
 
 
-def _with_run_corrections(study: Study, run: Run, folder: Path, home: Path) -> Study:
-    """Corrections of its own sheets are files of the run; those of ``run.sheets`` stand in their folders by now."""
-    files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
-    corrections: dict[str, str | None] = {
-        name: str(home / file) if (folder / file).is_file() else None for name, file in files.items()
-    }
-    if "surfaces" in run.groups:
-        file = write_corrections(run.groups["surfaces"], folder)
-        corrections[study.layers[0].name] = str(home / file) if file else None
-    layers = tuple(
-        changed(layer, surface=changed(layer.surface, corrections=corrections[layer.name]))
-        if layer.kind == "volume" and layer.name in corrections else layer
-        for layer in study.layers
-    )  # fmt: skip
-    return changed(study, layers=layers)
+def _with_own_files(study: Study, run: Run, folder: Path, home: Path) -> Study:
+    """Name the run's own files of marks and corrections in its study, in place of those that they came from.
 
+    Marks of another run are in this one too, with all that is known of them. Corrections of ``run.sheets`` stand in
+    their folders by now.
+    """
 
-def _with_run_marks(study: Study, run: Run, home: Path) -> Study:
-    """Marks of another run are in this one too, with all that is known of them: from now on they are its own."""
+    def is_of_a_run(path: str | None) -> bool:  # such as edits/NAME/FILE of it
+        return path is not None and any(is_run(folder) for folder in Path(path).parents[:3])
 
-    def is_of_a_run(path: str | None) -> bool:
-        return path is not None and any(is_run(folder) for folder in Path(path).parents[:_DEEP])
-
-    files = {
+    marks = {
         name: str(home / marks_file(run.results, name))
         for name, registration in run.registrations.items()
         if registration.source == "json"
     }
-    layers = tuple(
-        changed(layer, marks=files[layer.name]) if layer.name in files and is_of_a_run(layer.marks) else layer
-        for layer in study.layers
-    )
+    files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
+    corrections = {name: str(home / file) if (folder / file).is_file() else None for name, file in files.items()}
+    if "surfaces" in run.groups:
+        file = write_corrections(run.groups["surfaces"], folder)
+        corrections[study.layers[0].name] = str(home / file) if file else None
+    layers = list[LayerParams]()
+    for layer in study.layers:
+        if layer.name in marks and is_of_a_run(layer.marks):
+            layer = changed(layer, marks=marks[layer.name])
+        if layer.kind == "volume" and layer.name in corrections:
+            layer = changed(layer, surface=changed(layer.surface, corrections=corrections[layer.name]))
+        layers.append(layer)
     registration = study.registration
-    if len(run.registrations) == 1 and files and is_of_a_run(registration.marks):
-        registration = changed(registration, marks=next(iter(files.values())))
-    return changed(study, layers=layers, registration=registration)
+    if len(run.registrations) == 1 and marks and is_of_a_run(registration.marks):
+        registration = changed(registration, marks=next(iter(marks.values())))
+    return changed(study, layers=tuple(layers), registration=registration)
 
 
 def _hash(path: str) -> str:

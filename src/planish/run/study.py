@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import re
 import tomllib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, Self, TypeVar
 
@@ -15,7 +15,7 @@ from pydantic import Field, ValidationError, model_validator
 from planish.analyze.params import CorrelateParams
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.mistakes import Key, KeyLines, Place, key_lines, mistakes, toml_mistake
+from planish.core.mistakes import Key, key_lines, mistakes, toml_mistake
 from planish.core.options import Params, options_of
 from planish.core.tables import read_text
 from planish.flatten.params import FlattenParams
@@ -43,11 +43,8 @@ SECTIONS: dict[str, type[Params]] = {
 }  # fmt: skip
 """Sections of a study with options, and the models of these."""
 
-_FLAG = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
-_PATHS = {"path", "run", "marks", "design", "regions", "corrections"}
-_OF_A_VOLUME = ("surface", "properties", "flatten")
-_OF_A_LAYER = ("volume", "image", *_OF_A_VOLUME)
-_OF_A_STUDY = ("holes", "registration", "correlate")
+MAP_SECTIONS, LINK_SECTIONS = ("surface", "properties", "flatten"), ("holes", "registration", "correlate")
+"""Sections of the mapping of a volume, and of a link."""
 
 
 class LayerParams(Params):
@@ -152,7 +149,15 @@ def read_study(path: Path) -> Study:
     try:
         study = as_study(data)
     except ValidationError as error:
-        faults = mistakes(error, Study, _place_in(key_lines(text), data))
+        lines = key_lines(text)
+
+        def place(loc: Key) -> tuple[Key, int | None]:
+            if loc[:1] == ("layers",) and "layers" not in data:
+                loc = loc[2:]  # of the short form
+            older = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
+            return loc, lines.of(older if older[:4] in lines.lines else loc)
+
+        faults = mistakes(error, Study, place)
         number = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
         raise InputError("\n  ".join([f"{path} has {number}:", *faults])) from error
     return with_paths(study, lambda p: _absolute(path.parent / p))
@@ -163,21 +168,28 @@ def _absolute(path: Path) -> str:
     return os.path.normpath(path.absolute()) if os.name == "nt" else str(path.resolve())
 
 
-def _place_in(lines: KeyLines, data: Mapping[str, Any]) -> Place:
-    """Where a file has what a study has: the short form of one volume has no list of layers."""
-
-    def place(loc: Key) -> tuple[Key, int | None]:
-        if loc[:1] == ("layers",) and "layers" not in data:
-            loc = loc[2:]
-        older = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
-        return loc, lines.of(older if older[:4] in lines.lines else loc)
-
-    return place
-
-
 def as_study(data: dict[str, Any]) -> Study:
     """Check the content of a study file, in any form that :func:`read_study` takes; ValidationError where wrong."""
-    return Study.model_validate(_with_layers(data))
+    data = dict(data)
+    registration: Any = data.get("registration")
+    if isinstance(registration, dict) and "hole_um" in registration:  # as planish 0.1.0 wrote it
+        data["registration"] = registration = dict[str, Any](registration)
+        data["holes"] = {"hole_um": registration.pop("hole_um")}
+    if "layers" not in data:  # the short form of one volume
+        sheet = {k: data.pop(k) for k in ("volume", *MAP_SECTIONS) if k in data}
+        image = [{"name": "image", "image": data.pop("image")}] if "image" in data else []
+        return Study.model_validate({"layers": [{"name": "sheet", **sheet}, *image], **data})
+    data.pop("rim_um", None)
+    if isinstance(data["layers"], list):
+        layers: list[Any] = []
+        for layer in data["layers"]:
+            tables = layer.get("map") if isinstance(layer, dict) else None
+            if isinstance(tables, dict):  # planish 0.1.0 had the volume one level deeper
+                tables = {k: v for k, v in tables.items() if k in ("volume", *MAP_SECTIONS)}
+                layer = {k: v for k, v in layer.items() if k != "map"} | tables
+            layers.append(layer)
+        data["layers"] = layers
+    return Study.model_validate(data)
 
 
 def faults_of(error: ValidationError, *, within: str = "") -> str:
@@ -185,34 +197,6 @@ def faults_of(error: ValidationError, *, within: str = "") -> str:
     places = [f"{within}{'.'.join(map(str, e['loc']))}: " if e["loc"] else "" for e in error.errors()]
     words = [e["msg"].removeprefix("Value error, ") for e in error.errors()]
     return "; ".join(f"{place}{text}" for place, text in zip(places, words, strict=True))
-
-
-def _with_layers(data: dict[str, Any]) -> dict[str, Any]:
-    """Turn the short form of one volume, and layers as planish 0.1.0 wrote them, into layers."""
-    data = dict(data)
-    registration: Any = data.get("registration")
-    if isinstance(registration, dict) and "hole_um" in registration:  # as planish 0.1.0 wrote it
-        data["registration"] = registration = dict[str, Any](registration)
-        data["holes"] = {"hole_um": registration.pop("hole_um")}
-    if "layers" in data:
-        if isinstance(data["layers"], list):
-            data["layers"] = [_flat_layer(layer) for layer in data["layers"]]
-        data.pop("rim_um", None)
-        return data
-    sheet = {k: data.pop(k) for k in ("volume", *_OF_A_VOLUME) if k in data}
-    layers: list[dict[str, Any]] = [{"name": "sheet", **sheet}]
-    if "image" in data:
-        layers.append({"name": "image", "image": data.pop("image")})
-    return {"layers": layers, **data}
-
-
-def _flat_layer(layer: Any) -> Any:
-    """A layer of planish 0.1.0 had its volume one level deeper, in ``map``."""
-    if not isinstance(layer, dict) or not isinstance(layer.get("map"), dict):  # type: ignore[reportUnknownMemberType]
-        return layer
-    layer = dict[str, Any](layer)
-    tables = layer.pop("map")
-    return layer | {k: v for k, v in tables.items() if k in ("volume", *_OF_A_VOLUME)}
 
 
 def with_values(study: Study, changes: Sequence[str]) -> Study:
@@ -227,19 +211,19 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     """
     data = to_dict(study)
     kinds = {layer.name: layer.kind for layer in study.layers}
-    faults: list[str] = []
+    faults, of_a_layer = list[str](), ("volume", "image", *MAP_SECTIONS)
     for text in changes:
         key, sign, value = (part.strip() for part in text.partition("="))
         path = key.split(".")
         name = path.pop(0) if len(path) > 2 and path[0] in kinds else None
-        if path[0] in _OF_A_LAYER:
+        if path[0] in of_a_layer:
             kind = "image" if path[0] == "image" else "volume"
             roots = [m for m in data["layers"] if name in (None, m["name"]) and kinds[m["name"]] == kind]
         else:
             roots = [data] if name is None and path[0] in Study.model_fields and path[0] != "layers" else []
         if not (sign and roots):
-            sections = ", ".join((*_OF_A_LAYER, *_OF_A_STUDY))
-            why = "; no layer of this study has it" if sign and path[0] in _OF_A_LAYER else ""
+            sections = ", ".join((*of_a_layer, *LINK_SECTIONS))
+            why = "; no layer of this study has it" if sign and path[0] in of_a_layer else ""
             faults.append(f"{text!r}: write SECTION.NAME=VALUE with a section of {sections}{why}")
             continue
         for root in roots:
@@ -264,7 +248,7 @@ def in_study_words(text: str) -> str:
     for section, model in SECTIONS.items():
         for name, _, shown in options_of(model):
             keys.setdefault(shown.flags[0], f"{section}.{name}")
-    return _FLAG.sub(lambda flag: keys.get(flag[0], flag[0]), text)
+    return re.sub(r"(?<![\w-])--[a-z][a-z0-9-]*", lambda flag: keys.get(flag[0], flag[0]), text)
 
 
 def _value(text: str) -> Any:
@@ -296,7 +280,7 @@ def to_dict(study: Study) -> dict[str, Any]:
     data = study.model_dump(mode="json", exclude_none=True)
     for layer, values in zip(study.layers, data["layers"], strict=True):
         if layer.kind != "volume":
-            for name in _OF_A_VOLUME:
+            for name in MAP_SECTIONS:
                 values.pop(name)
     return data
 
@@ -304,9 +288,8 @@ def to_dict(study: Study) -> dict[str, Any]:
 def with_paths(params: P, change: Callable[[str], str | None]) -> P:
     """Change all paths of a study: those of the files that it reads."""
     update: dict[str, Any] = {}
-    for name in type(params).model_fields:
-        value = getattr(params, name)
-        if name in _PATHS and isinstance(value, str):
+    for name, value in params:
+        if name in {"path", "run", "marks", "design", "regions", "corrections"} and isinstance(value, str):
             update[name] = change(value)
         elif isinstance(value, Params):
             update[name] = with_paths(value, change)

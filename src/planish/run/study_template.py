@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import textwrap
-from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin
+from typing import Any, Literal, NamedTuple, get_args, get_origin
 
 import tomli_w
 from pydantic.fields import FieldInfo
@@ -17,9 +16,6 @@ from planish.io.info import describe
 from planish.run.run import is_run
 from planish.run.study import SECTIONS, in_study_words, relative_path
 
-_WRAPPER = textwrap.TextWrapper(
-    100, initial_indent="# ", subsequent_indent="# ", break_long_words=False, break_on_hyphens=False
-)
 _OF_A_SHEET = {
     "surface": "How the faces of the sheet are found",
     "properties": "What is measured",
@@ -37,8 +33,7 @@ _NOT_IN_FILES = {
 """Options that no file states, with what they are."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Missing:
+class Missing(NamedTuple):
     """Something that has to be filled in before a study can be run, or that only the user knows."""
 
     line: int
@@ -47,8 +42,7 @@ class Missing:
     needed: bool  # whether the study cannot be run without it
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Draft:
+class Draft(NamedTuple):
     """Text of a study, and what is missing in it."""
 
     text: str
@@ -92,7 +86,7 @@ def draft_study(
         for key, field, shown in _options(SECTIONS[section]):
             lines += _option(key, field, shown, section)
     below = len(_head(name, missing))
-    missing = [replace(gap, line=gap.line + below) for gap in missing]
+    missing = [gap._replace(line=gap.line + below) for gap in missing]
     return Draft(text="\n".join([*_head(name, missing), *lines]) + "\n", missing=tuple(missing))
 
 
@@ -154,7 +148,7 @@ def _input(
             why = "the axis through the sheet, which the grey does not tell"
         lines += [*before, text]
         if why is not None:
-            missing.append(Missing(line=len(lines), key=f"{section}.{key}", why=why, needed=key == size_key))
+            missing.append(Missing(len(lines), f"{section}.{key}", why, key == size_key))
 
 
 def _description(facts: dict[str, Any], section: str) -> tuple[list[str], tuple[float, ...] | None]:
@@ -193,9 +187,8 @@ def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]
     default = field.get_default()
     note = "names in quotes, with commas between them" if kinds == [tuple[str, ...]] else unit_of(key) or ""
     if default is None and words and len(kinds) == 1:
-        value = _value(words[0])
-    else:
-        value = _placeholder(kinds, shown) if default is None else _value(default)
+        default = words[0]
+    value = _placeholder(kinds, shown) if default is None else _value(default)
     if alternatives := [word for word in words if word != str(words[0] if default is None else default)]:
         choices = " or ".join(map(_value, alternatives)) + (" or a number" if float in kinds else "")
         note = f"{note}; or {choices}" if note else f"or {choices}"
@@ -215,7 +208,8 @@ def _placeholder(kinds: list[Any], shown: Shown) -> str:
 
 
 def _comment(sentences: list[str]) -> list[str]:
-    return [line for sentence in sentences for line in _WRAPPER.wrap(sentence)]
+    how: Any = {"initial_indent": "# ", "subsequent_indent": "# ", "break_long_words": False, "break_on_hyphens": False}
+    return [line for sentence in sentences for line in textwrap.wrap(sentence, 100, **how)]
 
 
 def _value(value: Any) -> str:

@@ -14,7 +14,7 @@ from planish.analyze import LagNumbers
 from planish.analyze.compare import headline_of, is_property
 from planish.analyze.image_values import image_facts
 from planish.core.bands import band_of, bands, thinned
-from planish.core.checks import Check, concerned
+from planish.core.checks import concerned
 from planish.core.facts import InputFile, Side, is_known
 from planish.core.grid import Grid, pitch
 from planish.core.tables import table_text
@@ -36,9 +36,6 @@ from planish.run.layers import Layer
 from planish.run.position_error import error_shares
 from planish.run.registration import Link
 from planish.run.study import Study, to_dict, with_paths
-
-_HEADER = ("layers", "figure", "statistic", "value", "standard_error", "units", "n", "trust", "checks")
-Row = Sequence[Any]
 
 
 def versions() -> dict[str, str]:
@@ -62,13 +59,12 @@ def input_file(data: xr.DataArray, path: str) -> InputFile:
 
 def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     """What the surface search learnt and how much of the sheet it measured."""
-    attrs, status = surfaces.attrs, surfaces["status"]
+    status = surfaces["status"]
     names = str(status.attrs["flag_meanings"]).split()
-    counts = {k: int(attrs.get(k, 0)) for k in ("particles_removed", "half_closed_holes")}
-    counts |= {"columns": int(status.size)}
     shares = {name: float((status.values == k).mean()) for k, name in enumerate(names)}
-    search = {k: attrs.get(k) for k in SurfaceFacts.model_fields}
-    return SurfaceFacts.model_validate(search | counts | {"shares": shares})
+    search = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields} | {"columns": status.size, "shares": shares}
+    counts = {k: int(search[k] or 0) for k in ("particles_removed", "half_closed_holes")}
+    return SurfaceFacts.model_validate(search | counts)
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
@@ -142,11 +138,11 @@ def _registration_facts(layer: Layer, link: Link, maps: xr.Dataset, lag: LagNumb
             median_um=np.median(error), largest_um=error.max(), shares=error_shares(maps)
         ) if error.size else None,
         rotation_deg=float(np.rad2deg(fit.transform.rotation_rad)), shift_um=fit.transform.shift_um,
-        orientation=orientation_facts(layer, link.path[1], fit), lag=lag,
+        orientation=_orientation_facts(layer, link.path[1], fit), lag=lag,
     )  # fmt: skip
 
 
-def orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
+def _orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> OrientationFacts:
     """How two registered layers lie on each other: side, hand and machine direction, as given; nothing is guessed."""
     numbered_back = fit.mirrored != (moving.side != fixed.side)
     carried = None
@@ -163,17 +159,14 @@ def orientation_facts(moving: Layer, fixed: Layer, fit: FittedTransform) -> Orie
     ]
     if numbered_back:
         words.append(f"The marks fit mirrored only: the {moving.name} is numbered against the usual sense.")
+    start = "The machine direction lies at"
     if carried is not None:
         stated = "." if fixed.md_deg is None else f"; {_angle(fixed.md_deg)} was given there."
-        words.append(
-            f"The machine direction lies at {_angle(moving.md_deg)} in the {moving.name} and so at {_angle(carried)} "
-            f"in the {fixed.name}{stated}"
-        )
+        carried_on = f"so at {_angle(carried)} in the {fixed.name}{stated}"
+        words.append(f"{start} {_angle(moving.md_deg)} in the {moving.name} and {carried_on}")
     elif fixed.md_deg is not None:
-        words.append(
-            f"The machine direction lies at {_angle(fixed.md_deg)} in the {fixed.name}, as given; none was given for "
-            f"the {moving.name}."
-        )
+        lacking = f"none was given for the {moving.name}."
+        words.append(f"{start} {_angle(fixed.md_deg)} in the {fixed.name}, as given; {lacking}")
     else:
         words.append("Machine direction not given (--md-deg, --image-md-deg).")
     return OrientationFacts(
@@ -214,37 +207,34 @@ def figures_text(results: Results) -> str:
 
     ``trust`` is ``ok``, ``doubtful`` or ``withheld`` (then there is no value), ``checks`` names the checks that say so.
     """
-    rows = [row for layer in results.layers for row in _of_layer(layer, results.checks)]
-    return table_text(_HEADER, [*rows, *_correlations(results)])
+    header = ("layers", "figure", "statistic", "value", "standard_error", "units", "n", "trust", "checks")
+    return table_text(header, [*_figure_rows(results)])
 
 
-def _of_layer(layer: LayerFacts, checks: Sequence[Check]) -> Iterator[Row]:
-    for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
-        end = p.units, p.n, p.trust, _names(checks, (layer.name,), (name,))
-        yield layer.name, name, "mean", _text(p.mean), _text(p.mean_standard_error), *end
-        yield layer.name, name, "sd", _text(p.sd), "", *end
-        if p.standard_error is not None:
-            yield layer.name, name, "standard error of a column", _text(p.standard_error), "", *end
-    r = layer.registration
-    if r is not None and (e := r.expected_error) is not None:
-        end = "um", r.matched, e.trust, _names(checks, (layer.name,), ("position",))
-        for statistic, value in (("median", e.median_um), ("largest", e.largest_um)):
-            yield layer.name, "expected error of the position", statistic, _text(value), "", *end
+def _figure_rows(results: Results) -> Iterator[Sequence[Any]]:
+    def why(layers: Sequence[str], *figures: str) -> str:
+        checks = concerned(results.checks, layers, figures)
+        return "; ".join(check.name for check in checks if check.state in ("look", "fail"))
 
+    def text(number: float | None) -> float | str:
+        return "" if number is None or not is_known(number) else number
 
-def _correlations(results: Results) -> Iterator[Row]:
+    for layer in results.layers:
+        for name, p in ({} if layer.sheet is None else layer.sheet.properties).items():
+            end = p.units, p.n, p.trust, why((layer.name,), name)
+            yield layer.name, name, "mean", text(p.mean), text(p.mean_standard_error), *end
+            yield layer.name, name, "sd", text(p.sd), "", *end
+            if p.standard_error is not None:
+                yield layer.name, name, "standard error of a column", text(p.standard_error), "", *end
+        r = layer.registration
+        if r is not None and (e := r.expected_error) is not None:
+            end = "um", r.matched, e.trust, why((layer.name,), "position")
+            for statistic, um in (("median", e.median_um), ("largest", e.largest_um)):
+                yield layer.name, "expected error of the position", statistic, text(um), "", *end
     for row in results.correlations:
-        why = _names(results.checks, (row.a, row.b), (row.a_map, row.b_map, "position", "correlation"))
-        name = f"r of {row.a_map} and {row.b_map}"
-        size, layers = f"points of {row.point_um:g} um", f"{row.a} {row.b}"
-        yield layers, name, size, _text(row.r), "", "1", row.n, row.trust, why
-        for end, value in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
-            yield layers, name, f"{size}, {end} 95 % limit", value, "", "1", round(row.n_eff), row.trust, why
-
-
-def _names(checks: Sequence[Check], layers: Sequence[str], figures: Sequence[str]) -> str:
-    return "; ".join(c.name for c in concerned(checks, layers, figures) if c.state in ("look", "fail"))
-
-
-def _text(value: float | None) -> float | str:
-    return "" if value is None or not is_known(value) else value
+        figure, size = f"r of {row.a_map} and {row.b_map}", f"points of {row.point_um:g} um"
+        start = f"{row.a} {row.b}", figure
+        trust = row.trust, why((row.a, row.b), row.a_map, row.b_map, "position", "correlation")
+        yield *start, size, text(row.r), "", "1", row.n, *trust
+        for side, limit in zip(("lower", "upper"), row.interval if is_known(row.interval) else (), strict=False):
+            yield *start, f"{size}, {side} 95 % limit", limit, "", "1", round(row.n_eff), *trust

@@ -24,7 +24,6 @@ from planish.io.run_folder import read_group
 from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
-from planish.run.run import MAPS
 
 Codes = NDArray[np.unsignedinteger[Any]]
 
@@ -306,8 +305,7 @@ def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results:
 def _halved_maps(source: ExportSource, name: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
     data, stored = source.group(name)[names], 0
-    if source.folder is not None and not source.is_in_memory:
-        store = source.folder / MAPS
+    if (store := source.store) is not None:
         levels = range(halvings, 0, -1)
         stored = next((k for k in levels if (store / OVERVIEWS / name / str(k)).is_dir()), 0)
         if stored:
