@@ -27,9 +27,6 @@ FORMAT = 3
 """Version of the schema; planish 0.1.0 wrote files without one."""
 
 
-# --- a sheet -------------------------------------------------------------------------------------------------------
-
-
 class SurfaceFacts(ResultModel):
     """What the surface search learnt, and how much of the sheet it measured."""
 
@@ -114,9 +111,6 @@ class SheetFacts(ResultModel):
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
     flatten: FlatteningQuality = Field(description="The flattening.")
     sections: SectionFacts | None = Field(default=None, description="Where the volume was joined of serial sections.")
-
-
-# --- layers brought together -----------------------------------------------------------------------------------------
 
 
 class ErrorShares(ResultModel):

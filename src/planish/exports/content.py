@@ -3,83 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import Executor
-from dataclasses import dataclass, field, replace
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Future
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
-import google_crc32c
-import imagecodecs
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.core.bands import BAND, band_of, bands
+from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
 from planish.report.colours import Scale
-
-_SUM = 4  # bytes at the end of a chunk
-_DECODED = {"_FillValue", "scale_factor", "add_offset", "dtype"}  # attributes with which values are not as they stand
-
-
-@dataclass(frozen=True, slots=True)
-class Chunks:
-    """Chunks of an array (rows, cols) in a zarr store: of so many columns, as high as a band, packed as maps are."""
-
-    folder: Path
-    shape: tuple[int, int]
-    wide: int
-    dtype: np.dtype[Any]
-
-    @classmethod
-    def of(cls, folder: Path, shape: tuple[int, int], dtype: np.dtype[Any]) -> Chunks | None:
-        """Chunks of a map with this shape and type; None where they have another form."""
-        about = json.loads((folder / "zarr.json").read_text(encoding="utf-8"))
-        codecs = [codec["name"] for codec in about["codecs"]]
-        order = about["codecs"][0].get("configuration", {}).get("endian", "little")
-        keys = about["chunk_key_encoding"]
-        plain = (
-            codecs == ["bytes", "blosc", "crc32c"]
-            and order == "little"
-            and about["chunk_grid"]["name"] == "regular"
-            and (keys["name"], keys.get("configuration", {}).get("separator", "/")) == ("default", "/")
-            and (about["data_type"], tuple(about["shape"])) == (dtype.name, shape)
-            and not _DECODED & set(about["attributes"])
-        )
-        if not plain:
-            return None
-        high, wide = about["chunk_grid"]["configuration"]["chunk_shape"]
-        return cls(folder, shape, wide, dtype) if high == BAND else None
-
-    def start(self, rows: slice, target: np.dtype[Any], pool: Executor) -> Callable[[], NDArray[Any]]:
-        """Begin to read a band; what is returned waits for it.
-
-        It raises OSError, RuntimeError or ValueError where a chunk is damaged or not there.
-        """
-        band = np.empty((rows.stop - rows.start, self.shape[1]), target)
-        jobs = [
-            pool.submit(self._read, rows.start // BAND, k, band[:, k * self.wide : (k + 1) * self.wide])
-            for k in range(-(-self.shape[1] // self.wide))
-        ]
-
-        def done() -> NDArray[Any]:
-            for job in jobs:
-                job.result()
-            return band
-
-        return done
-
-    def _read(self, row: int, col: int, into: NDArray[Any]) -> None:
-        block = np.empty((BAND, self.wide), self.dtype)
-        packed = (self.folder / "c" / str(row) / str(col)).read_bytes()
-        if google_crc32c.value(packed[:-_SUM]) != int.from_bytes(packed[-_SUM:], "little"):
-            raise ValueError(f"a chunk of {len(packed)} bytes does not have the sum that was written with it")
-        decoded = imagecodecs.blosc_decode(packed[:-_SUM], numthreads=1, out=block.reshape(-1).view(np.uint8).data)
-        if len(decoded) != block.nbytes:
-            raise ValueError(f"{len(decoded)} bytes in a chunk of {block.nbytes}")
-        into[...] = block[: into.shape[0], : into.shape[1]]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,11 +42,7 @@ class ExportHistory:
 
     def json(self, **more: Any) -> str:
         """Return it as JSON, with what else is to be known of a file: one line of ASCII, always the same."""
-        history = {
-            "planish": self.planish, "exported_by": self.exported_by, "study_sha256": self.study_sha256,
-            "inputs": [dict(layer) for layer in self.inputs], **more,
-        }  # fmt: skip
-        return json.dumps(history, allow_nan=False)
+        return json.dumps(asdict(self) | more, allow_nan=False)
 
     @property
     def program(self) -> str:
@@ -166,12 +99,12 @@ class Maps:
         """Pitch of rows and columns, without the rounding of their coordinates; SizeError where there is none."""
         if min(self.shape) < 2:
             raise SizeError(f"The maps have {self.shape[0]} x {self.shape[1]} pixels; 2 x 2 are needed for a size.")
-        return tuple(_exact((um[-1] - um[0]) / (um.size - 1)) for um in self.at_um)  # type: ignore[return-value]
+        return tuple(exact((um[-1] - um[0]) / (um.size - 1)) for um in self.at_um)  # type: ignore[return-value]
 
     @property
     def origin_um(self) -> tuple[float, float]:
         """Middle of the first pixel: (y, x)."""
-        return tuple(_exact(um[0]) for um in self.at_um)  # type: ignore[return-value]
+        return tuple(exact(um[0]) for um in self.at_um)  # type: ignore[return-value]
 
     def facts(self) -> dict[str, Any]:
         """Group, pixel size and place, for the history."""
@@ -201,32 +134,19 @@ class Maps:
 
         ``dtype``: type of the values; the map's own where not given, truth values as bytes.
         """
-        variable, levels = self.data[name], self.levels.get(name)
+        variable = self.data[name]
         target = plain_type(variable.dtype) if dtype is None else np.dtype(dtype)
-        chunks = Chunks.of(levels[0], self.shape, variable.dtype) if levels else None
-
-        def read(rows: slice) -> NDArray[Any]:
-            return np.ascontiguousarray(band_of(variable, rows), dtype=target)
-
-        def start(rows: slice) -> Callable[[], NDArray[Any]]:
-            if chunks is None:
-                return pool.submit(read, rows).result
-            of_chunks = chunks.start(rows, target, pool)
-
-            def wait() -> NDArray[Any]:
-                try:
-                    return of_chunks()
-                except (OSError, RuntimeError, ValueError):
-                    return read(rows)  # says what is wrong with the store
-
-            return wait
-
         parts = list(bands(self.shape[0]))
         with thread_pool() as pool:
-            wait = None
+
+            def start(rows: slice) -> Future[NDArray[Any]]:
+                return pool.submit(lambda: np.ascontiguousarray(band_of(variable, rows), dtype=target))
+
+            reading = start(parts[0])
             for rows, following in zip(parts, [*parts[1:], None], strict=True):
-                band = (wait or start(rows))()
-                wait = None if following is None else start(following)
+                band = reading.result()
+                if following is not None:
+                    reading = start(following)
                 yield rows, band
 
 
@@ -253,5 +173,6 @@ def column_of(name: str, units: str) -> str:
     return name if units in ("", "1") or name.endswith(f"_{word}") else f"{name}_{word}"
 
 
-def _exact(length_um: float) -> float:
-    return float(f"{length_um:.12g}")  # sums of multiples of a pixel size have no more digits
+def exact(length_um: float) -> float:
+    """Give a length as it was meant: sums of multiples of a pixel size have no more than twelve digits."""
+    return float(f"{length_um:.12g}")

@@ -100,9 +100,6 @@ def _check_size(request: ExportRequest, count: int, words: str, remedy: str) -> 
         )
 
 
-# --- maps ----------------------------------------------------------------------------------------------------------
-
-
 def _maps(request: ExportRequest) -> list[OutputFile]:
     source, form, out = request.source, request.form, request.out
     group = source.map_group(request.params.group)
@@ -130,9 +127,6 @@ def _maps(request: ExportRequest) -> list[OutputFile]:
     return [OutputFile([f"{group.rsplit('/', 1)[-1]}{form.suffixes[0]}"], maps, words)]
 
 
-# --- the straightened volume ---------------------------------------------------------------------------------------
-
-
 def _straightened(request: ExportRequest) -> list[OutputFile]:
     params, form = request.params, request.form
     if "volume" not in form.holds:
@@ -146,11 +140,8 @@ def _straightened(request: ExportRequest) -> list[OutputFile]:
     return [OutputFile([f"{STRAIGHTENED}{form.suffixes[0]}"], volume, words)]
 
 
-# --- surfaces ------------------------------------------------------------------------------------------------------
-
-
 def _surfaces(request: ExportRequest) -> list[OutputFile]:
-    source, params, out = request.source, request.params, request.out
+    source, params = request.source, request.params
     facts = source.sheet
     if facts is None:
         raise InputError(
@@ -158,9 +149,9 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
             "were linked."
         )
     surfaces = source.group("surfaces")
-    planes = {str(k): plane for k, plane in surfaces.data_vars.items() if plane.ndim == 2}
+    planes = [str(k) for k, plane in surfaces.data_vars.items() if plane.ndim == 2 and plane.dtype.kind in "fiub"]
     measured = [name for name in SURFACES if name in surfaces and bool(np.isfinite(surfaces[name].values).any())]
-    asked = checked_names(params.maps, [k for k, plane in planes.items() if plane.dtype.kind in "fiub"], "surfaces")
+    asked = checked_names(params.maps, planes, "surfaces")
     chosen = [name for name in asked if name in SURFACES] or measured
     # The properties where no map is named, the headline of the sheet first.
     usual = [k for k, plane in surfaces.data_vars.items() if is_property(plane) and k not in SURFACES]
@@ -171,8 +162,8 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
         raise InputError(f"The sheet has no {' and no '.join(lacking)}; it has {', '.join(measured)}.")
     if request.single and len(chosen) > 1:
         raise StudyError(
-            f"{out.name} holds one surface, and there are {len(chosen)}. Choose one of {', '.join(chosen)} with --map, "
-            "or give a folder."
+            f"{request.out.name} holds one surface, and there are {len(chosen)}. Choose one of {', '.join(chosen)} "
+            "with --map, or give a folder."
         )
     exported = surfaces[[*chosen, *maps]]
     (rows, cols), (down, across) = (exported.sizes["y"], exported.sizes["x"]), steps_of(exported, params.mesh_um)
@@ -184,9 +175,6 @@ def _surfaces(request: ExportRequest) -> list[OutputFile]:
         OutputFile([f"{name}{request.form.suffixes[0]}"], Surface(exported, name, maps, scales), name)
         for name in chosen
     ]
-
-
-# --- registrations -------------------------------------------------------------------------------------------------
 
 
 def _registrations(request: ExportRequest) -> list[OutputFile]:
@@ -276,7 +264,7 @@ def export(
     with limit_threads(compute.threads):
         request = ExportRequest(
             source=source, params=params, compute=compute, progress=progress, out=out, single=single
-        )  # fmt: skip
+        )
         if "run" in form.holds:
             if params.maps or params.group is not None:
                 raise StudyError("An RO-Crate holds the whole run. Leave --map and --group out.")

@@ -86,18 +86,6 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
         file.tofile(target)
 
 
-_DESCRIPTIONS: dict[str, tuple[str, str]] = {
-    "run.toml": ("Every parameter of the run; planish run repeats it", "application/toml"),
-    "results.json": ("Every number of the run", "application/json"),
-    "figures.csv": ("Every figure with its error", "text/csv"),
-    "report.html": ("The report, to read", "text/html"),
-    "regions.geojson": ("Regions that were declared artefacts", "application/geo+json"),
-    "maps.zarr": ("All maps, zarr version 3; xarray.open_datatree opens it", ""),
-    "figures": ("The figures of the report as SVG and CSV", ""),
-    "layers": ("Whole runs of volumes that were mapped on the way", ""),
-}
-
-
 def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportParams) -> None:
     """Copy a run folder into a crate, a new folder.
 
@@ -133,26 +121,30 @@ def write_crate(run: Path, path: Path, history: ExportHistory, _params: ExportPa
     crate.write(str(path))
 
 
-def _add(crate: Any, entry: Path) -> Any:
-    """Add a file with its size and hash, or a folder."""
-    words, kind = _DESCRIPTIONS.get(
-        entry.name, ("Marks and registration" if entry.name.startswith("marks") else entry.name, "")
-    )
-    if entry.is_dir():
-        return crate.add_dataset(str(entry), f"{entry.name}/", properties={"name": entry.name, "description": words})
-    kinds = {".json": "application/json", ".csv": "text/csv"}
-    with entry.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
-    return crate.add_file(
-        str(entry), entry.name,
-        properties={
-            "name": entry.name, "description": words, "contentSize": str(entry.stat().st_size), "sha256": sha256,
-            "encodingFormat": kind or kinds.get(entry.suffix, "application/octet-stream"),
-        },
-    )  # fmt: skip
-
-
 def _entity(crate: Any, identifier: str, kind: str, **properties: Any) -> Any:
     from rocrate.model.contextentity import ContextEntity
 
     return crate.add(ContextEntity(crate, identifier, properties={"@type": kind} | properties))
+
+
+def _add(crate: Any, entry: Path) -> Any:
+    """Add a file with its size and hash, or a folder."""
+    name = entry.name
+    words = {
+        "run.toml": "Every parameter of the run; planish run repeats it", "results.json": "Every number of the run",
+        "figures.csv": "Every figure with its error", "report.html": "The report, to read",
+        "regions.geojson": "Regions that were declared artefacts",
+        "maps.zarr": "All maps, zarr version 3; xarray.open_datatree opens it",
+        "figures": "The figures of the report as SVG and CSV",
+        "layers": "Whole runs of volumes that were mapped on the way",
+    }.get(name, "Marks and registration" if name.startswith("marks") else name)  # fmt: skip
+    about = {"name": name, "description": words}
+    if entry.is_dir():
+        return crate.add_dataset(str(entry), f"{name}/", properties=about)
+    kind = {
+        ".toml": "application/toml", ".json": "application/json", ".csv": "text/csv", ".html": "text/html",
+        ".geojson": "application/geo+json",
+    }.get(entry.suffix, "application/octet-stream")  # fmt: skip
+    sha256 = hashlib.sha256(entry.read_bytes()).hexdigest()
+    about |= {"contentSize": str(entry.stat().st_size), "sha256": sha256, "encodingFormat": kind}
+    return crate.add_file(str(entry), name, properties=about)

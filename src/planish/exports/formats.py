@@ -77,7 +77,7 @@ class ExportFormat:
 
     title: str
     writer: str
-    holds: tuple[Holds, ...]
+    holds: tuple[Holds, ...] = ("maps",)
     suffixes: tuple[str, ...]
     endings: tuple[str, ...] = ()
     is_folder: bool = False
@@ -86,7 +86,7 @@ class ExportFormat:
     shows_limits: bool = False
     gives: str
     opens: str
-    missing: str
+    missing: str = "NaN"
     most: int | None = None
     byte_cost: int = 0
     needs: str | None = None
@@ -103,8 +103,6 @@ class ExportFormat:
         return (self.endings or self.suffixes)[: 1 if affine or not self.endings else None]
 
 
-_ENDING = re.compile(r"\.[A-Za-z][A-Za-z0-9]{0,4}")  # of a file; a folder may be called run.2
-
 _BOTH = (
     "SOURCE_to_TARGET takes points of SOURCE to TARGET, x and y of planish; programs take the same file to resample an "
     "image of TARGET onto SOURCE."
@@ -117,55 +115,55 @@ FORMATS: dict[str, ExportFormat] = {
         title="TIFF", writer="tiff:write_imagej", holds=("maps", "volume"),
         suffixes=(".tif", ".tiff"), stack=True, shows_limits=True,
         gives="32-bit maps with pixel size in um; several in one file as channels with names; history under Show Info",
-        opens="ImageJ, Fiji", missing="NaN",
+        opens="ImageJ, Fiji",
     ),
     "ome-tiff": ExportFormat(
         title="OME-TIFF", writer="tiff:write_ome", holds=("maps", "volume"), suffixes=(".ome.tif", ".ome.tiff"),
         stack=True,
         gives="the same with OME metadata: pixel size, place of the first pixel, names of channels",
-        opens="Fiji (Bio-Formats), QuPath", missing="NaN",
+        opens="Fiji (Bio-Formats), QuPath",
     ),
     "ome-zarr": ExportFormat(
         title="OME-Zarr", writer="ome_zarr:write", holds=("maps", "volume"), suffixes=(".ome.zarr", ".zarr"),
         is_folder=True, stack=True,
         gives="OME-Zarr 0.5 with overviews, each half as fine; size and place in um",
-        opens="napari, MoBIE", missing="NaN",
+        opens="napari, MoBIE",
     ),
     "netcdf": ExportFormat(
-        title="NetCDF", writer="extras:write_netcdf", holds=("maps",), suffixes=(".nc",), stack=True, needs="h5netcdf",
+        title="NetCDF", writer="extras:write_netcdf", suffixes=(".nc",), stack=True, needs="h5netcdf",
         gives="NetCDF-4 by the CF conventions: maps in their own type, coordinates, units",
         opens="R, Python, MATLAB", missing="NaN as `_FillValue`",
     ),
     "mat": ExportFormat(
-        title="MATLAB", writer="matlab:write", holds=("maps",), suffixes=(".mat",),
+        title="MATLAB", writer="matlab:write", suffixes=(".mat",),
         stack=True, options=("mat_version",),
         gives="a variable for each map, `x_um`, `y_um`, `pixel_um`, `units`, `titles`, `history`; version 5 or 7.3",
-        opens="MATLAB, GNU Octave", missing="NaN",
+        opens="MATLAB, GNU Octave",
     ),
     "gwy": ExportFormat(
-        title="Gwyddion", writer="extras:write_gwyddion", holds=("maps",), suffixes=(".gwy",), stack=True,
+        title="Gwyddion", writer="extras:write_gwyddion", suffixes=(".gwy",), stack=True,
         needs="gwyfile",
         gives="a channel for each map, lengths in metres, with its mask; history under Metadata Browser",
         opens="Gwyddion", missing="the mask; below it the mean of the map", most=100_000_000, byte_cost=26,
     ),
     "txt": ExportFormat(
-        title="plain text", writer="tables:write_matrix", holds=("maps",), suffixes=(".txt",),
+        title="plain text", writer="tables:write_matrix", suffixes=(".txt",),
         gives="one map as a matrix: a line for each row, tabs between; what it is stands in lines with `#`",
         opens="GNU Octave, MATLAB, Origin", missing="`NaN`",
     ),
     "csv": ExportFormat(
-        title="CSV", writer="tables:write_points", holds=("maps",), suffixes=(".csv",), stack=True,
+        title="CSV", writer="tables:write_points", suffixes=(".csv",), stack=True,
         apart=False, options=("point_um",),
         gives="a table of points or pixels: place, every map, image, place in the volume, share that is valid",
         opens="GNU Octave, R, Origin, Excel", missing="`NaN`; points that show nothing are left out",
     ),
     "png": ExportFormat(
-        title="PNG", writer="picture:write_png", holds=("maps",), suffixes=(".png",), shows_limits=True,
+        title="PNG", writer="picture:write", suffixes=(".png",), shows_limits=True,
         gives="a picture with colour bar, axes and scale bar, at most 2000 pixels of the map across",
         opens="anything", missing="grey",
     ),
     "svg": ExportFormat(
-        title="SVG", writer="picture:write_svg", holds=("maps",), suffixes=(".svg",), shows_limits=True,
+        title="SVG", writer="picture:write", suffixes=(".svg",), shows_limits=True,
         gives="the same picture to edit: lines and text stay lines and text",
         opens="browsers, Inkscape", missing="grey",
     ),
@@ -213,7 +211,7 @@ FORMATS: dict[str, ExportFormat] = {
         title="NRRD", writer="transforms:write_nrrd", holds=("registration", "maps"), suffixes=(".nrrd",),
         options=("unit",),
         gives="the registration as displacement fields; with a group, its maps with size and place",
-        opens="ITK, SimpleITK, elastix", missing="NaN",
+        opens="ITK, SimpleITK, elastix",
         note="Of a registration: beside a field other programs take 0, so nothing moves there.",
     ),
     "zarr": ExportFormat(
@@ -270,7 +268,7 @@ def is_file(name: str, out: Path) -> bool:
     meant = [other for end, other in endings if len(end) == longest]
     if name in meant:
         return True
-    if not meant and not _ENDING.fullmatch(out.suffix):
+    if not meant and not re.fullmatch(r"\.[A-Za-z][A-Za-z0-9]{0,4}", out.suffix):  # a folder may be called run.2
         return False
     ends = f"a name that ends in {' or '.join(form.suffixes)}, or " if form.suffixes else ""
     whose = f"ends as {FORMATS[meant[0]].title} does (--to {meant[0]})" if meant else f"has the ending {out.suffix}"
@@ -321,7 +319,7 @@ class ExportParams(Params):
         False,
         help=f"{formats_with('as_seen')}: turn y around, so that programs whose y runs upwards show the sheet as "
         "the maps do and not its mirror image. Otherwise places are those of the volume.",
-    )  # fmt: skip
+    )
     depth_um: tuple[float, float] | None = option(
         None, metavar="LOW,HIGH",
         help="straightened: from where to where along the normals, in um from the centre surface, up to the top; from "

@@ -22,7 +22,6 @@ MOST_5 = 2**31 - 2**20
 _USUAL_5 = 200_000_000  # bytes up to which version 5 is taken where none is chosen: all of it is held in memory
 _CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
 _HEAD = 512  # bytes before an HDF5 file of MATLAB
-_CLASSES = {"float32": "single", "float64": "double"}
 _TEXT = 116  # bytes of free text in front of both versions; the date that stands there usually is left out
 
 
@@ -87,15 +86,12 @@ def _put_map(file: h5py.File, maps: Maps, name: str) -> None:
     if maps.data[name].dtype.kind == "b":
         _set_class(dataset, "logical", decode=1)
     else:
-        _set_class(dataset, _CLASSES.get(dtype.name, dtype.name))
+        _set_class(dataset, {"float32": "single", "float64": "double"}.get(dtype.name, dtype.name))
 
 
 def _turned(band: NDArray[Any], chunk: tuple[int, int], begin: int) -> NDArray[Any]:
     """A chunk of a band (rows, cols) as (cols, rows), with zeros beyond the map."""
-    part = band[:, begin : begin + chunk[0]].T
-    if part.shape == chunk:
-        return np.ascontiguousarray(part)
-    block = np.zeros(chunk, band.dtype)
+    part, block = band[:, begin : begin + chunk[0]].T, np.zeros(chunk, band.dtype)
     block[: part.shape[0], : part.shape[1]] = part
     return block
 

@@ -5,21 +5,18 @@ from __future__ import annotations
 import json
 import shutil
 from collections.abc import Sequence
-from concurrent.futures import Executor, Future
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import zarr
-from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from planish.core.area import count_of, halved_values
-from planish.core.threads import thread_pool
+from planish.core.bands import BAND, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
-
-_CHUNK = 512  # as the large maps of a run are stored, so that their chunks are those of the image, too
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
@@ -37,47 +34,37 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
     arrays: list[Any] = [
         group.create_array(
             str(level), shape=(*channels, *size), dtype=np.float32,
-            chunks=(*(1 for _ in channels), *(min(n, _CHUNK) for n in size)), fill_value=np.nan, compressors=codecs,
+            chunks=(*(1 for _ in channels), *(min(n, BAND) for n in size)), fill_value=np.nan, compressors=codecs,
             dimension_names=[*("c" for _ in channels), "y", "x"], config={"write_empty_chunks": True},
         )
         for level, size in enumerate(sizes)
     ]  # fmt: skip
     windows: list[dict[str, float]] = []
-    with thread_pool() as pool:
-        for k, name in enumerate(names):
-            channel = k if several else None
-            if not _copied(path, maps.levels.get(name, ()), len(arrays), channel, pool):
-                finest = None
-                for array in reversed(arrays):
-                    finest = _Level(array, channel, pool, finest)
-                assert finest is not None
-                for rows, band in maps.bands(name, np.float32):
-                    finest.add(band, last=rows.stop == maps.shape[0])
-                finest.finish()
-            overview = np.asarray(arrays[-1][... if channel is None else channel])  # the coarsest
-            low, high = percentile_limits(overview)
-            values = overview[np.isfinite(overview)]
-            ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
-            windows.append({"min": ends[0], "max": ends[1], "start": low, "end": high})
+    for k, name in enumerate(names):
+        channel = (k,) if several else ()
+        if not _copied(path, maps.levels.get(name, ()), len(arrays), channel):
+            for rows, band in maps.bands(name, np.float32):
+                arrays[0][(*channel, rows)] = band
+            for finer, coarser in pairwise(arrays):
+                for rows in bands(coarser.shape[-2]):
+                    part = finer[(*channel, slice(2 * rows.start, 2 * rows.stop))]
+                    coarser[(*channel, rows)] = halved_values(part)
+        overview = np.asarray(arrays[-1][(*channel, ...)])  # the coarsest
+        low, high = percentile_limits(overview)
+        values = overview[np.isfinite(overview)]
+        ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+        windows.append({"min": ends[0], "max": ends[1], "start": low, "end": high})
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
 
 
-# --- chunks that are there already -----------------------------------------------------------------------------------
-
-
-def _copied(path: Path, sources: Sequence[Path], levels: int, channel: int | None, pool: Executor) -> bool:
+def _copied(path: Path, sources: Sequence[Path], levels: int, channel: tuple[int, ...]) -> bool:
     """Copy the chunks of a map and its overviews; False, and nothing is done, where they are not those of the image."""
     targets = [path / str(k) for k in range(levels)]
     if len(sources) != levels or not all(_alike(*pair) for pair in zip(sources, targets, strict=True)):
         return False
-    jobs: list[Future[Any]] = []
     for source, target in zip(sources, targets, strict=True):
-        place = target / "c" if channel is None else target / "c" / str(channel)
-        for row in (source / "c").iterdir():
-            (place / row.name).mkdir(parents=True)
-            jobs += [pool.submit(shutil.copyfile, file, place / row.name / file.name) for file in row.iterdir()]
-    for job in jobs:
-        job.result()
+        place = target.joinpath("c", *map(str, channel))
+        shutil.copytree(source / "c", place, copy_function=shutil.copyfile, dirs_exist_ok=True)
     return True
 
 
@@ -90,59 +77,18 @@ def _alike(source: Path, target: Path) -> bool:
     return forms[0] == forms[1] and chunks[0] == chunks[1] and abouts[0]["shape"] == abouts[1]["shape"][-2:]
 
 
-# --- chunks that are made --------------------------------------------------------------------------------------------
-
-
-class _Level:
-    """One resolution of a map, of which rows are added; it hands on means of them to the next.
-
-    What was added before is written by another thread meanwhile.
-    """
-
-    def __init__(self, array: Any, channel: int | None, pool: Executor, coarser: _Level | None) -> None:
-        self._array, self._channel, self._pool, self._coarser, self._done = array, channel, pool, coarser, 0
-        self._writing: Future[None] | None = None
-        self._waiting: list[NDArray[np.float32]] = []
-
-    def add(self, rows: NDArray[np.float32], *, last: bool) -> None:
-        """Add rows; whole chunks are written, and what is left over at the end."""
-        self._waiting.append(rows)
-        high = sum(len(part) for part in self._waiting)
-        if high < _CHUNK and not last:
-            return
-        part = np.concatenate(self._waiting) if len(self._waiting) > 1 else rows
-        place, self._waiting = slice(self._done, self._done + high), []
-        self._done += high
-        if self._writing is not None:
-            self._writing.result()
-        index = place if self._channel is None else (self._channel, place)
-        self._writing = self._pool.submit(self._array.__setitem__, index, part)
-        if self._coarser is not None:
-            self._coarser.add(halved_values(part), last=last)
-
-    def finish(self) -> None:
-        """Wait for what is being written, here and of the coarser levels."""
-        if self._writing is not None:
-            self._writing.result()
-        if self._coarser is not None:
-            self._coarser.finish()
-
-
-# --- what is said of them --------------------------------------------------------------------------------------------
-
-
 def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:
     names = maps.names
     several = len(names) > 1
-    axes = [{"name": "c", "type": "channel"}] if several else []
+    axes = [{"name": "c", "type": "channel"}] * several
     axes += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
     datasets: list[dict[str, Any]] = []
     for k in range(levels):
         scale = [pitch * 2**k for pitch in maps.pixel_um]
         first = [um + pitch * (2**k - 1) / 2 for um, pitch in zip(maps.origin_um, maps.pixel_um, strict=True)]
         transformations = [
-            {"type": "scale", "scale": [1.0, *scale] if several else scale},
-            {"type": "translation", "translation": [0.0, *first] if several else first},
+            {"type": "scale", "scale": [1.0] * several + scale},
+            {"type": "translation", "translation": [0.0] * several + first},
         ]
         datasets.append({"path": str(k), "coordinateTransformations": transformations})
     multiscale = {

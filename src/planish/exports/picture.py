@@ -3,16 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Generator
-from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import matplotlib as mpl
 import numpy as np
 from matplotlib import style
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.backends.backend_svg import FigureCanvasSVG
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
@@ -40,28 +36,8 @@ _STYLE: dict[str, Any] = {
 }  # fmt: skip
 
 
-def write_png(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Draw one map as PNG."""
-    with _drawn(maps, history) as (figure, title, note), path.open("wb") as file:
-        about = {"Software": history.program, "Title": title, "Description": note}
-        FigureCanvasAgg(figure).print_png(file, metadata=about)
-
-
-def write_svg(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
-    """Draw one map as SVG; lines and text stay lines and text."""
-    with _drawn(maps, history) as (figure, title, note), path.open("wb") as file:
-        about = {"Date": None, "Creator": history.program, "Title": title, "Description": note}
-        FigureCanvasSVG(figure).print_svg(file, metadata=about)
-
-
-def colormap_of(scale: Scale) -> Colormap:
-    """Return the colours of a scale; missing values are grey."""
-    return mpl.colormaps[scale.colours].with_extremes(bad=MISSING)
-
-
-@contextmanager
-def _drawn(maps: Maps, history: ExportHistory) -> Generator[tuple[Figure, str, str]]:
-    """Give the figure of one map, its title, and its history.
+def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) -> None:
+    """Draw one map as PNG, or as SVG in which lines and text stay lines and text.
 
     Colours span the limits that are chosen for it, otherwise its 1st to its 99th percentile.
     """
@@ -69,8 +45,15 @@ def _drawn(maps: Maps, history: ExportHistory) -> Generator[tuple[Figure, str, s
     pixels, times = _reduced(maps, name)
     scale = maps.scales.get(name) or Scale(*percentile_limits(pixels))
     note = history.json(**maps.facts(), map=name, low=scale.low, high=scale.high, reduced=times)
-    with style.context(["default", _STYLE]):  # whatever the user has set
-        yield _figure(maps, pixels, times, scale), maps.titles[name], note
+    program = {"Software": history.program} if params.to == "png" else {"Date": None, "Creator": history.program}
+    about = program | {"Title": maps.titles[name], "Description": note}
+    with style.context(["default", _STYLE]), path.open("wb") as file:  # whatever the user has set
+        _figure(maps, pixels, times, scale).savefig(file, format=params.to, metadata=about)
+
+
+def colormap_of(scale: Scale) -> Colormap:
+    """Return the colours of a scale; missing values are grey."""
+    return mpl.colormaps[scale.colours].with_extremes(bad=MISSING)
 
 
 def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
@@ -108,10 +91,8 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, scale: Scale)
     )  # fmt: skip
     axes.locator_params(nbins=max(3, min(9, width // 160)), axis="x")
     axes.locator_params(nbins=max(3, min(9, height // 110)), axis="y")
-    axes.set_xlabel(f"{maps.dims[1]} / µm")
-    axes.set_ylabel(f"{maps.dims[0]} / µm")
-    bar = box(_LEFT + width + 40, _TOP, 36, max(height, 300))
-    colours = figure.colorbar(drawn, cax=bar)
+    axes.set(xlabel=f"{maps.dims[1]} / µm", ylabel=f"{maps.dims[0]} / µm")
+    colours = figure.colorbar(drawn, cax=box(_LEFT + width + 40, _TOP, 36, max(height, 300)))
     colours.outline.set_linewidth(0.6)  # pyright: ignore
     colours.set_label(unit(maps.units[name]))
     figure.text(

@@ -41,9 +41,6 @@ IMAGE = "image"
 STRAIGHTENED = "straightened"
 """The group that is worked out: the volume along the normals."""
 
-_GRIDS = ("linked", "maps", "refined", "surfaces", "flat")
-"""Groups of maps on one grid, beside those of layers."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ExportSource:
@@ -94,8 +91,6 @@ class ExportSource:
             inputs=tuple({"layer": layer, "name": s.name, "sha256": s.sha256} for layer, s in sources),
         )  # fmt: skip
 
-    # --- maps ---------------------------------------------------------------------------------------------------
-
     @cached_property
     def groups(self) -> list[str]:
         """Names of the groups."""
@@ -121,7 +116,7 @@ class ExportSource:
             If there is none of that name.
         """
         layers = [group for group in self.groups if group.startswith("layers/") and group.count("/") == 1]
-        groups = [group for group in _GRIDS if group in self.groups] + layers
+        groups = [k for k in ("linked", "maps", "refined", "surfaces", "flat") if k in self.groups] + layers
         wanted = name or next((group for group in ("linked", "maps") if group in groups), None)
         if wanted is None:
             raise InputError(f"The run holds the maps of several layers. Choose one with --group: {', '.join(groups)}.")
@@ -175,8 +170,6 @@ class ExportSource:
             parts = [np.where(parts[1], parts[0], np.nan)]
         measured = np.concatenate([part[np.isfinite(part)] for part in parts]).astype(np.float64)
         return colours_of(maps[name].rename(name), measured)
-
-    # --- the sheet ----------------------------------------------------------------------------------------------
 
     @property
     def sheet(self) -> LayerFacts | None:
@@ -252,8 +245,6 @@ class ExportSource:
             raise FileError(f"The volume of this run stands in the run {layer.run}, which is not there. Put it back.")
         return next(layer for layer in read_study(path).layers if layer.volume is not None)
 
-    # --- registrations ------------------------------------------------------------------------------------------
-
     def registration(self, name: str) -> Registration:
         """Read the registration of a moving layer."""
         if name not in self.registrations and self.folder is not None:
@@ -312,8 +303,6 @@ class ExportSource:
             rows, cols = layer.source.shape[:2]
             down, across = layer.source.size_um[-2:]
             return Grid.regular((rows, cols), (down, across))
-        if self.sheet is not None and self.sheet.name == name:
-            return Grid.of(self.group("maps", ["thickness"]))
         if f"layers/{name}" in self.groups and name == self.results.reference.name:
             return Grid.of(self.group(f"layers/{name}", ["thickness"]))
         run = self.sheet_run(name)

@@ -17,7 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import ResourceError
-from planish.exports.content import ExportHistory, Maps
+from planish.exports.content import ExportHistory, Maps, exact
 from planish.exports.formats import ExportParams
 
 MOST = 2**32 - 2**20
@@ -115,8 +115,8 @@ class _Stack:
                 facts=content.facts() | {"maps": content.titles},
             )  # fmt: skip
         axes = [content[dim].values for dim in content.dims]
-        first = tuple(float(f"{um[0]:.12g}") for um in axes)
-        pixel = tuple(float(f"{(um[-1] - um[0]) / max(um.size - 1, 1):.12g}") for um in axes)
+        first = tuple(exact(um[0]) for um in axes)
+        pixel = tuple(exact((um[-1] - um[0]) / max(um.size - 1, 1)) for um in axes)
         facts = {str(key): fact for key, fact in content.attrs.items() if key != "voxel_um"}
         facts |= {"axes": "".join(map(str, content.dims)), "voxel_um": list(pixel), "first_voxel_um": list(first)}
         return cls(

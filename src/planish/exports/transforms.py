@@ -252,9 +252,7 @@ def _affine_parameters(transform: DirectedTransform, scale: float) -> tuple[list
     return [*transform.affine.matrix().ravel(), *(target - source)], list(source)
 
 
-def _elastix_parameters(
-    kind: str, parameters: Sequence[float] | np.ndarray, first: str
-) -> dict[str, Sequence[object]]:  # fmt: skip
+def _elastix_parameters(kind: str, parameters: Sequence[float] | np.ndarray, first: str) -> dict[str, Sequence[object]]:
     return {
         "Transform": [kind], "NumberOfParameters": [len(parameters)],
         "TransformParameters": [float(v) for v in parameters],

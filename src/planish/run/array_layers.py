@@ -5,7 +5,7 @@ from __future__ import annotations
 import tempfile
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Literal
 
@@ -25,14 +25,14 @@ from planish.run.run import Run
 LayerInput = str | Path | Run | xr.DataArray
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False)
 class ArrayLayer:
     """A layer in memory, its size, and where its file will stand."""
 
     array: xr.DataArray
     kind: Literal["volume", "image"]
     size_um: tuple[float, ...]
-    path: Path
+    path: Path = Path()
 
     def options(self) -> dict[str, Any]:
         """What it says of itself: its size, and how the sheet lies or which side is shown."""
@@ -67,10 +67,10 @@ def layer_sources(
     FileError
         If ``OUT`` or ``OUT-inputs`` exists.
     """
-    parts = [_part(layer, call) for layer in layers]
-    kinds = [part[0] for part in parts if isinstance(part, tuple)]
+    sources = [_source(layer, call) for layer in layers]
+    kinds = [source.kind for source in sources if isinstance(source, ArrayLayer)]
     if not kinds:
-        yield [part for part in parts if not isinstance(part, tuple)]
+        yield sources
         return
     if out is None:
         folder = Path(tempfile.mkdtemp(prefix="planish-"))
@@ -81,15 +81,11 @@ def layer_sources(
     try:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
-        sources: list[str | Path | ArrayLayer] = []
-        for number, part in enumerate(parts, 1):
-            if not isinstance(part, tuple):
-                sources.append(part)
-                continue
-            kind, array, size = part
-            stem = ("sheet" if kind == "volume" else "image") if kinds.count(kind) == 1 else f"{kind}{number}"
-            path = folder / f"{stem}{'.zarr' if kind == 'volume' else '.tif'}"
-            sources.append(ArrayLayer(array=array, kind=kind, size_um=size, path=path))
+        for k, source in enumerate(sources):
+            if isinstance(source, ArrayLayer):
+                name, suffix = ("sheet", ".zarr") if source.kind == "volume" else ("image", ".tif")
+                stem = name if kinds.count(source.kind) == 1 else f"{source.kind}{k + 1}"
+                sources[k] = replace(source, path=folder / f"{stem}{suffix}")
         yield sources
     except BaseException:
         # The maps of a link that was refused at the marks are kept, and setting them by hand needs the files.
@@ -101,10 +97,8 @@ def layer_sources(
             remove(folder)
 
 
-def _part(
-    layer: LayerInput, call: str
-) -> str | Path | tuple[Literal["volume", "image"], xr.DataArray, tuple[float, ...]]:
-    """The path of a layer; of an array its kind and size."""
+def _source(layer: LayerInput, call: str) -> str | Path | ArrayLayer:
+    """The path of a layer; an array as yet without one."""
     if isinstance(layer, Run):
         if layer.folder is None:
             raise FileError("The run stands in no folder. Give out= to the call that made it, and link it then.")
@@ -112,5 +106,5 @@ def _part(
     if isinstance(layer, str | Path):
         return layer
     if len(getattr(layer, "shape", ())) == 2:
-        return "image", layer, check_image(layer, call)
-    return "volume", layer, check_volume(layer, call)
+        return ArrayLayer(layer, "image", check_image(layer, call))
+    return ArrayLayer(layer, "volume", check_volume(layer, call))

@@ -226,9 +226,6 @@ def _all_names(sources: Sequence[_Source]) -> list[str]:
     ]
 
 
-# --- options in the words of the command line: through="y" for --through y, beside whole sections ---------------------
-
-
 def sections_of(
     options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
 ) -> tuple[dict[str, dict[str, Any]], Compute | None]:

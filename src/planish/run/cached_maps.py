@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 from planish.core.errors import CannotRegister, MarkError, PlanishError
 from planish.core.text import quoted
@@ -13,43 +13,38 @@ from planish.run.compute import Compute, run_key
 from planish.run.layers import Layer
 from planish.run.run import is_run, open_results, open_sheet
 from planish.run.sheet import asked_corrections, made_corrections
-from planish.run.study import RUN_TOML, LayerParams, Study, changed, read_study, to_dict
+from planish.run.study import RUN_TOML, Study, changed, read_study, to_dict
 
 _REQUEST = ".request"  # file of such a run: what was asked for, as a hash, and the study of the link
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class CachedMaps:
+class CachedMaps(NamedTuple):
     """Where the maps of a layer stand, or will: ``OUT-map``, or ``OUT-map-2`` where that is another's."""
 
     path: Path
     key: str
 
     @classmethod
-    def of(cls, layer: LayerParams, sha256: str, out: Path, compute: Compute) -> CachedMaps:
-        """Find the folder with the maps of a volume as a link to ``out`` asks for them, or a name that is free."""
-        bare = changed(layer, marks=None, surface=changed(layer.surface, corrections=None))
-        # The memory decides how wide the columns are.
-        inputs = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
-        key = run_key(to_dict(Study(layers=(bare,))), inputs)
-        path, k = out.with_name(f"{out.name}-map"), 1
-        while path.exists() and _request(path)[:1] != [key]:
-            k += 1
-            path = out.with_name(f"{out.name}-map-{k}")
-        return cls(path=path, key=key)
-
-    @classmethod
     def of_link(cls, study: Study, hashes: Sequence[str], out: Path, compute: Compute) -> dict[str, CachedMaps]:
-        """Those of all volumes of a link, by layer: ``OUT-NAME-map`` where there are several."""
-        if len(study.layers) == 1:
-            return {}
-        volumes = [(m, sha256) for m, sha256 in zip(study.layers, hashes, strict=True) if m.kind == "volume"]
-        return {
-            layer.name: cls.of(
-                layer, sha256, out if len(volumes) == 1 else out.with_name(f"{out.name}-{layer.name}"), compute
-            )
-            for layer, sha256 in volumes
-        }
+        """Those of all volumes of a link to ``out``, by layer: ``OUT-NAME-map`` where there are several.
+
+        Each is the folder with the maps of the volume as the link asks for them, or a name that is free.
+        """
+        caches = dict[str, CachedMaps]()
+        sources = zip(study.layers, hashes, strict=True)
+        volumes = [pair for pair in sources if pair[0].kind == "volume"] if len(study.layers) > 1 else []
+        for layer, sha256 in volumes:
+            name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
+            bare = changed(layer, marks=None, surface=changed(layer.surface, corrections=None))
+            # The memory decides how wide the columns are.
+            inputs = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
+            key = run_key(to_dict(Study(layers=(bare,))), inputs)
+            path, k = out.with_name(f"{name}-map"), 1
+            while path.exists() and _request(path)[:1] != [key]:
+                k += 1
+                path = out.with_name(f"{name}-map-{k}")
+            caches[layer.name] = cls(path, key)
+        return caches
 
     def read(self) -> Layer | None:
         """The sheet, where it was mapped before and is whole."""
@@ -99,8 +94,7 @@ def next_step(error: PlanishError, caches: Mapping[str, CachedMaps], study: Stud
     def view(maps: str) -> str:
         return f"planish view {quoted(maps)} {quoted(study.layers[-1].path)}"
 
-    places = [str(cache.path) for cache in caches.values() if cache.path.exists()]
-    if places:
+    if places := [str(cache.path) for cache in caches.values() if cache.path.exists()]:
         text = f"The maps of the volume are kept in {' and '.join(places)}; the same command goes on from there."
         by_hand = isinstance(error, CannotRegister | MarkError) and study.is_sheet_on_image
         return f"{text} To set the marks by hand: {view(places[0])}" if by_hand else text

@@ -17,7 +17,7 @@ from planish.run.regions import regions_on
 
 def correlate_maps(
     linked: xr.Dataset, *, params: CorrelateParams | None = None, names: tuple[str, str] = ("sheet", "image")
-) -> tuple[CorrelationRow, ...]:  # fmt: skip
+) -> tuple[CorrelationRow, ...]:
     """Correlate every property with the image, per pixel and over larger points.
 
     Parameters

@@ -40,11 +40,9 @@ def silent(_stage: str, _detail: str) -> None:
 _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
-_LEAST_BYTES = 2**20
 # Where the memory is less than the first number, freed arrays of so many bytes are given back at once. It takes time,
 # most of all for the small buffers that files are decoded into: those only where nothing else will do.
 _SHORT = ((8 * 10**8, 2**17), (4 * 10**9, 2**20))
-_M_MMAP_THRESHOLD = -3  # of malloc.h
 
 
 def _bytes_of(text: Any) -> Any:
@@ -54,7 +52,7 @@ def _bytes_of(text: Any) -> Any:
     match = re.fullmatch(r"\s*(\d+(?:\.\d*)?)\s*([A-Za-z]*)\s*", text)
     unit = _UNITS.get(match[2].upper().replace("IB", "B")) if match else None
     amount = int(float(match[1]) * unit) if match and unit else 0
-    if amount < _LEAST_BYTES:
+    if amount < 2**20:
         raise ValueError("write an amount of memory such as 4GB or 500MB")
     return amount
 
@@ -138,7 +136,7 @@ def return_memory(compute: Compute) -> None:
     least = next((size for memory, size in _SHORT if compute.memory < memory), None)
     if least is not None:
         with suppress(OSError, AttributeError, TypeError):  # another C library
-            ctypes.CDLL(None).mallopt(_M_MMAP_THRESHOLD, least)
+            ctypes.CDLL(None).mallopt(-3, least)  # M_MMAP_THRESHOLD of malloc.h
 
 
 @contextmanager

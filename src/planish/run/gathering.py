@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from itertools import combinations
 from typing import Any
@@ -75,11 +75,19 @@ def gather_sheet(sheet: Layer, study: Study) -> Run:
     # The coating of the top stands for it, or the thickness where there is none.
     headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
     facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)
+    results = _results(study, [facts], for_layers(sheet.checks, sheet.name))
+    return Run(study=study, results=results, groups=sheet.groups, unchanged=sheet.unchanged)
+
+
+def _results(
+    study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **numbers: Any
+) -> Results:
+    """All numbers of a run, with what its checks leave of them."""
     results = Results(
-        planish=__version__, code=hash_sources(), versions=versions(), layers=(facts,),
-        checks=tuple(for_layers(sheet.checks, sheet.name)), parameters=parameters(study),
+        planish=__version__, code=hash_sources() if by_this_code else "", versions=versions(), layers=tuple(layers),
+        checks=tuple(checks), parameters=parameters(study), **numbers,
     )  # fmt: skip
-    return Run(study=study, results=apply_checks(results), groups=sheet.groups, unchanged=sheet.unchanged)
+    return apply_checks(results)
 
 
 def gather_link(linked: LinkedLayers) -> Run:
@@ -121,13 +129,10 @@ def gather_link(linked: LinkedLayers) -> Run:
     if regions is not None:
         numbers["regions"] = region_facts(regions, reference.grid)
     study = changed(study, layers=tuple(layer.params for layer in layers))
-    results = Results(
-        planish=__version__, code=hash_sources() if all(layer.by_this_code for layer in layers) else "",
-        versions=versions(), layers=facts, chain=study.chain, checks=tuple(checks), parameters=parameters(study),
-        **numbers,
-    )  # fmt: skip
+    by_this_code = all(layer.by_this_code for layer in layers)
+    results = _results(study, facts, checks, by_this_code=by_this_code, chain=study.chain, **numbers)
     return Run(
-        study=study, results=apply_checks(results), groups=groups | linked.sink.overviews(), regions=regions,
+        study=study, results=results, groups=groups | linked.sink.overviews(), regions=regions,
         registrations={name: link.registration for name, link in linked.links.items()},
         unchanged=layers[0].unchanged if is_one_sheet else {},
         sheets={} if is_one_sheet else {layer.name: layer for layer in layers if layer.params.kind == "volume"},
@@ -183,9 +188,6 @@ def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any]
             sink.add("refined", grid, tile, refined.on(grid.part(tile.rows, tile.cols)))
         groups["refined"] = sink.group("refined")
     return numbers, groups
-
-
-# --- checks ----------------------------------------------------------------------------------------------------------
 
 
 def _checks(linked: LinkedLayers, facts: tuple[LayerFacts, ...], textures: Textures) -> Iterator[Check]:

@@ -49,13 +49,8 @@ def link_layers(
     reference = layers[-1]
     if reference.params.kind == "volume":
         regions = regions_on(study.correlate.regions, reference.grid)
-    paths = [layers[k:] if study.chain else [layers[k], reference] for k in range(len(layers) - 1)]
-    registrations = dict[str, Registration]()
-    for layer, to, *_ in paths:
-        progress("register", f"{layer.name} to {to.name}")
-        registrations[layer.name] = register_layers(layer, to, holes, study)
-    chains = {path[0].name: Chain(fits=tuple(registrations[m.name].fit for m in path[:-1])) for path in paths}
-    links = {path[0].name: Link(path, registrations[path[0].name], chains[path[0].name]) for path in paths}
+    links = _register(layers, holes, study, progress)
+    chains = {name: link.chain for name, link in links.items()}
     progress("link", f"{' x '.join(map(str, reference.grid.shape))} pixels of the {reference.name}")
     rims = [float(layer.groups["surfaces"].attrs["rim_um"]) for layer in layers if layer.kind == "sheet"]
     # Around holes of images by themselves 100 um.
@@ -110,3 +105,16 @@ def _read_run(params: LayerParams, study: Study) -> Layer:
         volume = changed(sheet.params.volume, md_deg=md_deg)
         params = changed(sheet.params, name=params.name, marks=params.marks, volume=volume)
     return replace(sheet, params=params, md_deg=md_deg)
+
+
+def _register(layers: list[Layer], holes: LayerHoles, study: Study, progress: Progress) -> dict[str, Link]:
+    """Register every layer but the last one, and compose the chains."""
+    paths = [layers[k:] if study.chain else [layers[k], layers[-1]] for k in range(len(layers) - 1)]
+    registrations = dict[str, Registration]()
+    for layer, to, *_ in paths:
+        progress("register", f"{layer.name} to {to.name}")
+        registrations[layer.name] = register_layers(layer, to, holes, study)
+    chains = [Chain(fits=tuple(registrations[layer.name].fit for layer in path[:-1])) for path in paths]
+    return {
+        path[0].name: Link(path, registrations[path[0].name], chain) for path, chain in zip(paths, chains, strict=True)
+    }

@@ -64,7 +64,7 @@ def _on_tiles(shown: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, 
     sheet = None if is_image else SheetOnto(shown["surfaces"], shown["flat"], transform=chain)
 
     def moved(_: Tile, part: Grid) -> xr.Dataset:
-        if is_image:
+        if isinstance(shown, xr.DataArray):
             maps = resample_image(shown, part, chain, must_meet=False)
             return maps.assign(errors.on(part, maps["image"].values))
         assert sheet is not None

@@ -32,7 +32,6 @@ NEUTRAL = {"base": 1.25, "faces": 0.55}
 # each column sees what all share in one section; and the step of the slow wander, which no alignment sees, for a quick
 # shift of 1: microtomes of the field jitter by 1-2 um and wander by 0.1-0.2 um a section.
 _SHARED, _WANDER = 1.3, 0.1
-_UNSEEN = 0.01  # of the thickness: how far the neutral surface lies off where no coating is seen
 _SHARES = {  # their words, and what would lower them
     "marks": ("marks and model", "more marks, spread over the field"),
     "neutral": (
@@ -59,9 +58,21 @@ class PositionErrors:
         if sheet is None:
             return
         self._shares |= _moved(sheet, chain, places)
-        poses = _poses_um(sheet, chain.fits[0].moving.shape[0])
-        if poses is not None:
-            self._shares["sections"] = np.full(places.shape[:2], poses * chain.similarity.scale)
+        if "sections" not in sheet:
+            return
+        # What is left of the sections' shifts in the plane of the sheet, rms. The wander is a random walk with a step q
+        # a section. Marks hold it at the square root of their number of places along the cut; n sections between two
+        # such places leave q sqrt(n / 6), the mean over a Brownian bridge.
+        sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
+        between = sections.sizes["section"] / np.sqrt(max(chain.fits[0].moving.shape[0], 1))
+        squares = 0.0
+        for axis, name, jitter_um in zip("yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True):
+            if axis == through:
+                continue
+            squares += (_SHARED * float(jitter_um)) ** 2
+            if name not in sections.attrs.get("fixed", ()):
+                squares += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * between / 6
+        self._shares["sections"] = np.full(places.shape[:2], float(np.sqrt(squares)) * chain.similarity.scale)
 
     def on(self, part: Grid, shown: Floats) -> dict[str, xr.DataArray]:
         """Errors of the place of some pixels of the reference (y, x), rms, um: ``expected_error``, and shares of it.
@@ -110,7 +121,8 @@ def _moved(sheet: Mapping[str, xr.Dataset], chain: Chain, places: Floats) -> dic
     neutral = base if main == "base" and base is not None else zero
     other, factor = zero if main == "base" else base, NEUTRAL[main]
     if other is None:
-        other, factor = zero + _UNSEEN * float(surfaces.attrs["thickness_um"]), 1.0
+        # Where no coating is seen, the neutral surface lies off by so much of the thickness.
+        other, factor = zero + 0.01 * float(surfaces.attrs["thickness_um"]), 1.0
     shorter = neutral + surfaces["centre_shorter"].values
     moves = flat_moves(surfaces, {"neutral": other, "smoothing": shorter}, neutral=neutral, rest=attrs["rest"])
     fit, uv, moves_of = chain.fits[0], chain.inverse(places), _moves_in_map(moves, sheet["flat"])
@@ -137,23 +149,3 @@ def _moves_in_map(moves: xr.Dataset, flat: xr.Dataset) -> Callable[[str, Floats]
         return np.stack([bilinear(fields[f"{name}_{axis}"], row, col) for axis in "uv"], axis=-1)
 
     return moves_of
-
-
-def _poses_um(sheet: Mapping[str, xr.Dataset], marks: int) -> float | None:
-    """What is left of the sections' shifts in the plane of the sheet, rms; None for a volume that was not cut.
-
-    The wander is a random walk with a step q a section. Marks hold it at the square root of their number of places
-    along the cut; n sections between two such places leave q sqrt(n / 6), the mean over a Brownian bridge.
-    """
-    if "sections" not in sheet:
-        return None
-    sections, through = sheet["sections"], Frame.of(sheet["surfaces"]).through
-    between = sections.sizes["section"] / np.sqrt(max(marks, 1))
-    squares = 0.0
-    for axis, name, jitter_um in zip("yx", ("row", "col"), sections.attrs["jitter_left_um"], strict=True):
-        if axis == through:
-            continue
-        squares += (_SHARED * float(jitter_um)) ** 2
-        if name not in sections.attrs.get("fixed", ()):
-            squares += (_WANDER * float(np.std(sections[f"shift_{name}"].values))) ** 2 * between / 6
-    return float(np.sqrt(squares))

@@ -23,10 +23,9 @@ _SUMS = (
 )
 
 # Bytes a pixel: refining holds image and map in double precision, filtered, several times; without a folder to write
-# to, all linked maps are held.
-_REFINED_BYTES, _HELD_BYTES = 120, 130
-# Beside the image: its values as they are compared and, while a screen is taken off, two means and their weights.
-_COMPARED_BYTES = 24
+# to, all linked maps are held; beside the image stand its values as they are compared and, while a screen is taken off,
+# two means and their weights.
+_REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
 
 
 def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
@@ -54,18 +53,14 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
             )
         check_maps(layer.properties)
         asked_corrections(layer)
-        headline = study.correlate.headline
         names = sorted(PROPERTIES if layer.surface.labels is not None else possible_maps(layer.properties))
-        if headline is not None and headline not in names:
-            raise InputError(
-                f"--headline {headline}: there will be no such map. Give one of {', '.join(names)}, or ask for it with "
-                f"--property {headline} as well."
-            )
-        if absent := sorted({*study.correlate.beside} - {*names}):
-            raise InputError(
-                f"--beside {', '.join(absent)}: there will be no such map. Give some of {', '.join(names)}, or ask "
-                "for it with --property as well."
-            )
+        wanted = study.correlate
+        for flag, maps in (("--headline", (wanted.headline,)), ("--beside", wanted.beside)):
+            if absent := sorted({name for name in maps if name is not None} - {*names}):
+                raise InputError(
+                    f"{flag} {', '.join(absent)}: there will be no such map. Give some of {', '.join(names)}, or ask "
+                    "for it with --property as well."
+                )
     _check_beside(study)
     _check_light(study)
     read_design(study.registration)
@@ -108,19 +103,16 @@ def _check_light(study: Study) -> None:
     """Raise InputError where an option needs an image, references or volumes that the study does not have."""
     wanted, reference = study.correlate, study.layers[-1].image
     sheets = [layer for layer in study.layers if layer.kind != "image"]
-    image = reference is not None and bool(sheets)
-    asked = [name for name, value in (
-        ("--kubelka-munk", wanted.kubelka_munk), ("--light-spread-um", wanted.light_spread_um)
-    ) if value is not None]  # fmt: skip
-    if asked and not image:
+    options = {"--kubelka-munk": wanted.kubelka_munk, "--light-spread-um": wanted.light_spread_um}
+    asked = " and ".join(flag for flag, number in options.items() if number is not None)
+    if asked and (reference is None or not sheets):
         raise InputError(
-            f"{' and '.join(asked)}: no image stands last, to which the coating of a sheet is compared. Link a volume "
-            "or a run to an image, or leave it out."
+            f"{asked}: no image stands last, to which the coating of a sheet is compared. Link a volume or a run to an "
+            "image, or leave it out."
         )
     if asked and wanted.headline is not None and not wanted.headline.startswith("coat"):
         raise InputError(
-            f"{' and '.join(asked)}: {wanted.headline} leads, which is no coating. Leave --headline out, or name a "
-            "coating."
+            f"{asked}: {wanted.headline} leads, which is no coating. Leave --headline out, or name a coating."
         )
     if wanted.kubelka_munk is not None and reference is not None and reference.dark_grey is None:
         raise InputError(

@@ -8,7 +8,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.core.arrays import check_dataset
 from planish.core.errors import MarkError
@@ -90,11 +89,9 @@ class Registration:
     def pairs(self) -> xr.Dataset:
         """The marks that the fit uses: positions, residuals and weights, a row each."""
         fit, um = self.fit, {"units": "um"}
-        values = {
-            "moving_x": fit.moving[:, 0], "moving_y": fit.moving[:, 1], "fixed_x": fit.fixed[:, 0],
-            "fixed_y": fit.fixed[:, 1], "residual_x": fit.residuals_um[:, 0], "residual_y": fit.residuals_um[:, 1],
-            "residual": np.hypot(*fit.residuals_um.T), "leave_one_out": fit.leave_one_out_um,
-        }  # fmt: skip
+        points = {"moving": fit.moving, "fixed": fit.fixed, "residual": fit.residuals_um}
+        values = {f"{name}_{axis}": xy[:, k] for name, xy in points.items() for k, axis in enumerate("xy")}
+        values |= {"residual": np.hypot(*fit.residuals_um.T), "leave_one_out": fit.leave_one_out_um}
         data = xr.Dataset({k: ("mark", v, um) for k, v in values.items()})
         labels = self.marks["label"].values[paired(self.marks)]
         return data.assign(weight=("mark", fit.robust_weights, {"units": "1"}), label=("mark", labels.astype(object)))
@@ -130,9 +127,6 @@ class Registration:
                     "them again: planish register, or planish link --marks."
                 )
         return registration
-
-
-# --- marks that are found ------------------------------------------------------------------------------------------
 
 
 def register_marks(
@@ -173,29 +167,20 @@ def register_marks(
     if (pattern := read_design(r)) is not None:
         designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
     match = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
-    marks = _all_marks(moving, fixed, match.pairs, match.labels)
+    # The pairs first, then the holes of the moving and of the fixed layer alone.
+    names, layers, about = [*match.labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
+    single = [np.setdiff1d(np.arange(h.sizes["mark"]), match.pairs[:, k]) for k, h in enumerate((moving, fixed))]
+    for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
+        rows = [match.pairs[:, k], *(rest if j == k else np.full(rest.size, -1) for j, rest in enumerate(single))]
+        layers[side] = MarkPlaces.of_holes(holes, np.concatenate(rows), holes.attrs.get("source", "detected"))
+        attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
+        about[side] = {key: word for key, word in attrs.items() if word is not None}
+        names += [f"{side} {number + 1}" for number in single[k]]
+    marks = _with_residuals(make_marks(names, layers, about=about), match.fit)
     return Registration(
-        fit=match.fit, marks=_with_residuals(marks, match.fit), sentence=match.sentence,
-        second_best=match.second_best, design=match.design, tilt=hole_tilt(moving),
+        fit=match.fit, marks=marks, sentence=match.sentence, second_best=match.second_best, design=match.design,
+        tilt=hole_tilt(moving),
     )  # fmt: skip
-
-
-def _all_marks(moving: xr.Dataset, fixed: xr.Dataset, pairs: NDArray[np.intp], labels: tuple[str, ...]) -> xr.Dataset:
-    """All holes of both layers: the pairs first, then those of the moving and of the fixed layer alone."""
-    alone = [np.setdiff1d(np.arange(h.sizes["mark"]), pairs[:, k]) for k, h in enumerate((moving, fixed))]
-    nowhere = [np.full(n.size, -1) for n in alone]
-    rows = {
-        "moving": np.concatenate([pairs[:, 0], alone[0], nowhere[1]]),
-        "fixed": np.concatenate([pairs[:, 1], nowhere[0], alone[1]]),
-    }
-    names = [*labels, *(f"moving {k + 1}" for k in alone[0]), *(f"fixed {k + 1}" for k in alone[1])]
-    sides = (("moving", moving), ("fixed", fixed))
-    layers = {side: MarkPlaces.of_holes(h, rows[side], h.attrs.get("source", "detected")) for side, h in sides}
-    about = {
-        side: {k: h.attrs[name] for k, name in (("title", "layer"), ("side", "seen_from")) if name in h.attrs}
-        for side, h in sides
-    }
-    return make_marks(names, layers, about=about)
 
 
 def _places(marks: xr.Dataset, side: str, axes: str = "xy") -> Floats:
@@ -206,8 +191,8 @@ def _places(marks: xr.Dataset, side: str, axes: str = "xy") -> Floats:
 def paired(marks: xr.Dataset) -> Bools:
     """Marks that are in use and lie in both layers."""
     moving = "volume" if "volume_x" in marks else "moving"  # places in a volume become places on the map of its sheet
-    is_placed = [np.isfinite(marks[f"{side}_x"].values) for side in (moving, "fixed")]
-    return np.asarray(marks["used"].values, dtype=bool) & is_placed[0] & is_placed[1]
+    places = marks[f"{moving}_x"].values + marks["fixed_x"].values
+    return np.asarray(marks["used"].values, dtype=bool) & np.isfinite(places)
 
 
 def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
@@ -218,9 +203,6 @@ def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
         column[used] = of_pairs
         marks = marks.assign({name: ("mark", column, {"units": "um", "long_name": RESULTS[name]})})
     return marks
-
-
-# --- marks of two layers ---------------------------------------------------------------------------------------------
 
 
 class Link(NamedTuple):
@@ -310,11 +292,10 @@ def volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
 
 def _marked(marks: xr.Dataset, side: str, used: Bools) -> xr.Dataset:
     """Marks of one layer as holes; with covariances where those of all pairs are known."""
-    names = ["x", "y"]
     spread = [f"cov_{k}" for k in ("xx", "xy", "yy")]
-    if all(f"{side}_{k}" in marks and np.isfinite(marks[f"{side}_{k}"].values[used]).all() for k in spread):
-        names += spread
-    return xr.Dataset({name: ("mark", marks[f"{side}_{name}"].values) for name in names})
+    if not all(f"{side}_{k}" in marks and np.isfinite(marks[f"{side}_{k}"].values[used]).all() for k in spread):
+        spread = []
+    return xr.Dataset({name: ("mark", marks[f"{side}_{name}"].values) for name in ("x", "y", *spread)})
 
 
 def _with_diameters(marks: xr.Dataset, side: str, holes: xr.Dataset, usual_um: float) -> xr.Dataset:

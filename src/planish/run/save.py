@@ -26,7 +26,7 @@ from planish.run.linking import link_layers, read_inputs
 from planish.run.preflight import check_request
 from planish.run.regions import REGIONS, write_regions
 from planish.run.run import MAPS, Run, is_run, marks_file
-from planish.run.sheet import CORRECTIONS, map_layer, write_corrections
+from planish.run.sheet import CORRECTIONS, made_corrections, map_layer
 from planish.run.study import LayerParams, Study, changed, to_dict, write_study
 from planish.run.summaries import figures_text
 
@@ -186,8 +186,11 @@ def _with_own_files(study: Study, run: Run, folder: Path, home: Path) -> Study:
     files = {name: f"layers/{name}/{CORRECTIONS}" for name in run.sheets}
     corrections = {name: str(home / file) if (folder / file).is_file() else None for name, file in files.items()}
     if "surfaces" in run.groups:
-        file = write_corrections(run.groups["surfaces"], folder)
-        corrections[study.layers[0].name] = str(home / file) if file else None
+        text = made_corrections(run.groups["surfaces"])
+        corrections[study.layers[0].name] = str(home / CORRECTIONS) if text else None
+        if text:
+            (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
+            (folder / CORRECTIONS).write_text(text, encoding="utf-8", newline="\n")
     layers = list[LayerParams]()
     for layer in study.layers:
         if layer.name in marks and is_of_a_run(layer.marks):

@@ -171,9 +171,6 @@ def search_sheet(
         )
 
 
-# --- corrections of the faces: as a study asks for them, as surfaces have them, as a run keeps them -------------------
-
-
 def asked_corrections(layer: LayerParams) -> str:
     """Text of the corrections that a study asks for; empty where it asks for none.
 
@@ -191,14 +188,3 @@ def asked_corrections(layer: LayerParams) -> str:
 def made_corrections(surfaces: xr.Dataset) -> str:
     """Text of the corrections that surfaces have; empty where they are as they were found."""
     return str(surfaces.attrs.get("corrections", ""))
-
-
-def write_corrections(surfaces: xr.Dataset, folder: Path) -> str | None:
-    """Write the corrections of surfaces into a run folder; the name of the file, None where there are none."""
-    text = made_corrections(surfaces)
-    if not text:
-        return None
-    path = folder / CORRECTIONS
-    path.parent.mkdir(exist_ok=True)
-    path.write_text(text, encoding="utf-8", newline="\n")
-    return CORRECTIONS

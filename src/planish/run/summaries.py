@@ -62,9 +62,9 @@ def surface_facts(surfaces: xr.Dataset) -> SurfaceFacts:
     status = surfaces["status"]
     names = str(status.attrs["flag_meanings"]).split()
     shares = {name: float((status.values == k).mean()) for k, name in enumerate(names)}
-    search = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields} | {"columns": status.size, "shares": shares}
+    search = {k: surfaces.attrs.get(k) for k in SurfaceFacts.model_fields}
     counts = {k: int(search[k] or 0) for k in ("particles_removed", "half_closed_holes")}
-    return SurfaceFacts.model_validate(search | counts)
+    return SurfaceFacts.model_validate(search | counts | {"columns": status.size, "shares": shares})
 
 
 def property_facts(surfaces: xr.Dataset) -> dict[str, PropertyFacts]:
@@ -197,9 +197,6 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
 def parameters(study: Study) -> dict[str, Any]:
     """All parameters but the paths of inputs, which say where files lie and not what was done."""
     return to_dict(with_paths(study, lambda _: None))
-
-
-# --- the figures of a run as one table -------------------------------------------------------------------------------
 
 
 def figures_text(results: Results) -> str:

@@ -21,7 +21,6 @@ from planish.run.compute import Compute, Progress
 from planish.run.summaries import section_facts
 from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
 
-_SLICES = 3
 _COPIES_OF_SECTIONS = 2  # the photographs and the volume made from them are in memory at the same time
 
 
@@ -31,8 +30,6 @@ def read_sheet_volume(
     """Read a volume; serial sections are aligned and joined, and come with what was done to each of them."""
     path = find_place(params.path).path
     if is_section_folder(path):
-        if compute.scheduler is not None:
-            raise InputError(f"{path.name} holds sections, which --scheduler cannot work on. Import them first.")
         volume, sections = _join_sections(params, compute, progress)
         _in_parts(volume, path, compute, _COPIES_OF_SECTIONS, f" --through {params.through}")
         return volume, sections
@@ -72,8 +69,6 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
     """
     if not is_section_folder(params.path):
         return _read(params, compute)
-    if compute.scheduler is not None:
-        raise InputError(f"{Path(params.path).name} holds sections, which one computer joins. Leave out --scheduler.")
     volume, sections = _join_sections(params, compute, progress)
     return volume.assign_attrs(sections=section_facts(sections).model_dump())
 
@@ -97,6 +92,8 @@ def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 
 def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -> tuple[xr.DataArray, xr.Dataset]:
     """Align serial sections and join them to a volume; return it with what was done to each of them."""
     path = Path(params.path)
+    if compute.scheduler is not None:
+        raise InputError(f"{path.name} holds sections, which one computer joins. Leave out --scheduler.")
     if params.through == "z":
         raise VolumeError(
             f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
@@ -138,17 +135,12 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
 def some_slices(volume: xr.DataArray, frame: Frame, step: int) -> xr.Dataset:
     """A few slices through the sheet, to draw its surfaces on; ``row`` is the row of columns that each lies in."""
     rows = volume.sizes[frame.rows] // step * step
-    shown = np.unique(np.linspace(0, rows - 1, _SLICES + 2).astype(int)[1:-1])
+    shown = np.unique(np.linspace(0, rows - 1, 5).astype(int)[1:-1])
     parts = [frame.columns(volume.isel({frame.rows: slice(k, k + 1)}).load()).values[0] for k in shown]
     values = np.stack([np.ascontiguousarray(part.T) for part in parts])
-    coords = {
-        "slice": volume.coords[frame.rows].values[shown],
-        "height": volume.coords[frame.through].values,
-        "x": volume.coords[frame.cols].values,
-    }
-    data = xr.Dataset(
-        {"grey": (("slice", "height", "x"), values, {"long_name": "Grey value", "units": "1"})},
-        coords={k: ((k,), v, {"units": "um"}) for k, v in coords.items()},
-        attrs=frame.attrs(),
-    )
-    return data.assign(row=("slice", shown // step))
+    axes = {"slice": frame.rows, "height": frame.through, "x": frame.cols}
+    coords = {name: volume.coords[axis].values for name, axis in axes.items()}
+    coords["slice"] = coords["slice"][shown]
+    grey = (tuple(axes), values, {"long_name": "Grey value", "units": "1"})
+    data = {"grey": grey, "row": ("slice", shown // step)}
+    return xr.Dataset(data, {k: ((k,), v, {"units": "um"}) for k, v in coords.items()}, frame.attrs())
