@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from planish.core.bands import band_of, bands
 from planish.core.errors import SizeError
 from planish.core.threads import thread_pool
+from planish.core.typing import Floats
 from planish.report.colours import Scale
 
 
@@ -89,7 +90,7 @@ class Maps:
         return self.data.sizes[rows], self.data.sizes[cols]
 
     @property
-    def at_um(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    def at_um(self) -> tuple[Floats, Floats]:
         """Places of the middles of rows and of columns."""
         rows, cols = self.dims
         return self.data[rows].values, self.data[cols].values

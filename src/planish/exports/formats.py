@@ -1,22 +1,10 @@
 """The formats of an export: a row of one table each, and the function that writes it.
 
-A row names its function as ``module:function`` of this package: ``function(content, path, history, params)``. What it
-gets depends on what is written:
-
-============ ============================================================ ============================================
-Holds        Content                                                      From
-============ ============================================================ ============================================
-maps         :class:`~planish.exports.content.Maps`                       a group of maps on one grid, or of surfaces
-volume       ``DataArray (z, y, x)``                                      the straightened volume
-surface      :class:`~planish.exports.meshes.Surface`                     one surface with the maps that it carries
-registration :class:`~planish.exports.transforms.DirectedTransform`       one direction; where one file holds both,
-                                                                          ``TransformPair``
-marks        ``Dataset (mark)``                                           the marks of a registration
-run          ``Path``                                                     a run folder
-============ ============================================================ ============================================
-
-``path`` is new, and stays hidden until it is whole. The same content gives the same bytes. The command line, the
-documents and all messages are made from the table.
+A row names its function as ``module:function`` of this package: ``function(content, path, history, params)``. The
+content is what the format holds: :class:`~planish.exports.content.Maps`, a volume (z, y, x), a
+:class:`~planish.exports.meshes.Surface`, a :class:`~planish.exports.transforms.DirectedTransform` (where one file holds
+both directions, ``TransformPair``), marks (mark), or the folder of a run. ``path`` is new, and stays hidden until it is
+whole. The same content gives the same bytes.
 """
 
 from __future__ import annotations

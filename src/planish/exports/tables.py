@@ -11,10 +11,10 @@ from numpy.typing import NDArray
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import StudyError
+from planish.core.typing import Floats
 from planish.exports.content import ExportHistory, Maps, column_of
 from planish.exports.formats import ExportParams
 
-Array = NDArray[np.float64]
 _LEAST = 0.5  # share of a point that has to be valid: as in the correlations
 
 
@@ -68,7 +68,7 @@ def write_points(maps: Maps, path: Path, history: ExportHistory, params: ExportP
             file.writelines(",".join(row) + "\n" for row in _texts(columns.T))
 
 
-def _pixels(maps: Maps, names: list[str]) -> Iterator[Array]:
+def _pixels(maps: Maps, names: list[str]) -> Iterator[Floats]:
     """Give the columns (x, y and every map; n) of the pixels that show anything, band by band."""
     y, x = maps.at_um
     rows, cols = maps.shape
@@ -82,7 +82,7 @@ def _pixels(maps: Maps, names: list[str]) -> Iterator[Array]:
         yield np.concatenate([places[:, shows], numbers[:, shows]])
 
 
-def _points(maps: Maps, names: list[str], size: float) -> Iterator[Array]:
+def _points(maps: Maps, names: list[str], size: float) -> Iterator[Floats]:
     """Give the columns (x, y, every map, share of valid pixels; n) of all points."""
     pixel = maps.pixel_um
     factor = size / pixel[0], size / pixel[1]

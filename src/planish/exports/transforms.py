@@ -14,11 +14,10 @@ from numpy.typing import NDArray
 
 from planish.core.grid import Grid
 from planish.core.transform import Affine
+from planish.core.typing import Bools, Floats, Ints
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams
 from planish.marks.exchange import write_any
-
-Array = NDArray[np.float64]
 
 _CORNERS = [(rows, cols) for rows in (slice(None, -1), slice(1, None)) for cols in (slice(None, -1), slice(1, None))]
 
@@ -43,7 +42,7 @@ class DirectedTransform:
 
     source: str
     target: str
-    function: Callable[[Array], Array]
+    function: Callable[[Floats], Floats]
     grid: Grid
     affine: Affine
     exact: bool
@@ -81,7 +80,7 @@ class DisplacementField:
         Nodes at which the transformation has no value, so that the affine map stands there.
     """
 
-    vectors: Array
+    vectors: Floats
     origin_um: tuple[float, float]
     pitch_um: float
     error_um: float
@@ -110,7 +109,7 @@ def before_affine(transform: DirectedTransform) -> DisplacementField:
     return _sampled(transform, transform.affine, transform.affine.inverse.matrix())
 
 
-def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], factor: Array) -> DisplacementField:
+def _sampled(transform: DirectedTransform, near: Callable[[Floats], Floats], factor: Floats) -> DisplacementField:
     """Sample ``factor @ (function - near)`` as coarsely as it may be."""
     pixel = np.array(transform.grid.pixel_um[::-1])
     size = np.array(transform.grid.shape[::-1]) * pixel
@@ -119,11 +118,11 @@ def _sampled(transform: DirectedTransform, near: Callable[[Array], Array], facto
     length = size + 2 * around
     pitch = 64 * float(np.sqrt(pixel.prod()))  # at most so many pixels of the layer between nodes
 
-    def nodes(shift: float, counts: NDArray[np.intp]) -> Array:
+    def nodes(shift: float, counts: Ints) -> Floats:
         axes = [low[k] + pitch * (np.arange(counts[k] - (shift > 0)) + shift) for k in (0, 1)]
         return np.stack(np.meshgrid(*axes), axis=-1)
 
-    def offsets(points: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def offsets(points: Floats) -> tuple[Floats, Bools]:
         images = transform.function(points)
         has_image = np.asarray(np.isfinite(images).all(axis=-1))
         images[~has_image] = transform.affine(points[~has_image])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from importlib.metadata import version
 from itertools import combinations
 from typing import Any
 
@@ -41,8 +42,8 @@ from planish.run.overlay import ValidMask
 from planish.run.regions import region_facts
 from planish.run.registration import Link
 from planish.run.run import Run
-from planish.run.study import Study, changed
-from planish.run.summaries import layer_facts, linked_area, parameters, versions
+from planish.run.study import Study, changed, to_dict, with_paths
+from planish.run.summaries import layer_facts, linked_area
 
 LINKED = "linked"
 """Name of the group that holds a sheet and an image on the image's pixels."""
@@ -83,9 +84,12 @@ def _results(
     study: Study, layers: Iterable[LayerFacts], checks: Iterable[Check], *, by_this_code: bool = True, **numbers: Any
 ) -> Results:
     """All numbers of a run, with what its checks leave of them."""
+    libraries = ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")
     results = Results(
-        planish=__version__, code=hash_sources() if by_this_code else "", versions=versions(), layers=tuple(layers),
-        checks=tuple(checks), parameters=parameters(study), **numbers,
+        planish=__version__, code=hash_sources() if by_this_code else "", layers=tuple(layers), checks=tuple(checks),
+        versions={name: version(name) for name in libraries},
+        # Paths say where files lie and not what was done.
+        parameters=to_dict(with_paths(study, lambda _: None)), **numbers,
     )  # fmt: skip
     return apply_checks(results)
 

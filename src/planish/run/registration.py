@@ -303,25 +303,22 @@ def _with_diameters(marks: xr.Dataset, side: str, holes: xr.Dataset, usual_um: f
     places, centres = _places(marks, side), np.stack([holes["x"].values, holes["y"].values], axis=1)
     size = holes["diameter"].values.astype(np.float64)
     diameter = np.where(np.isfinite(places[:, 0]), usual_um, np.nan)
-    free = np.ones(len(centres), dtype=bool)
+    distance = np.linalg.norm(places[:, None] - centres, axis=2)
+    inside = distance < 0.5 * size
     if len(centres):
-        distance = np.linalg.norm(places[:, None] - centres, axis=2)
-        inside = distance < 0.5 * size
         nearest = np.argmin(np.where(inside, distance, np.inf), axis=1)
         diameter = np.where(inside.any(axis=1), size[nearest], diameter)
-        free = ~inside.any(axis=0)
+    free = ~inside.any(axis=0)
     marks = marks.assign({f"{side}_diameter": ("mark", diameter, {"units": "um"})})
     if not free.any():
         return marks
     numbers = np.flatnonzero(free)
-    extra = xr.Dataset(
-        {
-            f"{side}_x": ("mark", centres[free, 0]), f"{side}_y": ("mark", centres[free, 1]),
-            f"{side}_diameter": ("mark", size[free]), "used": ("mark", np.ones(numbers.size, dtype=bool)),
-            "label": ("mark", np.array([f"{side} {k + 1}" for k in numbers])),
-            f"{side}_source": ("mark", np.array(["detected"] * numbers.size)),
-        }
-    )  # fmt: skip
+    columns = {
+        f"{side}_x": centres[free, 0], f"{side}_y": centres[free, 1], f"{side}_diameter": size[free],
+        "used": np.ones(numbers.size, dtype=bool), "label": np.array([f"{side} {k + 1}" for k in numbers]),
+        f"{side}_source": np.array(["detected"] * numbers.size),
+    }  # fmt: skip
+    extra = xr.Dataset({name: ("mark", column) for name, column in columns.items()})
     joined = xr.concat([marks, extra], dim="mark", data_vars="all", join="outer", combine_attrs="override")
     for name in joined.data_vars:
         if str(name).endswith("_source"):

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
@@ -34,15 +33,6 @@ from planish.surface import (
 
 CORRECTIONS = "edits/surface.json"
 """Name of the file of a run that holds them."""
-
-
-class _Measured(NamedTuple):
-    """Surfaces and measured columns of a sheet; the volume is None where nothing had to be read from it."""
-
-    volume: xr.DataArray | None
-    sections: xr.Dataset | None
-    surfaces: xr.Dataset
-    columns: xr.Dataset
 
 
 def map_layer(
@@ -99,8 +89,8 @@ def map_layer(
 
 def _measure(
     layer: LayerParams, before: Layer | None, local: Engine, tiles: Path | None, compute: Compute, progress: Progress
-) -> _Measured:
-    """Find the surfaces of a sheet and measure its columns, as far as ``before`` does not have them."""
+) -> tuple[xr.DataArray | None, xr.Dataset | None, xr.Dataset, xr.Dataset]:
+    """Give volume (None where it was not read), sections, surfaces and measured columns; ``before`` may have them."""
     v = layer.volume
     assert v is not None
 
@@ -116,7 +106,7 @@ def _measure(
         columns, sections = before.groups["surfaces"], before.groups.get("sections")
         surfaces, is_same_surface = surfaces_of(columns), made_corrections(columns) == corrections
         if is_same_surface and before.params.properties == layer.properties:
-            return _Measured(None, sections, surfaces, columns)
+            return None, sections, surfaces, columns
         volume, _ = read()
         if not is_same_surface:
             progress("surface", "corrections")
@@ -129,7 +119,7 @@ def _measure(
         if hint := other_axis(volume, v.through):
             raise CannotMeasure(f"{error.text} {hint}") from error
         raise
-    return _Measured(volume, sections, surfaces, columns)
+    return volume, sections, surfaces, columns
 
 
 def _remapped(before: Layer, sheet: Layer) -> Layer:

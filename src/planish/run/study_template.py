@@ -14,14 +14,12 @@ from planish.core.mistakes import models_in
 from planish.core.options import Params, Shown, kinds_of, options_of, unit_of
 from planish.io.info import describe
 from planish.run.run import is_run
-from planish.run.study import SECTIONS, in_study_words, relative_path
+from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path
 
-_OF_A_SHEET = {
+_TITLES = {
     "surface": "How the faces of the sheet are found",
     "properties": "What is measured",
     "flatten": "How the sheet is flattened",
-}
-_OF_A_LINK = {
     "holes": "The laser holes",
     "registration": "How image and sheet are registered",
     "correlate": "How image and maps are compared",
@@ -81,8 +79,8 @@ def draft_study(
     _input(lines, missing, "volume", Path(volume), Path(home))
     if image is not None:
         _input(lines, missing, "image", Path(image), Path(home))
-    for section, title in (_OF_A_SHEET if image is None else _OF_A_SHEET | _OF_A_LINK).items():
-        lines += ["", "", f"# {title}", "", f"[{section}]"]
+    for section in MAP_SECTIONS if image is None else (*MAP_SECTIONS, *LINK_SECTIONS):
+        lines += ["", "", f"# {_TITLES[section]}", "", f"[{section}]"]
         for key, field, shown in _options(SECTIONS[section]):
             lines += _option(key, field, shown, section)
     below = len(_head(name, missing))
@@ -106,10 +104,8 @@ def _head(name: str, missing: list[Missing]) -> list[str]:
         "# default, what is needed stands in capitals. Paths are relative to this file and stand in single quotes.",
     ]
     for needed, title in ((True, "To fill in:"), (False, "Stated in no file; is the default right?")):
-        listed = [m for m in missing if m.needed is needed]
-        if listed:
-            lines += ["#", f"# {title}"]
-            lines += [f"#   line {m.line}: {m.key}: {m.why}" for m in listed]
+        if listed := [f"#   line {m.line}: {m.key}: {m.why}" for m in missing if m.needed is needed]:
+            lines += ["#", f"# {title}", *listed]
     return lines
 
 
@@ -128,17 +124,17 @@ def _input(
         raise StudyError(
             f"{path} is {other}. Give the volume first, then the image: planish new STUDY.toml VOLUME IMAGE."
         )
-    sentences, stated = _description(facts, section)
     # A path stands in single quotes, which Windows' paths need; as any text where it holds one.
     place = relative_path(path.absolute(), home.absolute())
     place = f"'{place}'" if "'" not in place and place.isprintable() else _value(place)
-    lines += ["", "", *_comment(sentences), "", f"[{section}]", f"path = {place}"]
+    lines += ["", "", *_comment(_description(facts, section)), "", f"[{section}]", f"path = {place}"]
     size_key = "voxel_um" if section == "volume" else "pixel_um"
     for key, field, shown in _options(SECTIONS[section]):
         *before, text = _option(key, field, shown, section)
         why = _NOT_IN_FILES[section].get(key)
-        if key == size_key and stated is not None:
-            text = f"#{key} = {_value(stated)}  # um; as stated"
+        if key == size_key and facts["size_um"]:
+            stated = _value(tuple(float(f"{um:.9g}") for um in facts["size_um"]))
+            text = f"#{key} = {stated}  # um; as stated"
         elif key == size_key:
             why = in_study_words(str(facts["size_problem"])).partition(". ")[0]
             text += "; fill in"
@@ -151,15 +147,13 @@ def _input(
             missing.append(Missing(len(lines), f"{section}.{key}", why, key == size_key))
 
 
-def _description(facts: dict[str, Any], section: str) -> tuple[list[str], tuple[float, ...] | None]:
-    """Sentences about a file, and the size that it states."""
+def _description(facts: dict[str, Any], section: str) -> list[str]:
+    """Sentences about a file."""
     elements, axes = ("voxels", "z, y, x") if section == "volume" else ("pixels", "y, x")
     kind, shape = facts.get("format") or facts["kind"], " x ".join(map(str, facts["shape"]))
     text = f"{facts['file_name']}: {kind}, {shape} {elements} ({axes}), {facts['dtype']}"
     sentences = [f"{text}, {facts['bytes'] / 1e6:.1f} MB."]
-    stated: tuple[float, ...] | None = None
     if facts["size_um"]:
-        stated = tuple(float(f"{value:.9g}") for value in facts["size_um"])
         size, extent = (" x ".join(f"{v:.6g}" for v in facts[k]) for k in ("size_um", "extent_um"))
         sentences.append(
             f"{elements.capitalize()} of {size} um ({axes}), from {facts['size_source']}; extent {extent} um."
@@ -169,8 +163,7 @@ def _description(facts: dict[str, Any], section: str) -> tuple[list[str], tuple[
     if facts["min"] is not None:
         levels = ", ".join(f"{level:.5g} ({k} %)" for k, level in facts["percentiles"].items())
         sentences.append(f"Grey {facts['min']:.5g} to {facts['max']:.5g}; percentiles {levels}.")
-    sentences += [f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]]
-    return sentences, stated
+    return sentences + [f"Look: {warning}" for warning in facts["warnings"] if warning != facts["size_problem"]]
 
 
 def _option(key: str, field: FieldInfo, shown: Shown, section: str) -> list[str]:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from importlib.metadata import version
 from typing import Any
 
 import numpy as np
@@ -35,12 +34,6 @@ from planish.results import (
 from planish.run.layers import Layer
 from planish.run.position_error import error_shares
 from planish.run.registration import Link
-from planish.run.study import Study, to_dict, with_paths
-
-
-def versions() -> dict[str, str]:
-    """Versions of the libraries that numbers depend on."""
-    return {name: version(name) for name in ("numpy", "scipy", "numba", "xarray", "zarr", "tifffile")}
 
 
 def input_file(data: xr.DataArray, path: str) -> InputFile:
@@ -192,11 +185,6 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
         pixels=pixels, share_on_sheet=on_sheet / pixels, share_valid=valid / pixels,
         share_valid_of_sheet=valid / max(on_sheet, 1), share_valid_away_from_holes=valid / max(off_holes, 1),
     )  # fmt: skip
-
-
-def parameters(study: Study) -> dict[str, Any]:
-    """All parameters but the paths of inputs, which say where files lie and not what was done."""
-    return to_dict(with_paths(study, lambda _: None))
 
 
 def figures_text(results: Results) -> str:
