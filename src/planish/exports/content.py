@@ -110,9 +110,12 @@ class Maps:
     def facts(self) -> dict[str, Any]:
         """Group, pixel size and place, for the history."""
         return {
-            "group": self.group, "axes": "".join(self.dims), "pixel_um": list(self.pixel_um),
-            "first_pixel_um": list(self.origin_um), "missing": "NaN",
-        }  # fmt: skip
+            "group": self.group,
+            "axes": "".join(self.dims),
+            "pixel_um": list(self.pixel_um),
+            "first_pixel_um": list(self.origin_um),
+            "missing": "NaN",
+        }
 
     @property
     def titles(self) -> dict[str, str]:

@@ -23,8 +23,11 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
 
     udunits = {"deg": "degree", "g/m2": "g m-2", "g/cm3": "g cm-3", "1/mm2": "mm-2"}
     long_names = {
-        "y": "Place of rows, downwards", "x": "Place of columns", "v": "Flat coordinate v", "u": "Flat coordinate u",
-    }  # fmt: skip
+        "y": "Place of rows, downwards",
+        "x": "Place of columns",
+        "v": "Flat coordinate v",
+        "u": "Flat coordinate u",
+    }
     with h5netcdf.File(path, "w", track_order=True) as file:
         file.dimensions = dict(zip(maps.dims, maps.shape, strict=True))
         for axis, places in zip(maps.dims, maps.at_um, strict=True):
@@ -46,10 +49,12 @@ def write_netcdf(maps: Maps, path: Path, history: ExportHistory, _params: Export
                 variable.attrs.update({"flag_values": codes, "flag_meanings": meanings})
         file.attrs.update(
             {
-                "Conventions": "CF-1.11", "title": f"{maps.group} of a run of planish",
-                "source": history.program, "history": history.json(**maps.facts()),
+                "Conventions": "CF-1.11",
+                "title": f"{maps.group} of a run of planish",
+                "source": history.program,
+                "history": history.json(**maps.facts()),
             }
-        )  # fmt: skip
+        )
 
 
 def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
@@ -63,9 +68,11 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
     file = GwyContainer()
     (down, across), (y0, x0), (rows, cols) = maps.pixel_um, maps.origin_um, maps.shape
     place: dict[str, Any] = {
-        "xreal": 1e-6 * across * cols, "yreal": 1e-6 * down * rows,
-        "xoff": 1e-6 * (x0 - 0.5 * across), "yoff": 1e-6 * (y0 - 0.5 * down),
-    }  # fmt: skip
+        "xreal": 1e-6 * across * cols,
+        "yreal": 1e-6 * down * rows,
+        "xoff": 1e-6 * (x0 - 0.5 * across),
+        "yoff": 1e-6 * (y0 - 0.5 * down),
+    }
     for k, name in enumerate(maps.names):
         # Gwyddion takes units without prefix and chooses the prefix itself.
         units, factor = {"um": ("m", 1e-6), "1": ("", 1.0)}.get(maps.units[name], (maps.units[name], 1.0))
@@ -131,20 +138,25 @@ def _add(crate: Any, entry: Path) -> Any:
     """Add a file with its size and hash, or a folder."""
     name = entry.name
     words = {
-        "run.toml": "Every parameter of the run; planish run repeats it", "results.json": "Every number of the run",
-        "figures.csv": "Every figure with its error", "report.html": "The report, to read",
+        "run.toml": "Every parameter of the run; planish run repeats it",
+        "results.json": "Every number of the run",
+        "figures.csv": "Every figure with its error",
+        "report.html": "The report, to read",
         "regions.geojson": "Regions that were declared artefacts",
         "maps.zarr": "All maps, zarr version 3; xarray.open_datatree opens it",
         "figures": "The figures of the report as SVG and CSV",
         "layers": "Whole runs of volumes that were mapped on the way",
-    }.get(name, "Marks and registration" if name.startswith("marks") else name)  # fmt: skip
+    }.get(name, "Marks and registration" if name.startswith("marks") else name)
     about = {"name": name, "description": words}
     if entry.is_dir():
         return crate.add_dataset(str(entry), f"{name}/", properties=about)
     kind = {
-        ".toml": "application/toml", ".json": "application/json", ".csv": "text/csv", ".html": "text/html",
+        ".toml": "application/toml",
+        ".json": "application/json",
+        ".csv": "text/csv",
+        ".html": "text/html",
         ".geojson": "application/geo+json",
-    }.get(entry.suffix, "application/octet-stream")  # fmt: skip
+    }.get(entry.suffix, "application/octet-stream")
     sha256 = hashlib.sha256(entry.read_bytes()).hexdigest()
     about |= {"contentSize": str(entry.stat().st_size), "sha256": sha256, "encodingFormat": kind}
     return crate.add_file(str(entry), name, properties=about)

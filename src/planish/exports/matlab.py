@@ -39,9 +39,11 @@ def write(maps: Maps, path: Path, history: ExportHistory, params: ExportParams) 
     """
     about: dict[str, Any] = {f"{axis}_um": um[None, :] for axis, um in zip(maps.dims, maps.at_um, strict=True)}
     about |= {
-        "pixel_um": np.array([maps.pixel_um]), "units": maps.units,
-        "titles": maps.titles, "history": history.json(**maps.facts()),
-    }  # fmt: skip
+        "pixel_um": np.array([maps.pixel_um]),
+        "units": maps.units,
+        "titles": maps.titles,
+        "history": history.json(**maps.facts()),
+    }
     version = chosen_version(maps, params)
     if version == "5":
         whole = {name: np.concatenate([band for _, band in maps.bands(name)]) for name in maps.names}

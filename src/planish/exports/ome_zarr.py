@@ -92,9 +92,11 @@ def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, histor
         ]
         datasets.append({"path": str(k), "coordinateTransformations": transformations})
     multiscale = {
-        "name": maps.group if several else names[0], "axes": axes, "datasets": datasets,
+        "name": maps.group if several else names[0],
+        "axes": axes,
+        "datasets": datasets,
         "type": "mean of 2 x 2 known pixels",
-    }  # fmt: skip
+    }
     channels = [
         {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0], "window": window}
         for (name, units), window in zip(maps.units.items(), windows, strict=True)

@@ -71,9 +71,12 @@ class ExportSource:
         """Open a run folder without its maps, or take a run that is in memory."""
         if isinstance(run, Run):
             return cls(
-                results=run.results, study=run.study, folder=run.folder, datasets=dict(run.groups),
+                results=run.results,
+                study=run.study,
+                folder=run.folder,
+                datasets=dict(run.groups),
                 registrations=dict(run.registrations),
-            )  # fmt: skip
+            )
         folder = Path(run)
         results = open_results(folder)
         return cls(results=results, study=read_study(folder / RUN_TOML), folder=folder, store=folder / MAPS)
@@ -87,9 +90,11 @@ class ExportSource:
             text = tomli_w.dumps({"planish": self.results.planish} | to_dict(self.study)).encode()
         sources = [(layer.name, layer.source) for layer in self.results.layers]
         return ExportHistory(
-            planish=self.results.planish, exported_by=__version__, study_sha256=hashlib.sha256(text).hexdigest(),
+            planish=self.results.planish,
+            exported_by=__version__,
+            study_sha256=hashlib.sha256(text).hexdigest(),
             inputs=tuple({"layer": layer, "name": s.name, "sha256": s.sha256} for layer, s in sources),
-        )  # fmt: skip
+        )
 
     @cached_property
     def groups(self) -> list[str]:
@@ -283,8 +288,9 @@ class ExportSource:
         )
         return TransformPair(
             DirectedTransform(layer.name, target, fit, moving, affine, exact),
-            DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, exact), fit.model,
-        )  # fmt: skip
+            DirectedTransform(target, layer.name, fit.inverse, fixed, affine.inverse, exact),
+            fit.model,
+        )
 
     def landmarks(self, layer: LayerFacts) -> xr.Dataset:
         """Give the marks of a moving layer with the first pixels of both layers, from which other programs count."""

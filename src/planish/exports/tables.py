@@ -26,11 +26,13 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     (name,) = maps.names
     (down, across), (y0, x0), (y, x) = maps.pixel_um, maps.origin_um, maps.dims
     head = [
-        f"{name}: {maps.titles[name]}", f"unit: {maps.units[name]}",
+        f"{name}: {maps.titles[name]}",
+        f"unit: {maps.units[name]}",
         f"pixel: {across!r} um along {x}, {down!r} um along {y}",
         f"middle of the first pixel: {x} = {x0!r} um, {y} = {y0!r} um",
-        f"{maps.shape[0]} rows, {maps.shape[1]} columns; missing: NaN", history.json(**maps.facts()),
-    ]  # fmt: skip
+        f"{maps.shape[0]} rows, {maps.shape[1]} columns; missing: NaN",
+        history.json(**maps.facts()),
+    ]
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"# {line}\n" for line in head)
         for _, band in maps.bands(name, np.float32):

@@ -67,9 +67,11 @@ def write_ome(content: Maps | xr.DataArray, path: Path, history: ExportHistory, 
     stack = _Stack.of(content)
     note = history.json(**stack.facts)
     metadata: dict[str, Any] = {
-        "axes": stack.axes, "Creator": history.program, "Description": note,
+        "axes": stack.axes,
+        "Creator": history.program,
+        "Description": note,
         "UUID": f"urn:uuid:{uuid.UUID(bytes=hashlib.sha256(note.encode()).digest()[:16], version=5)}",
-    }  # fmt: skip
+    }
     for axis, pitch in zip("XYZ", stack.pixel_um[::-1], strict=False):
         metadata |= {f"PhysicalSize{axis}": pitch, f"PhysicalSize{axis}Unit": "µm"}
     first, planes = stack.first_um, stack.shape[0] if len(stack.shape) > 2 else 1
@@ -108,12 +110,15 @@ class _Stack:
             if not several and content.data[names[0]].dtype.kind in "bu":
                 dtype = np.dtype(np.uint8)
             return cls(
-                content=content, axes="CYX" if several else "YX", dtype=dtype,
+                content=content,
+                axes="CYX" if several else "YX",
+                dtype=dtype,
                 shape=(len(names), *content.shape) if several else content.shape,
-                pixel_um=content.pixel_um, first_um=content.origin_um,
+                pixel_um=content.pixel_um,
+                first_um=content.origin_um,
                 labels=[f"{name} ({content.units[name]})".removesuffix(" (1)") for name in names],
                 facts=content.facts() | {"maps": content.titles},
-            )  # fmt: skip
+            )
         axes = [content[dim].values for dim in content.dims]
         first = tuple(exact(um[0]) for um in axes)
         pixel = tuple(exact((um[-1] - um[0]) / max(um.size - 1, 1)) for um in axes)

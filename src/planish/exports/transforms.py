@@ -192,10 +192,13 @@ def write_elastix(transform: DirectedTransform, path: Path, history: ExportHisto
     # The image that transformix makes lies on the pixels of the source.
     (rows, cols), (x, y), (down, across) = transform.grid.shape, transform.grid.origin_um, transform.grid.pixel_um
     image = {
-        "Size": [cols, rows], "Index": [0, 0], "Spacing": [across * scale, down * scale],
+        "Size": [cols, rows],
+        "Index": [0, 0],
+        "Spacing": [across * scale, down * scale],
         "Origin": [x * scale, y * scale],
-        "Direction": [1, 0, 0, 1], "UseDirectionCosines": ["true"],
-    }  # fmt: skip
+        "Direction": [1, 0, 0, 1],
+        "UseDirectionCosines": ["true"],
+    }
     note = f"// {transform.name}: takes points of {transform.source} to {transform.target}. "
     first = "NoInitialTransform"
     if not transform.exact:

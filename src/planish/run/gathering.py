@@ -136,11 +136,14 @@ def gather_link(linked: LinkedLayers) -> Run:
     by_this_code = all(layer.by_this_code for layer in layers)
     results = _results(study, facts, checks, by_this_code=by_this_code, chain=study.chain, **numbers)
     return Run(
-        study=study, results=results, groups=groups | linked.sink.overviews(), regions=regions,
+        study=study,
+        results=results,
+        groups=groups | linked.sink.overviews(),
+        regions=regions,
         registrations={name: link.registration for name, link in linked.links.items()},
         unchanged=layers[0].unchanged if is_one_sheet else {},
         sheets={} if is_one_sheet else {layer.name: layer for layer in layers if layer.params.kind == "volume"},
-    )  # fmt: skip
+    )
 
 
 def _side_of(a: Layer, b: Layer) -> Side:
@@ -153,11 +156,14 @@ def _evidence(linked: LinkedLayers, facts: tuple[LayerFacts, ...]) -> Iterator[E
     wanted, reference = linked.study.correlate, linked.reference
     columns = {
         layer.name: SheetColumns(
-            measured=layer.groups["surfaces"], flat=layer.groups["flat"],
+            measured=layer.groups["surfaces"],
+            flat=layer.groups["flat"],
             similarity=linked.links[layer.name].chain.similarity if layer.name in linked.links else Similarity(),
             interpolated="sections" in layer.groups and bool(layer.groups["sections"].attrs["missing"]),
-        ) for layer in linked.layers if layer.kind == "sheet"
-    }  # fmt: skip
+        )
+        for layer in linked.layers
+        if layer.kind == "sheet"
+    }
     # The machine direction on the reference: as it was given there, or as the marks carry it over.
     directions = [reference.md_deg] + [
         r.orientation.md_deg_fixed_from_moving
@@ -243,8 +249,11 @@ def _scale_checks(linked: LinkedLayers, layer: Layer) -> Iterator[Check]:
         moving, to = link.path[:2]
         if layer.name == name or (layer.name == to.name and layer.name not in linked.links):
             sheet = RegisteredSheet(
-                measured=layer.groups["surfaces"], flat=layer.groups["flat"], fit=link.registration.fit,
-                is_fixed=layer.name == to.name, either=moving.kind == to.kind == "sheet",
-            )  # fmt: skip
+                measured=layer.groups["surfaces"],
+                flat=layer.groups["flat"],
+                fit=link.registration.fit,
+                is_fixed=layer.name == to.name,
+                either=moving.kind == to.kind == "sheet",
+            )
             yield from run_checks(sheet, moving.name, to.name)
             return

@@ -93,9 +93,12 @@ class LayerHoles:
 
 
 def find_holes(
-    shown: xr.DataArray | xr.Dataset, *, params: HoleParams | None = None, side: Side | None = None,
+    shown: xr.DataArray | xr.Dataset,
+    *,
+    params: HoleParams | None = None,
+    side: Side | None = None,
     layer: str | None = None,
-) -> xr.Dataset:  # fmt: skip
+) -> xr.Dataset:
     """Find the laser holes in an image (y, x) or in the flat maps (v, u) of a sheet.
 
     Parameters

@@ -169,9 +169,12 @@ def resample_maps(
         If the registration belongs to another image, or goes from the image to the sheet.
     """
     check_dataset(
-        measured, "centre", what="measured surfaces", maker="pl.measure_properties(surfaces, volume=volume)",
+        measured,
+        "centre",
+        what="measured surfaces",
+        maker="pl.measure_properties(surfaces, volume=volume)",
         call="pl.resample_maps({}, flat)",
-    )  # fmt: skip
+    )
     check_dataset(
         flat, "u", "v", what="flat coordinates", maker="pl.flatten_sheet(surfaces).flat",
         call="pl.resample_maps(measured, {})",
@@ -203,7 +206,8 @@ def resample_maps(
     marks, sink = registration.marks, HeldMaps()
     circles = hole_circles(marks, "moving", rim_um, chain=chain), hole_circles(marks, "fixed", rim_um, image=onto)
     parts: dict[str, tuple[Shown, Chain | None]] = {
-        "sheet": ({"surfaces": measured, "flat": flat}, chain), "image": (onto, None),
-    }  # fmt: skip
+        "sheet": ({"surfaces": measured, "flat": flat}, chain),
+        "image": (onto, None),
+    }
     resample_layers(parts, ValidMask(np.concatenate(circles)), grid, sink, together="linked")
     return sink.group("linked")

@@ -87,10 +87,11 @@ class PositionErrors:
         if not self._whole:
             maps |= {f"error_{k}": (share, f"Expected error by {_SHARES[k][0]}") for k, share in shares.items()}
         return {
-            name: xr.DataArray(values.astype(np.float32), part.coords, ("y", "x"), attrs={
-                "long_name": title, "units": "um"
-            }) for name, (values, title) in maps.items()
-        }  # fmt: skip
+            name: xr.DataArray(
+                values.astype(np.float32), part.coords, ("y", "x"), attrs={"long_name": title, "units": "um"}
+            )
+            for name, (values, title) in maps.items()
+        }
 
 
 def error_shares(maps: xr.Dataset) -> ErrorShares | None:

@@ -53,12 +53,13 @@ def region_facts(regions: Regions, grid: Grid) -> RegionsFacts:
         together += int(np.count_nonzero(inside))
     pixels = grid.shape[0] * grid.shape[1]
     return RegionsFacts(
-        count=len(regions.declared), share=together / pixels,
+        count=len(regions.declared),
+        share=together / pixels,
         regions=tuple(
             RegionFacts(name=region.name, reason=region.reason, author=region.author, share=int(n) / pixels)
             for region, n in zip(regions.declared, one_by_one, strict=True)
         ),
-    )  # fmt: skip
+    )
 
 
 def write_regions(regions: Regions, folder: Path) -> None:

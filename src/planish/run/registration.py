@@ -130,9 +130,12 @@ class Registration:
 
 
 def register_marks(
-    moving: xr.Dataset, fixed: xr.Dataset, *, params: RegistrationParams | None = None,
+    moving: xr.Dataset,
+    fixed: xr.Dataset,
+    *,
+    params: RegistrationParams | None = None,
     hole_um: tuple[float, float] = (100.0, 300.0),
-) -> Registration:  # fmt: skip
+) -> Registration:
     """Match the laser holes of two layers, whose rotation and shift are unknown, and fit the transformation.
 
     Parameters
@@ -314,10 +317,13 @@ def _with_diameters(marks: xr.Dataset, side: str, holes: xr.Dataset, usual_um: f
         return marks
     numbers = np.flatnonzero(free)
     columns = {
-        f"{side}_x": centres[free, 0], f"{side}_y": centres[free, 1], f"{side}_diameter": size[free],
-        "used": np.ones(numbers.size, dtype=bool), "label": np.array([f"{side} {k + 1}" for k in numbers]),
+        f"{side}_x": centres[free, 0],
+        f"{side}_y": centres[free, 1],
+        f"{side}_diameter": size[free],
+        "used": np.ones(numbers.size, dtype=bool),
+        "label": np.array([f"{side} {k + 1}" for k in numbers]),
         f"{side}_source": np.array(["detected"] * numbers.size),
-    }  # fmt: skip
+    }
     extra = xr.Dataset({name: ("mark", column) for name, column in columns.items()})
     joined = xr.concat([marks, extra], dim="mark", data_vars="all", join="outer", combine_attrs="override")
     for name in joined.data_vars:

@@ -115,10 +115,13 @@ class Run:
             )
         params = next(layer for layer in self.study.layers if layer.name == facts.name)
         return Layer(
-            params=params, source=facts.source, md_deg=params.md_deg if params.volume is None else params.volume.md_deg,
-            groups={k: v for k, v in self.groups.items() if k in _SHEET_GROUPS}, facts=facts.sheet,
+            params=params,
+            source=facts.source,
+            md_deg=params.md_deg if params.volume is None else params.volume.md_deg,
+            groups={k: v for k, v in self.groups.items() if k in _SHEET_GROUPS},
+            facts=facts.sheet,
             checks=tuple(check for check in self.checks if check.layers == (facts.name,)),
-        )  # fmt: skip
+        )
 
     def __repr__(self) -> str:
         """Return its folder, layers, checks, groups, and r where it is a link: ten lines at most."""

@@ -71,7 +71,7 @@ def run_study(
         refuse_existing(out)
         refuse_inside(out, [layer.path for layer in study.layers])
         check_request(study, compute)
-        hashes = [_hash(layer.path) for layer in study.layers]
+        hashes = [hash_of_input(layer.path) for layer in study.layers]
         with work_folder(out, run_key(to_dict(study), hashes)) as work:
             caches = CachedMaps.of_link(study, hashes, out, compute)
             sheets = {name: sheet for name, cache in caches.items() if (sheet := cache.read()) is not None}
@@ -152,9 +152,12 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
         study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
     write_study(_with_own_files(study, run, folder, home), folder, home=home, version=__version__)
     write_report(
-        folder / "report.html", results=run.results, groups=run.groups, marks=pairs,
+        folder / "report.html",
+        results=run.results,
+        groups=run.groups,
+        marks=pairs,
         figures=folder / FIGURES if figures else None,
-    )  # fmt: skip
+    )
     stored = [] if store is None else store.stored
     if store is not None and stored:
         move(store.path, folder / MAPS)
@@ -204,10 +207,10 @@ def _with_own_files(study: Study, run: Run, folder: Path, home: Path) -> Study:
     return changed(study, layers=tuple(layers), registration=registration)
 
 
-def _hash(path: str) -> str:
-    """Hash of an input; whatever is wrong with it is said by its own reader."""
+def hash_of_input(path: str | Path) -> str:
+    """Hash of a file, a folder or a run, which its results stand for; what is wrong with it is said by its reader."""
+    results = Path(path) / "results.json"
     try:
-        place = Path(path)
-        return fingerprint(place / "results.json" if (place / "results.json").is_file() else place)
+        return fingerprint(results if results.is_file() else Path(path))
     except PlanishError:
         return ""

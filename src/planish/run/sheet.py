@@ -55,16 +55,21 @@ def map_layer(
     map_um = layer.flatten.map_um or column_um
     progress("resample", f"{map_um:.3g} um pixels")
     groups = {
-        "surfaces": columns, "flat": flattened.flat, "strain": flattened.strain,
+        "surfaces": columns,
+        "flat": flattened.flat,
+        "strain": flattened.strain,
         "maps": resample_maps(columns, flattened.flat, map_um=map_um),
-    }  # fmt: skip
+    }
     if sections is not None:
         groups["sections"] = sections
     params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.quality.mesh_um, map_um=map_um))
     facts = SheetFacts(
-        surfaces=surface_facts(columns), properties=property_facts(columns), numbers=None, flatten=flattened.quality,
+        surfaces=surface_facts(columns),
+        properties=property_facts(columns),
+        numbers=None,
+        flatten=flattened.quality,
         sections=None if sections is None else section_facts(sections),
-    )  # fmt: skip
+    )
     md_deg = v.md_deg if layer.md_deg is None else layer.md_deg
     if volume is None:
         assert before is not None
@@ -81,10 +86,13 @@ def map_layer(
     )
     numbers = sheet_numbers(columns, volume=volume, params=layer.properties, engine=local)
     return Layer(
-        params=changed(params, volume=sizes), source=input_file(volume, v.path), groups=groups,
-        facts=facts.model_copy(update={"numbers": numbers}), md_deg=md_deg,
+        params=changed(params, volume=sizes),
+        source=input_file(volume, v.path),
+        groups=groups,
+        facts=facts.model_copy(update={"numbers": numbers}),
+        md_deg=md_deg,
         checks=(*run_checks(MeasuredSheet(facts, columns)), *scan),
-    )  # fmt: skip
+    )
 
 
 def _measure(
@@ -132,10 +140,12 @@ def _remapped(before: Layer, sheet: Layer) -> Layer:
     checks = run_checks(MeasuredSheet(facts, sheet.groups["surfaces"]))
     names = {check.name for check in checks}
     return replace(
-        sheet, facts=facts, groups=sheet.groups | {"slices": before.groups["slices"]},
+        sheet,
+        facts=facts,
+        groups=sheet.groups | {"slices": before.groups["slices"]},
         unchanged={k: v for k, v in before.unchanged.items() if k in ("surfaces", "slices", "sections")},
         checks=(*checks, *(check for check in before.checks if check.name not in names)),
-    )  # fmt: skip
+    )
 
 
 def search_sheet(

@@ -182,9 +182,12 @@ def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea
         counts += [np.count_nonzero(part) for part in parts]
     (on_sheet, off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
     return LinkedArea(
-        pixels=pixels, share_on_sheet=on_sheet / pixels, share_valid=valid / pixels,
-        share_valid_of_sheet=valid / max(on_sheet, 1), share_valid_away_from_holes=valid / max(off_holes, 1),
-    )  # fmt: skip
+        pixels=pixels,
+        share_on_sheet=on_sheet / pixels,
+        share_valid=valid / pixels,
+        share_valid_of_sheet=valid / max(on_sheet, 1),
+        share_valid_away_from_holes=valid / max(off_holes, 1),
+    )
 
 
 def figures_text(results: Results) -> str:

@@ -122,13 +122,16 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
             for name, (values, title, units) in columns.items()
         },
         attrs={
-            "kind": stack.kind, "first_position_um": first, "cutoff_um": poses.cutoff_um,
+            "kind": stack.kind,
+            "first_position_um": first,
+            "cutoff_um": poses.cutoff_um,
             "missing": int(volume.attrs["sections_missing"]),
-            "jitter_left_um": [float(v) for v in poses.jitter_left_um], "pairs_used": poses.pairs_used,
+            "jitter_left_um": [float(v) for v in poses.jitter_left_um],
+            "pairs_used": poses.pairs_used,
             "pairs_refused": poses.pairs_refused,
             "fixed": [name for name, held in zip(("row", "col", "rotation"), poses.fixed, strict=True) if held],
         },
-    )  # fmt: skip
+    )
     return volume, sections
 
 

@@ -19,14 +19,14 @@ from planish.core.facts import ResultModel
 from planish.core.files import write_whole, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold
 from planish.core.series_results import Member, MemberState
-from planish.io import find_place, fingerprint
+from planish.io import find_place
 from planish.io.hashes import files_of
 from planish.io.info import describe
 from planish.io.run_folder import acquire_lock, refuse_existing, sweep
 from planish.run.compute import Compute, run_key
 from planish.run.run import is_run, open_results
-from planish.run.save import run_study
-from planish.run.study import RUN_TOML, Study, in_study_words, to_dict, with_paths
+from planish.run.save import hash_of_input, run_study
+from planish.run.study import Study, in_study_words, to_dict, with_paths
 from planish.series.gather import as_judged
 from planish.series.plan import Plan, PlannedSpecimen
 
@@ -200,7 +200,7 @@ class SeriesState:
         stamps = {str(k): stamp_of(Path(path)) for k, path in enumerate(paths)}
         hashes = {
             k: earlier.hashes[k] if earlier is not None and earlier.stamps.get(k) == stamp and k in earlier.hashes
-            else _hash(Path(path))
+            else hash_of_input(path)
             for (k, stamp), path in zip(stamps.items(), paths, strict=True)
         }  # fmt: skip
         return Note(key=run_key(options, list(hashes.values())), stamps=stamps, hashes=hashes)
@@ -248,14 +248,6 @@ def _outcome_of(error: PlanishError) -> JobOutcome:
 
 def _without_run(specimen: PlannedSpecimen, outcome: JobOutcome | Note) -> Member:
     return specimen.member.model_copy(update={"state": outcome.state, "message": outcome.message})
-
-
-def _hash(path: Path) -> str:
-    """Hash of an input; what is wrong with it is said by its own reader."""
-    try:
-        return fingerprint(path / "results.json" if (path / RUN_TOML).is_file() else path)
-    except PlanishError:
-        return ""
 
 
 def stamp_of(path: Path) -> str:
