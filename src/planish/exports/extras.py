@@ -86,8 +86,7 @@ def write_gwyddion(maps: Maps, path: Path, history: ExportHistory, _params: Expo
             file[f"/{k}/{key}"] = GwyDataField(
                 values, si_unit_xy=GwySIUnit(unitstr="m"), si_unit_z=GwySIUnit(unitstr=unit), **place
             )
-        note = history.json(**maps.facts() | {"missing": "mask"})
-        file[f"/{k}/meta"] = GwyContainer({"name": name, "planish": note})
+        file[f"/{k}/meta"] = GwyContainer({"name": name, "planish": history.json(**maps.facts() | {"missing": "mask"})})
         file[f"/{k}/data/visible"] = True
     with path.open("wb") as target:
         file.tofile(target)

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import zarr
+from numpy.typing import NDArray
 from zarr.codecs import BloscCodec, Crc32cCodec
 
 from planish.core.area import count_of, halved_values
@@ -49,12 +50,16 @@ def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams)
                 for rows in bands(coarser.shape[-2]):
                     part = finer[(*channel, slice(2 * rows.start, 2 * rows.stop))]
                     coarser[(*channel, rows)] = halved_values(part)
-        overview = np.asarray(arrays[-1][(*channel, ...)])  # the coarsest
-        low, high = percentile_limits(overview)
-        values = overview[np.isfinite(overview)]
-        ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
-        windows.append({"min": ends[0], "max": ends[1], "start": low, "end": high})
+        windows.append(_window(np.asarray(arrays[-1][(*channel, ...)])))  # of the coarsest
     group.attrs.update(_attributes(maps, windows, len(arrays), history))
+
+
+def _window(overview: NDArray[np.float32]) -> dict[str, float]:
+    """Limits of a map, and those between which it is shown first."""
+    low, high = percentile_limits(overview)
+    values = overview[np.isfinite(overview)]
+    ends = (float(values.min()), float(values.max())) if values.size else (0.0, 1.0)
+    return {"min": ends[0], "max": ends[1], "start": low, "end": high}
 
 
 def _copied(path: Path, sources: Sequence[Path], levels: int, channel: tuple[int, ...]) -> bool:

@@ -99,7 +99,8 @@ def gather_link(linked: LinkedLayers) -> Run:
     study, layers, maps, wanted = linked.study, linked.layers, linked.maps, linked.study.correlate
     pairs = [*combinations(layers, 2)]
     numbers: dict[str, Any] = {
-        "correlations": tuple(row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, wanted.point_um))
+        "chain": study.chain,
+        "correlations": [row for a, b in pairs for row in correlate_layers(a.name, b.name, maps, wanted.point_um)],
     }
     textures: Textures = {
         (a.name, b.name): texture_of(
@@ -116,13 +117,13 @@ def gather_link(linked: LinkedLayers) -> Run:
         ) for layer in layers
     )  # fmt: skip
     checks = [*_checks(linked, facts, textures)]
-    numbers["evidence"] = tuple(_evidence(linked, facts))
+    numbers["evidence"] = [*_evidence(linked, facts)]
     if wanted.mottle:
-        numbers["mottle"] = tuple(
+        numbers["mottle"] = [
             mottle_of(layer.name, maps[layer.name], quantity=layer.image.quantity)
             for layer in facts
             if layer.image is not None
-        )
+        ]
     is_one_sheet = study.is_sheet_on_image
     groups = {f"layers/{name}": data for name, data in maps.items()}
     if is_one_sheet:
@@ -133,8 +134,7 @@ def gather_link(linked: LinkedLayers) -> Run:
     if regions is not None:
         numbers["regions"] = region_facts(regions, reference.grid)
     study = changed(study, layers=tuple(layer.params for layer in layers))
-    by_this_code = all(layer.by_this_code for layer in layers)
-    results = _results(study, facts, checks, by_this_code=by_this_code, chain=study.chain, **numbers)
+    results = _results(study, facts, checks, by_this_code=all(layer.by_this_code for layer in layers), **numbers)
     return Run(
         study=study,
         results=results,
@@ -187,8 +187,8 @@ def _sheet_on_image(linked: LinkedLayers, headline: str) -> tuple[dict[str, Any]
     fit, maps = linked.links[sheet.name].registration.fit, sink.group(LINKED)
     numbers: dict[str, Any] = {"linked": linked_area(maps, linked.mask)}
     groups = sheet.groups | {LINKED: maps}
-    numbers["comparison"] = tuple(
-        comparison_rows(maps, sheet.groups, fit, name=headline, point_um=study.correlate.point_um, away=linked.mask)
+    numbers["comparison"] = comparison_rows(
+        maps, sheet.groups, fit, name=headline, point_um=study.correlate.point_um, away=linked.mask
     )
     if study.registration.refine is not None:
         transform, numbers["refinement"] = refine_link(maps, headline, grid, fit, study.registration.refine)

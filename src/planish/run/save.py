@@ -150,7 +150,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     if run.regions is not None:
         write_regions(run.regions, folder)
         study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
-    write_study(_with_own_files(study, run, folder, home), folder, home=home, version=__version__)
+    write_study(_with_files_of_run(study, run, folder, home), folder, home=home, version=__version__)
     write_report(
         folder / "report.html",
         results=run.results,
@@ -171,7 +171,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     write_tree(folder / MAPS, {name: data for name, data in groups.items() if name not in stored})
 
 
-def _with_own_files(study: Study, run: Run, folder: Path, home: Path) -> Study:
+def _with_files_of_run(study: Study, run: Run, folder: Path, home: Path) -> Study:
     """Name the run's own files of marks and corrections in its study, in place of those that they came from.
 
     Marks of another run are in this one too, with all that is known of them. Corrections of ``run.sheets`` stand in
