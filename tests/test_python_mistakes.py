@@ -158,7 +158,7 @@ def test_maps_without_a_value_and_words_of_the_command_line(linked_run, tmp_path
     nothing = xr.DataArray(np.full((30, 40), np.nan), dims=("y", "x"), coords=IMAGE.coords)
     found = pl.correlate(nothing, IMAGE)
     assert np.isnan(found.r)
-    assert found.support_um == 5.0  # by the coordinates
+    assert found.point_um == 5.0  # by the coordinates
     assert found.warnings == ("Only 0 points are valid in both maps.",)
     files = pl.export(linked_run, tmp_path / "map.csv", to="csv", map=["coating_top"])
     assert [path.name for path in files] == ["map.csv"]

@@ -20,7 +20,7 @@ def test_a_known_correlation_of_independent_points_is_found(r):
     found = correlate(*pair(r), pixel_um=4.0)
     standard_error = (1 - r * r) / np.sqrt(60_000)
     assert (found.r, found.r2) == (pytest.approx(r, abs=4 * standard_error + 1e-12), pytest.approx(found.r**2))
-    assert (found.n, found.support_um, found.n_eff) == (60_000, 4.0, pytest.approx(60_000, rel=0.05))
+    assert (found.n, found.point_um, found.n_eff) == (60_000, 4.0, pytest.approx(60_000, rel=0.05))
     assert found.n_eff_interval == pytest.approx(60_000, rel=0.12)
     low, high = found.interval
     assert high - low == pytest.approx(2 * 1.96 * (1 - found.r**2) / np.sqrt(60_000), rel=0.08)

@@ -30,7 +30,6 @@ def test_with_independent_points_it_is_the_textbook(x):
         width = stats.t.ppf(0.975, x.size - degree - 1) * np.sqrt(covariance[0, 0])
         assert (value, low, high) == pytest.approx((about[0], about[0] - width, about[0] + width), rel=1e-9)
     assert found.r2_line == pytest.approx(np.corrcoef(x, y)[0, 1] ** 2)
-    assert found.mean_x == pytest.approx(x.mean())
 
 
 def test_fewer_independent_points_widen_and_missing_points_do_not_count(x):
@@ -156,7 +155,7 @@ def test_independent_points_of_level_slope_and_bend():
 
 
 def test_maps_that_tell_no_points_are_refused():
-    with pytest.raises(CannotMeasure, match="x has one value"):
+    with pytest.raises(CannotMeasure, match="map x is constant"):
         independent_points(np.ones((20, 20)), np.ones((20, 20)), pixel_um=1)
     with pytest.raises(CannotMeasure, match="0 pixels are known"):
         independent_points(np.ones((20, 20)), np.ones((20, 20)), mask=np.zeros((20, 20), bool), pixel_um=1)

@@ -29,7 +29,7 @@ def test_rings_are_the_ratio_of_signal_to_all():
     rng = np.random.default_rng(0)
     found = [ring_correlation(*twice(rng), pixel_um=1.0).rings for _ in range(12)]
     mean = np.array([[ring.correlation for ring in rings] for rings in found]).mean(axis=0)
-    true = np.array([true_correlation(ring.frequency_per_um) for ring in found[0]])
+    true = np.array([true_correlation(1 / ring.wavelength_um) for ring in found[0]])
     # Along a direction other than the axes the orders of a pixel lie a little differently; 12 maps scatter by .03.
     assert np.abs(mean - true)[2:].max() < 0.08
     assert np.abs(mean - true)[2:].mean() < 0.02
@@ -39,7 +39,7 @@ def test_the_resolution_is_the_first_crossing():
     rng = np.random.default_rng(1)
     found = [ring_correlation(*twice(rng), pixel_um=3.0) for _ in range(12)]
     ring = found[0].rings
-    below = next(k for k, v in enumerate(ring) if true_correlation(3.0 * v.frequency_per_um) < v.threshold)
+    below = next(k for k, v in enumerate(ring) if true_correlation(3.0 / v.wavelength_um) < v.threshold)
     seen = [c.resolution_um for c in found]
     # Ripple of a curve crosses a little early, so a little longer waves are named.
     assert np.median(seen) == pytest.approx(ring[below].wavelength_um, rel=0.12)

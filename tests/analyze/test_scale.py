@@ -62,7 +62,7 @@ def test_small_fields_and_sizes_below_the_pixel_are_refused():
 def test_the_curve_of_sizes_holds_the_rows_and_a_wider_band():
     a, b = related_maps(np.random.default_rng(4), (90, 120), 5.0, 0.6)
     curve = size_curve(a, b, pixel_um=2.0)
-    assert [row.support_um for row in curve.rows] == pytest.approx([2 * 2 ** (k / 2) for k in range(7)])
+    assert [row.point_um for row in curve.rows] == pytest.approx([2 * 2 ** (k / 2) for k in range(7)])
     assert curve.rows[2].r == correlate(a, b, pixel_um=2.0, point_um=4.0).r
     for row, (low, high) in zip(curve.rows, curve.band, strict=True):
         assert low < row.interval[0] < row.r < row.interval[1] < high

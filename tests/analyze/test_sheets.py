@@ -64,11 +64,9 @@ def test_variances_are_those_of_the_analysis_of_variance():
 
 def test_the_error_of_a_mean_falls_with_sheets_and_fields():
     found = variances_of(drawn(np.random.default_rng(3), (3,) * 5))
-    assert found.error_of_mean(5, 3) == pytest.approx(math.sqrt(found.between / 5 + found.within / 15))
     # Balanced, and above 0, it is the error that the sheets themselves show.
-    assert found.error_of_mean(5, 3) == pytest.approx(
-        over_sheets(drawn(np.random.default_rng(3), (3,) * 5)).standard_error
-    )
+    error = math.sqrt(found.between / 5 + found.within / 15)
+    assert error == pytest.approx(over_sheets(drawn(np.random.default_rng(3), (3,) * 5)).standard_error)
 
 
 def test_unequal_sheets_have_the_true_variances_on_average():

@@ -104,7 +104,7 @@ def test_missing_pixels_do_not_count_and_scale_and_offset_carry_over():
 
 def test_wrong_input_is_refused():
     a = gaussian_maps(np.random.default_rng(10), (30, 40), 3.0)[0]
-    refused(CannotMeasure, "one value", variogram, np.ones((30, 40)), pixel_um=1.0)
+    refused(CannotMeasure, "constant", variogram, np.ones((30, 40)), pixel_um=1.0)
     refused(CannotMeasure, "0 pixels", variogram, a, mask=np.zeros(a.shape, bool), pixel_um=1.0)
     refused(CannotMeasure, "larger map", variogram, a[:5, :5], pixel_um=1.0)
     with pytest.raises(InputError, match="two dimensions"):

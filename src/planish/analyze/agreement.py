@@ -4,30 +4,38 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import LEAST_CLAIMED, Correlation, PairSums, correlate, on_one_grid, valid_in_both
-from planish.analyze.covariance import Lags, PairCovariances, covariance_of
+from planish.analyze.correlation import (
+    LEAST,
+    LEAST_CLAIMED,
+    Correlation,
+    check_varying,
+    correlate,
+    sums_of,
+    valid_pixels,
+)
+from planish.analyze.covariance import Lags, PairCovariances, scatter_of
 from planish.analyze.curve import independent_points
-from planish.analyze.distributions import student_quantile
+from planish.analyze.distributions import t_95
 from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known
-from planish.core.numbers import count, fixed, number, plain, unit
-from planish.core.typing import Bools, Floats
+from planish.core.numbers import count, fixed, limits_text, number, plain, unit
+from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
-_CHANCE = 0.95
-_LEAST = 3
-_LIMIT = 1.96  # standard deviations, as Bland and Altman write it
+LIMIT = 1.96
+"""Standard deviations of differences that hold 95 % of normal ones, as Bland and Altman write it."""
+
 # How well the variance of a mean is known from one map, as degrees of freedom: it scatters by two thirds of itself
 # however large the field (8 to 30 lengths across; measured), as lags are summed to a zero that scatters.
 _MOST_FREE, _POINTS_A_FREE = 9.0, 6.0
@@ -56,9 +64,7 @@ class Agreement(ResultModel):
     slope_x_on_y: Unsaved = Field(default=NULL, exclude=True, description="Least squares of a on b: a per b.")
 
 
-def bland_altman(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float]
-) -> Agreement:
+def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel) -> Agreement:
     """Compare two measurements of one quantity.
 
     Parameters
@@ -94,50 +100,37 @@ def bland_altman(
     ----------
     Bland and Altman (1986), Lancet 327, 307, doi:10.1016/S0140-6736(86)90837-8.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = valid_in_both(a, b, mask)
-    n = int(np.count_nonzero(is_valid))
-    if n < _LEAST:
-        raise CannotMeasure(f"{n} pixels are valid in both maps, {_LEAST} are needed. Look at the masks.")
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    check_varying(is_valid)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
-    sums = PairSums()
-    sums.add(x[is_valid], y[is_valid])
+    sums, off = sums_of(x[is_valid], y[is_valid]), y - x
     slope, _, other = sums.lines
-    off = y - x
-    bias = float(off[is_valid].mean())
-    if float(np.ptp(off[is_valid])) <= 1e-12 * max(float(np.abs(x[is_valid]).max()), float(np.abs(y[is_valid]).max())):
-        same = (bias, bias)
+    bias, sd = float(off[is_valid].mean()), sums.difference[1]
+    row: dict[str, Any] = {"n": sums.n, "bias": bias, "slope": slope, "slope_x_on_y": other}
+    if np.ptp(off[is_valid]) <= 1e-12 * max(np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()):
+        same, n_eff = (bias, bias), float(sums.n)
         return Agreement(
-            n=n, bias=bias, sd=0.0, limits=same, bias_interval=same, sd_interval=(0.0, 0.0), n_eff=float(n),
-            n_eff_sd=float(n), limit_intervals=(same, same), slope=slope, slope_x_on_y=other,
+            **row, sd=0.0, limits=same, bias_interval=same, sd_interval=(0.0, 0.0), n_eff=n_eff, n_eff_sd=n_eff,
+            limit_intervals=(same, same),
         )  # fmt: skip
     lags = Lags(is_valid, pixel)
-    covariance, of_mean = covariance_of(off, lags)
-    square = float(covariance[0, 0])  # with what the removal of the mean took put back
-    sd = sums.difference[1]
-    n_eff = min(square / of_mean, float(n)) if of_mean > 0 else math.nan
+    square, n_eff = scatter_of(off, lags)
     # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
-    ratio = PairCovariances(off, off, lags).variance_of_r()
-    n_eff_sd = min(1 + 1 / ratio, float(n)) if ratio > 0 else math.nan
-    intervals = _intervals(bias, square, n_eff, n_eff_sd) if min(n_eff, n_eff_sd) >= LEAST_CLAIMED else {}
-    return Agreement(
-        n=n, bias=bias, sd=sd, limits=(bias - _LIMIT * sd, bias + _LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd,
-        slope=slope, slope_x_on_y=other, **intervals,
-    )  # fmt: skip
-
-
-def _intervals(bias: float, square: float, n_eff: float, n_eff_sd: float) -> dict[str, Any]:
-    """The intervals of bias, standard deviation and both limits."""
-    quantile = student_quantile((1 + _CHANCE) / 2, min(n_eff / _POINTS_A_FREE, _MOST_FREE))
-    spread = quantile * math.sqrt(square / n_eff)
-    # sd of Gaussian values scatters by sd / sqrt(2 df).
-    share, whole = quantile / math.sqrt(2 * (n_eff_sd - 1)), math.sqrt(square)
-    wide = quantile * math.sqrt(square / n_eff + square * _LIMIT**2 / (2 * (n_eff_sd - 1)))
-    low, high = ((bias + s * _LIMIT * whole - wide, bias + s * _LIMIT * whole + wide) for s in (-1, 1))
-    return {
-        "bias_interval": (bias - spread, bias + spread), "limit_intervals": (low, high),
-        "sd_interval": (whole * math.exp(-share), whole * math.exp(share)),
-    }  # fmt: skip
+    n_eff_sd = PairCovariances(off, off, lags).n_eff(sums.n)
+    if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
+        quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
+        spread, whole = quantile * math.sqrt(square / n_eff), math.sqrt(square)
+        # sd of Gaussian values scatters by sd / sqrt(2 df).
+        share = quantile / math.sqrt(2 * (n_eff_sd - 1))
+        wide = quantile * math.sqrt(square / n_eff + square * LIMIT**2 / (2 * (n_eff_sd - 1)))
+        row |= {
+            "bias_interval": (bias - spread, bias + spread),
+            "sd_interval": (whole * math.exp(-share), whole * math.exp(share)),
+            "limit_intervals": tuple(
+                (bias + s * LIMIT * whole - wide, bias + s * LIMIT * whole + wide) for s in (-1, 1)
+            ),
+        }
+    return Agreement(**row, sd=sd, limits=(bias - LIMIT * sd, bias + LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -155,11 +148,11 @@ class Deming:
 
     slope: float
     intercept: float
-    interval: tuple[float, float]
+    interval: Pair
     error_ratio: float
 
 
-def deming(x: NDArray[Any], y: NDArray[Any], *, error_ratio: float | None, n_eff: float | None) -> Deming:
+def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None) -> Deming:
     """Fit a line where both quantities have errors.
 
     Parameters
@@ -202,8 +195,8 @@ def deming(x: NDArray[Any], y: NDArray[Any], *, error_ratio: float | None, n_eff
         raise InputError(f"x has the shape {np.shape(x)}, y {np.shape(y)}. Bring both onto one grid first.")
     is_valid = np.isfinite(x) & np.isfinite(y)
     n = int(np.count_nonzero(is_valid))
-    if n < _LEAST:
-        raise CannotMeasure(f"{n} points are known in x and y. Give {_LEAST} or more.")
+    if n < LEAST:
+        raise CannotMeasure(f"{n} points are known in x and y. Give {LEAST} or more.")
     scale = math.sqrt(error_ratio)
     a, b = np.asarray(x)[is_valid].astype(np.float64), np.asarray(y)[is_valid].astype(np.float64) / scale
     xx, xy, yy = float(np.var(a)), float(np.mean((a - a.mean()) * (b - b.mean()))), float(np.var(b))
@@ -211,24 +204,15 @@ def deming(x: NDArray[Any], y: NDArray[Any], *, error_ratio: float | None, n_eff
     if xy == 0 or not min(xx, yy) > 0 or spread_apart < 1e-12 * (xx + yy):
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
     turn = math.atan2(2 * xy, xx - yy) / 2
-    slope = math.tan(turn) * scale
-    return Deming(
-        slope=slope, intercept=float(b.mean()) * scale - slope * float(a.mean()), error_ratio=error_ratio,
-        interval=_directions(turn, xx * yy - xy * xy, spread_apart, min(n_eff, n), scale),
-    )  # fmt: skip
-
-
-def _directions(turn: float, area: float, spread_apart: float, n_eff: float, scale: float) -> tuple[float, float]:
-    if n_eff < LEAST_CLAIMED:
-        return math.nan, math.nan
-    quantile = student_quantile((1 + _CHANCE) / 2, n_eff - 2)
-    sine = 2 * quantile * math.sqrt(max(area, 0.0) / (n_eff - 2)) / spread_apart
-    width = math.asin(sine) / 2 if sine < 1 else math.inf
-    low, high = turn - width, turn + width
-    # Beyond upright, the interval would go through infinity.
-    if not -math.pi / 2 < low <= high < math.pi / 2:
-        return math.nan, math.nan
-    return math.tan(low) * scale, math.tan(high) * scale
+    slope, interval, n_eff = math.tan(turn) * scale, (math.nan, math.nan), min(n_eff, n)
+    if n_eff >= LEAST_CLAIMED:
+        sine = 2 * t_95(n_eff - 2) * math.sqrt(max(xx * yy - xy * xy, 0.0) / (n_eff - 2)) / spread_apart
+        width = math.asin(sine) / 2 if sine < 1 else math.inf
+        # Beyond upright, the interval would go through infinity.
+        if -math.pi / 2 < turn - width <= turn + width < math.pi / 2:
+            interval = math.tan(turn - width) * scale, math.tan(turn + width) * scale
+    intercept = float(b.mean()) * scale - slope * float(a.mean())
+    return Deming(slope=slope, intercept=intercept, interval=interval, error_ratio=error_ratio)
 
 
 class _WithPoint(ResultModel):
@@ -258,47 +242,36 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
         agreement = bland_altman(*points, pixel_um=point_um)
     except PlanishError:
         return {"twice": Twice.holding(rings, units=units)}
-    line: dict[str, Any] = {} if error_ratio is None else {"error_ratio": error_ratio}
+    line: dict[str, Any] = {"error_ratio": error_ratio}
     if error_ratio is not None:
-        try:
+        with suppress(PlanishError):
             n_eff = independent_points(*points, pixel_um=point_um).n_eff
             fit = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
-        except PlanishError:
-            pass
-        else:
             line |= {"error_slope": fit.slope, "error_intercept": fit.intercept, "error_interval": fit.interval}
     return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line)}
 
 
-def say_twice(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_twice(twice: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """Down to which wavelength two measurements agree, and how far they differ."""
-    twice = evidence.twice
-    assert twice is not None
-    out = [twice.sentence.replace(" um", "\u202fµm")] if twice.sentence else []
+    if twice.sentence:
+        yield twice.sentence.replace(" um", "\u202fµm")
     if is_known(twice.bias) and is_known(twice.point_um):
-        units, size = unit(twice.units), plain(twice.point_um)
-        sure = _limits_text(twice.bias_interval)
+        units = unit(twice.units)
         text = (
-            f"{evidence.b} minus {evidence.a}, over {count(twice.n)} points of {size}: {fixed(twice.bias, 2)} {units} "
-            f"on average ({sure or 'no interval'})"
+            f"{evidence.b} minus {evidence.a}, over {count(twice.n)} points of {plain(twice.point_um)}: "
+            f"{fixed(twice.bias, 2)} {units} on average ({limits_text(twice.bias_interval) or 'no interval'})"
         )
-        spread = _limits_text(twice.sd_interval, units)
-        out.append(f"{text}; standard deviation of a point within {spread}." if spread else f"{text}.")
+        if spread := limits_text(twice.sd_interval):
+            text += f"; standard deviation of a point within {f'{spread} {units}'.rstrip()}"
+        yield f"{text}."
     if is_known(twice.error_ratio):
         if not is_known(twice.error_slope):
-            out.append("No line between both: they do not vary together, or too few points are independent.")
-        else:
-            sure, ratio = _limits_text(twice.error_interval) or "no interval", number(twice.error_ratio)
-            out.append(
-                f"Line between both where each has errors (Deming, variances in a ratio of {ratio}, as declared): "
-                f"slope {number(twice.error_slope)} ({sure})."
-            )
-    yield from out
-
-
-def _limits_text(limits: tuple[float, float], units: str = "") -> str:
-    end = f" {units}" if units else ""
-    return f"95 %: {fixed(limits[0], 2)} to {fixed(limits[1], 2)}{end}" if is_known(limits) else ""
+            yield "No line between both: they do not vary together, or too few points are independent."
+            return
+        yield (
+            f"Line between both where each has errors (Deming, variances in a ratio of {number(twice.error_ratio)}, as "
+            f"declared): slope {number(twice.error_slope)} ({limits_text(twice.error_interval) or 'no interval'})."
+        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -336,7 +309,7 @@ class Instruments:
 
 
 def compare_instruments(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     point_um: float | None = None, error_ratio: float | None = None,
 ) -> Instruments:  # fmt: skip
     """Compare what two instruments measured of one quantity.
@@ -370,33 +343,30 @@ def compare_instruments(
     --------
     planish.analyze.bland_altman, planish.analyze.ring_correlation, planish.analyze.deming
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = valid_in_both(a, b, mask)
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     x, y = (np.where(is_valid, m, np.nan).astype(np.float64) for m in (a, b))
-    difference = y - x
     correlation = correlate(x, y, pixel_um=pixel, point_um=point_um)
     points, size = (x, y), pixel
     if point_um is not None:
         factor = (point_um / pixel[0], point_um / pixel[1])
         points, size = (area_mean(x, factor), area_mean(y, factor)), (point_um, point_um)
     agreement = bland_altman(*points, pixel_um=size)
-    notes: list[str] = []
     rings: RingCorrelation | None = None
+    line: Deming | None = None
+    notes: list[str] = []
     try:
         rings = ring_correlation(x, y, pixel_um=pixel)
     except CannotMeasure as error:
         notes.append(error.text)
-    line: Deming | None = None
     if error_ratio is not None:
         try:
             n_eff = independent_points(*points, pixel_um=size).n_eff
             if math.isnan(n_eff):
-                notes.append("How many points of the line are independent cannot be told.")
-            else:
-                line = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
+                raise CannotMeasure("How many points of the line are independent cannot be told.")
+            line = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
         except CannotMeasure as error:
             notes.append(error.text)
     return Instruments(
-        point_um=correlation.support_um, agreement=agreement, correlation=correlation, rings=rings,
-        shared_um=rings.resolution_um if rings else None, line=line, difference=difference, notes=tuple(notes),
+        point_um=correlation.point_um, agreement=agreement, correlation=correlation, rings=rings,
+        shared_um=rings.resolution_um if rings else None, line=line, difference=y - x, notes=tuple(notes),
     )  # fmt: skip

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal
 
@@ -11,12 +11,10 @@ import numpy as np
 from scipy import optimize
 
 from planish.analyze.differences import holm
-from planish.analyze.distributions import shifted_student_tail, student_quantile, student_tail
+from planish.analyze.distributions import shifted_student_tail, student_quantile, student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
-
-_CHANCE = 0.95
-_UNKNOWN = (math.nan, math.nan)
+from planish.core.typing import Pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -53,12 +51,12 @@ class SheetDifference:
 
     kind: Literal["paired", "two groups"]
     sheets: tuple[int, int]
-    means: tuple[float, float] = _UNKNOWN
+    means: Pair = (math.nan, math.nan)
     difference: float = math.nan
     sd: float = math.nan
     standard_error: float = math.nan
     free: float = math.nan
-    interval: tuple[float, float] = _UNKNOWN
+    interval: Pair = (math.nan, math.nan)
     p: float = math.nan
     p_of_table: float = math.nan
     unpaired: tuple[str, ...] = ()
@@ -90,13 +88,20 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     -------
     SheetDifference
     """
-    rows = [*_pairs(before, after)]
-    all_sheets = [*dict.fromkeys([*before.sheets, *after.sheets])]
-    unpaired = tuple(sheet for sheet in all_sheets if sheet not in {name for name, _, _ in rows})
-    k = len(rows)
+    first, second = before.by_sheet, after.by_sheet
+    if before.names and after.names:
+        earlier, later = (
+            {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
+            for m in (before, after)
+        )
+        shared = [field for field in earlier if field in later]
+        first, second = (Fields([m[k] for k in shared], [s for s, _ in shared]).by_sheet for m in (earlier, later))
+    pairs = {sheet: (values.mean(), second[sheet].mean()) for sheet, values in first.items() if sheet in second}
+    unpaired = tuple(sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in pairs)
+    k = len(pairs)
     if k == 0:
         return SheetDifference(kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner")
-    old, new = (np.array([row[i] for row in rows], dtype=np.float64) for i in (1, 2))
+    old, new = np.array([*pairs.values()], dtype=np.float64).T
     change = new - old
     spread = spread_of(change)
     if spread <= 1e-12 * float(np.abs([old, new]).max()):
@@ -107,22 +112,6 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
         reason=too_few(k) or ("" if spread > 0 else "all sheets have the same difference"),
     )  # fmt: skip
     return difference if difference.reason else _with_interval(difference, k - 1.0)
-
-
-def _pairs(before: Fields, after: Fields) -> Iterator[tuple[str, float, float]]:
-    """Each sheet with its means before and after, over the fields that count."""
-    if before.names and after.names:
-        earlier, later = (
-            {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
-            for m in (before, after)
-        )
-        shared = [key for key in earlier if key in later]
-        earlier, later = ([(sheet, m[sheet, f]) for sheet, f in shared] for m in (earlier, later))
-        before, after = (Fields([v for _, v in m], [s for s, _ in m]) for m in (earlier, later))
-    first, second = before.by_sheet, after.by_sheet
-    for sheet, values in first.items():
-        if sheet in second:
-            yield sheet, float(values.mean()), float(second[sheet].mean())
 
 
 def two_groups(first: Fields, second: Fields) -> SheetDifference:
@@ -136,24 +125,27 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     ----------
     Welch (1947), Biometrika 34, 28, doi:10.1093/biomet/34.1-2.28.
     """
-    means = [np.array([float(v.mean()) for v in m.by_sheet.values()]) for m in (first, second)]
-    k = (means[0].size, means[1].size)
+    a, b = (m.means for m in (first, second))
+    k = (a.size, b.size)
     if min(k) == 0:
         return SheetDifference(kind="two groups", sheets=k, reason="one of the two has no field with a value")
-    mean = (float(means[0].mean()), float(means[1].mean()))
-    parts = [spread_of(m) ** 2 / m.size for m in means]
+    mean = (float(a.mean()), float(b.mean()))
+    parts = [spread_of(m) ** 2 / m.size for m in (a, b)]
     error = math.sqrt(sum(parts))
     difference = SheetDifference(
         kind="two groups", sheets=k, means=mean, difference=mean[1] - mean[0], standard_error=error,
         reason=too_few(*k) or all_alike(error),
     )  # fmt: skip
-    if difference.reason:
-        return difference
-    return _with_interval(difference, sum(parts) ** 2 / sum(v * v / (n - 1) for v, n in zip(parts, k, strict=True)))
+    return difference if difference.reason else _with_interval(difference, welch_free(parts, k))
+
+
+def welch_free(variances: Sequence[float], counts: Sequence[int]) -> float:
+    """Degrees of freedom of a sum of variances of means, each over so many values (Welch 1947)."""
+    return sum(variances) ** 2 / sum(v * v / (n - 1) for v, n in zip(variances, counts, strict=True))
 
 
 def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
-    width = student_quantile((1 + _CHANCE) / 2, free) * difference.standard_error
+    width = t_95(free) * difference.standard_error
     return replace(
         difference, free=free, interval=(difference.difference - width, difference.difference + width),
         p=2 * student_tail(abs(difference.difference) / difference.standard_error, free),
@@ -162,8 +154,7 @@ def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
 
 def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
     """Put p right for how many differences are looked at, of all properties and pairs of papers (Holm 1979)."""
-    held = holm([d.p for d in differences])
-    return tuple(replace(d, p_of_table=p) for d, p in zip(differences, held, strict=True))
+    return tuple(replace(d, p_of_table=p) for d, p in zip(differences, holm([d.p for d in differences]), strict=True))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -184,7 +175,7 @@ class Equivalence:
     """
 
     margin: float
-    interval: tuple[float, float] = _UNKNOWN
+    interval: Pair = (math.nan, math.nan)
     p: float = math.nan
     verdict: Literal["equivalent", "larger", "undecided", "unknown"] = "unknown"
 
@@ -215,7 +206,7 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
         raise InputError(f"The margin is {margin}. Give the largest difference that does not matter, above 0.")
     if shift.reason:
         return Equivalence(margin=margin)
-    width = student_quantile(_CHANCE, shift.free) * shift.standard_error
+    width = student_quantile(0.95, shift.free) * shift.standard_error
     low, high = shift.difference - width, shift.difference + width
     p = max(student_tail((margin + s * shift.difference) / shift.standard_error, shift.free) for s in (-1, 1))
     inside, beyond = -margin < low and high < margin, low > margin or high < -margin
@@ -225,10 +216,15 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     )  # fmt: skip
 
 
-def shift_seen(power: float, free: float) -> float:
-    """How many standard errors a difference must have to be seen with a power, two-sided at 5 %."""
+def check_power(power: float) -> None:
+    """Raise InputError where a power is none."""
     if not 0.05 < power < 1:
         raise InputError(f"The power is {power}. Give a share between 0.05 and 1, such as 0.8.")
+
+
+def shift_seen(power: float, free: float) -> float:
+    """How many standard errors a difference must have to be seen with a power, two-sided at 5 %."""
+    check_power(power)
     high = 4.0  # not at once a large one: far out, the distribution's numbers are not defined
     while power_of_shift(high, free) < power:
         high *= 2
@@ -237,5 +233,4 @@ def shift_seen(power: float, free: float) -> float:
 
 def power_of_shift(shift: float, free: float) -> float:
     """How often a difference of so many standard errors is seen, two-sided at 5 %."""
-    quantile = student_quantile((1 + _CHANCE) / 2, free)
-    return shifted_student_tail(quantile, free, shift) + shifted_student_tail(quantile, free, -shift)
+    return sum(shifted_student_tail(t_95(free), free, s) for s in (shift, -shift))

@@ -8,16 +8,14 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import xarray as xr
-from numpy.typing import NDArray
 from scipy import fft
 
-from planish.analyze.correlation import on_one_grid
+from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags, covariance_of
 from planish.analyze.split_half import reliability_of, say_reliability
 from planish.core.bands import thinned
-from planish.core.errors import CannotMeasure, InputError
-from planish.core.typing import Bools, Floats
+from planish.core.errors import InputError
+from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
@@ -52,8 +50,8 @@ class Ceiling:
 
 
 def ceiling(
-    a: NDArray[Any], *, error_um: float | NDArray[Any], mask: Bools | None = None,
-    pixel_um: float | tuple[float, float], point_um: float | None = None, reliability: float = 1.0,
+    a: Array, *, error_um: float | Array, mask: Bools | None = None,
+    pixel_um: Pixel, point_um: float | None = None, reliability: float = 1.0,
 ) -> Ceiling:  # fmt: skip
     """State the r that a map would have with itself, displaced by the error of its place.
 
@@ -89,71 +87,63 @@ def ceiling(
     points the autocovariance is averaged over a point twice first. An error that varies over the map is averaged over
     its quantiles.
     """
-    pixel = on_one_grid(a, a, mask, pixel_um)
-    is_valid = np.isfinite(a) if mask is None else np.isfinite(a) & mask
+    is_valid, pixel = valid_pixels(a, a, mask, pixel_um)
     errors = np.asarray(error_um, dtype=np.float64)
     errors = errors[is_valid & np.isfinite(errors)] if errors.shape == is_valid.shape else errors.ravel()
     if not errors.size or not np.isfinite(errors).all() or errors.min() < 0:
         raise InputError("The error of the places is not known. Give a number of um from 0 on, or a map of it.")
     if not 0 < reliability <= 1:
         raise InputError(f"The reliability is {reliability:g}. Give a share above 0, at most 1.")
-    if np.count_nonzero(is_valid) < 3 or not np.ptp(a[is_valid]) > 0:
-        raise CannotMeasure("The map is constant or has no valid pixel: nothing could be compared with it.")
-    covariance, _ = covariance_of(a, Lags(is_valid, pixel))
+    check_varying(is_valid, a=a)
+    covariance = covariance_of(a, Lags(is_valid, pixel))
     spectrum = np.asarray(fft.rfft2(covariance)).real
     frequency = [fft.fftfreq(n, p) for n, p in zip(covariance.shape, pixel, strict=True)]
     across = frequency[1][: spectrum.shape[1]]
     if point_um is not None:
         spectrum = spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
-    whole = _at_zero(spectrum, covariance.shape)
     square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
-    quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES) if errors.size > 1 else errors
+    twice = np.full(spectrum.shape[1], 2.0)  # waves of half a spectrum, but those that are their own mirror images
+    twice[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
+
+    def at_zero(spectrum: Floats) -> float:
+        return float(np.sum(spectrum * twice)) / covariance.size
+
+    whole, quantiles = at_zero(spectrum), errors
+    if errors.size > 1:
+        quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
-    remaining = [_at_zero(spectrum * np.exp(-(e * e / 2) * square / 2), covariance.shape) / whole for e in quantiles]
+    remaining = [at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / whole for e in quantiles]
     position = float(np.clip(np.mean(remaining), 0.0, 1.0))
     return Ceiling(r=position * math.sqrt(reliability), position=position, noise=math.sqrt(reliability))
-
-
-def _at_zero(spectrum: Floats, shape: tuple[int, ...]) -> float:
-    """The inverse transform at lag 0, of half a spectrum."""
-    weight = np.full(spectrum.shape[1], 2.0)
-    weight[0] = 1.0
-    if shape[1] % 2 == 0:
-        weight[-1] = 1.0
-    return float(np.sum(spectrum * weight)) / (shape[0] * shape[1])
 
 
 def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
     """The r that a perfect relation would show by misplacement, by the noise of two half measurements, and by both."""
     answers: dict[str, Any] = {}
-    if (errors := _errors(*pair.layers)) is not None:
-        size = pair.point_um if pair.has_points else None
-        most = ceiling(pair.x, error_um=errors, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=size)
+    errors = [data["expected_error"] for data in pair.layers if "expected_error" in data]
+    # Of the places of all layers together, at some pixels.
+    total = np.sqrt(sum((np.asarray(thinned(data)[1][0], dtype=np.float64) ** 2 for data in errors), np.zeros(1)))
+    total = total[np.isfinite(total)]
+    if errors and total.size:
+        size, errors_um = pair.point_um if pair.has_points else None, np.quantile(total, np.linspace(0, 1, 65))
+        most = ceiling(pair.x, error_um=errors_um, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=size)
         answers |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
     if pair.columns and pair.has_points:
         halves = tuple(reliability_of(pair, layer, name) for layer, name in (pair.a, pair.b) if layer in pair.columns)
-        answers |= {"reliability": halves}
+        answers["reliability"] = halves
         noise = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
         if not math.isnan(noise):
-            answers |= {"ceiling_noise": noise}
-            answers |= {"ceiling_both": noise * answers["ceiling"]} if "ceiling" in answers else {}
+            answers["ceiling_noise"] = noise
+            if "ceiling" in answers:
+                answers["ceiling_both"] = noise * answers["ceiling"]
     return answers
 
 
-def say_ceiling(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_ceiling(_: object, evidence: EvidenceFacts, __: PairWords) -> Iterator[str]:
     """What a perfect relation would show."""
     if evidence.ceiling_sentence:
-        rests = (
-            "It rests on the expected error of the registration and the texture of the map; noise lowers it further."
+        yield (
+            f"{evidence.ceiling_sentence} It rests on the expected error of the registration and the texture of the "
+            "map; noise lowers it further."
         )
-        yield f"{evidence.ceiling_sentence} {rests}"
     yield from say_reliability(evidence)
-
-
-def _errors(*layers: xr.Dataset) -> Floats | None:
-    """Expected errors of the places of all layers together, at some pixels; None where one is not known."""
-    errors = [data["expected_error"] for data in layers if "expected_error" in data]
-    squares = [np.asarray(thinned(data)[1][0], dtype=np.float64) ** 2 for data in errors]
-    total = np.sqrt(sum(squares)) if squares else np.full(1, math.nan)
-    total = total[np.isfinite(total)]
-    return np.quantile(total, np.linspace(0, 1, 65)) if total.size else None

@@ -7,7 +7,6 @@ from typing import Any, ClassVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from pydantic import Field
 
 from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
@@ -16,7 +15,7 @@ from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
 from planish.core.facts import NULL, Interval, Side, Trust, Value
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Pair
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
@@ -145,7 +144,7 @@ def comparison_rows(
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
     for rows in bands(grid.shape[0]):
         part, image = grid.part(rows), band_of(linked["image"], rows)
-        use, values = band_of(linked["valid"], rows), list[NDArray[Any]]()
+        use, values = band_of(linked["valid"], rows), list[Array]()
         for _, _, mesh in variants:
             if mesh is None:
                 values.append(band_of(linked[name], rows))
@@ -187,7 +186,7 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
 
 
 def _change(
-    row: Correlation, pair: Sequence[Floats], r: float, reference: Sequence[Floats], pixel_um: tuple[float, float]
+    row: Correlation, pair: Sequence[Floats], r: float, reference: Sequence[Floats], pixel_um: Pair
 ) -> dict[str, Any]:
     """R of the run's own registration less that of another one, with its interval."""
     change = paired_difference((pair[0], pair[1]), (reference[0], reference[1]), pixel_um=pixel_um)

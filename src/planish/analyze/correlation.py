@@ -8,18 +8,17 @@ from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from pydantic import Field
 
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.detrend import shared_trend
-from planish.analyze.distributions import normal_quantile, ranks, student_quantile, student_tail
+from planish.analyze.distributions import normal_quantile, ranks, student_tail, t_95
 from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
 from planish.core.bands import Rows, band_of, bands
-from planish.core.errors import InputError, SizeError
+from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import NULL, Interval, ResultModel, Value
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 LEAST_CLAIMED = 10.0
 """Independent points below which nothing is claimed: no p and no interval."""
@@ -27,12 +26,13 @@ LEAST_CLAIMED = 10.0
 BANDWIDTH = 0.15
 """Share of the shorter side: how far points are taken to add to r together in the second opinion."""
 
-_LEAST = 3
-_FEW = 30.0
+LEAST = 3
+"""Pixels of a map without which it says nothing."""
+
+UNEVEN = 1.4
+"""Standard error of the second opinion over that of the covariances, from which on maps do not vary alike."""
+
 _MOST_CELLS = 2**20
-_SAME = 0.9  # share of the points that have one value, from which on a map says little
-_CHANCE = 0.95
-_UNEQUAL = 1.4  # standard error of the second opinion over that of the model
 
 
 class Correlation(ResultModel):
@@ -61,11 +61,6 @@ class Correlation(ResultModel):
     warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
 
     @property
-    def support_um(self) -> float:
-        """Edge of a point."""
-        return self.point_um
-
-    @property
     def direction(self) -> int:
         """1 or -1 where the interval of r excludes 0, else 0."""
         low, high = self.interval
@@ -84,7 +79,7 @@ class PairSums:
         self._mean = np.zeros(3)  # of x, y, y - x
         self._square = np.zeros((3, 3))
 
-    def add(self, x: NDArray[Any], y: NDArray[Any]) -> None:
+    def add(self, x: Array, y: Array) -> None:
         """Add the places where both are finite."""
         is_valid = np.isfinite(x) & np.isfinite(y)
         n = int(np.count_nonzero(is_valid))
@@ -101,28 +96,27 @@ class PairSums:
         self.n += n
 
     @property
-    def means(self) -> tuple[float, float]:
+    def means(self) -> Pair:
         """Of x and of y."""
         return float(self._mean[0]), float(self._mean[1])
 
     @property
-    def variances(self) -> tuple[float, float]:
+    def variances(self) -> Pair:
         """Of x and of y."""
         return float(self._square[0, 0]) / max(self.n, 1), float(self._square[1, 1]) / max(self.n, 1)
 
     @property
-    def constant(self) -> tuple[bool, bool]:
+    def constant(self) -> list[bool]:
         """Whether x, and whether y, is constant up to rounding: then it has no correlation."""
-        return tuple(
-            float(self._square[k, k]) <= self.n * (1e-12 * max(abs(float(self._mean[k])), 1e-300)) ** 2 for k in (0, 1)
-        )  # type: ignore[return-value]
+        least = np.maximum(np.abs(self._mean[:2]), 1e-300)
+        return (np.diag(self._square)[:2] <= self.n * (1e-12 * least) ** 2).tolist()
 
     @property
     def r(self) -> float:
         """Pearson's correlation coefficient; NaN with fewer than 3 places or a constant map."""
-        if self.n < _LEAST or any(self.constant):
+        if self.n < LEAST or any(self.constant):
             return math.nan
-        (saa, sab), (_, sbb) = self._square[0, :2], self._square[1, :2]
+        (saa, sab), (_, sbb) = self._square[:2, :2]
         return float(np.clip(sab / math.sqrt(saa * sbb), -1.0, 1.0))
 
     @property
@@ -134,21 +128,26 @@ class PairSums:
         return slope, float(self._mean[1] - slope * self._mean[0]), float(self._square[0, 1] / self._square[1, 1])
 
     @property
-    def difference(self) -> tuple[float, float]:
+    def difference(self) -> Pair:
         """Mean and standard deviation of y - x; NaN where there are too few places."""
         mean = float(self._mean[2]) if self.n else math.nan
         return mean, math.sqrt(self._square[2, 2] / (self.n - 1)) if self.n > 1 else math.nan
 
 
-def pearson(x: NDArray[Any], y: NDArray[Any]) -> float:
-    """Pearson's r of two arrays of one shape where both are finite; NaN with fewer than 3 points or a constant."""
+def sums_of(x: Array, y: Array) -> PairSums:
+    """The sums over two arrays of one shape."""
     sums = PairSums()
     sums.add(x, y)
-    return sums.r
+    return sums
+
+
+def pearson(x: Array, y: Array) -> float:
+    """Pearson's r of two arrays of one shape where both are finite; NaN with fewer than 3 points or a constant."""
+    return sums_of(x, y).r
 
 
 def correlate(
-    a: Rows, b: Rows, *, mask: Rows | None = None, pixel_um: float | tuple[float, float] | None = None,
+    a: Rows, b: Rows, *, mask: Rows | None = None, pixel_um: Pixel | None = None,
     point_um: float | None = None, most_cells: int = _MOST_CELLS,
 ) -> Correlation:  # fmt: skip
     """Correlate map b with map a, and state how sure the correlation is.
@@ -194,7 +193,14 @@ def correlate(
     Roy (1989), Biometrika 76, 824, doi:10.1093/biomet/76.4.824.
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
     """
-    pixel = on_one_grid(a, b, mask, _pitch_of(a) if pixel_um is None else pixel_um)
+    if pixel_um is None:
+        steps = [step_um(a, str(axis)) for axis in a.dims] if isinstance(a, xr.DataArray) else []
+        pixel_um = tuple(step for step in steps if step is not None)
+        if len(pixel_um) != 2:
+            raise SizeError(
+                "The maps have no pixel size: they are no maps with coordinates in um. Give it with --pixel-um."
+            )
+    pixel = on_one_grid(a, b, mask, pixel_um)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
         raise SizeError(f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a larger one.")
     cells = 0 if point_um is not None else most_cells
@@ -205,18 +211,7 @@ def correlate(
     return pair.at_pixel() if point_um is None else pair.at_points()
 
 
-def _pitch_of(maps: Rows) -> tuple[float, ...]:
-    """The pixel of a map by its coordinates; SizeError where it has none."""
-    steps = [step_um(maps, str(axis)) for axis in maps.dims] if isinstance(maps, xr.DataArray) else []
-    pitch = tuple(step for step in steps if step is not None)
-    if not pitch or len(pitch) < len(steps):
-        raise SizeError(
-            "The maps have no pixel size: they are no maps with coordinates in um. Give it with --pixel-um."
-        )
-    return pitch
-
-
-def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[float, ...]) -> tuple[float, float]:
+def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
     """Return the pixel along y and x, or raise InputError or SizeError where two maps are not on one grid."""
     sizes = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
     try:
@@ -225,8 +220,8 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[flo
         pixel = ()
     if len(pixel) != 2 or not all(0 < v < math.inf for v in pixel):
         raise SizeError(f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x.")
-    named: list[tuple[str, Any]] = [("a", a), ("b", b)]
-    for name, values in named if mask is None else [*named, ("mask", mask)]:
+    maps: dict[str, Any] = {"a": a, "b": b} | ({} if mask is None else {"mask": mask})
+    for name, values in maps.items():
         if not isinstance(values, (np.ndarray, xr.DataArray)) or len(values.shape) != 2:
             raise InputError(f"{name} is no array of two dimensions. Give maps (rows, cols).")
         if values.dtype.kind not in ("b" if name == "mask" else "fiub"):
@@ -234,7 +229,7 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[flo
             raise InputError(f"{name} holds {values.dtype} values. Give an array of {wanted}.")
         if values.shape != a.shape:
             raise InputError(f"{name} has {values.shape} pixels, a has {a.shape}. Bring both onto one grid first.")
-    placed = [m for m in (a, b, mask) if isinstance(m, xr.DataArray)]
+    placed = [m for m in maps.values() if isinstance(m, xr.DataArray)]
     for other in placed[1:]:
         if other.dims != placed[0].dims or any(
             not np.allclose(other[k], placed[0][k]) for k in other.dims if k in other.coords and k in placed[0].coords
@@ -243,10 +238,21 @@ def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: float | tuple[flo
     return pixel[0], pixel[1]
 
 
-def valid_in_both(a: NDArray[Any], b: NDArray[Any], mask: Bools | None) -> Bools:
-    """Where two maps have a value, and count."""
+def valid_pixels(a: Array, b: Array, mask: Bools | None, pixel_um: Pixel) -> tuple[Bools, Pair]:
+    """Pixels that count and have a value in both maps, and their size along y and x; errors as of ``on_one_grid``."""
+    pixel = on_one_grid(a, b, mask, pixel_um)
     is_valid = np.isfinite(a) & np.isfinite(b)
-    return is_valid if mask is None else is_valid & mask
+    return is_valid if mask is None else is_valid & mask, pixel
+
+
+def check_varying(is_valid: Bools, **maps: Array) -> None:
+    """Raise CannotMeasure where fewer than 3 pixels are valid, or one of the maps is constant over them."""
+    n = int(np.count_nonzero(is_valid))
+    if n < LEAST:
+        raise CannotMeasure(f"{n} pixels are known in all maps, {LEAST} are needed. Look at the masks.")
+    for name, values in maps.items():
+        if not np.ptp(values[is_valid]) > 0:
+            raise CannotMeasure(f"Over {n} known pixels, map {name} is constant. Look at the masks.")
 
 
 class PairAtSizes:
@@ -257,7 +263,7 @@ class PairAtSizes:
     """
 
     def __init__(
-        self, shape: tuple[int, int], *, pixel_um: tuple[float, float], point_um: float | None,
+        self, shape: tuple[int, int], *, pixel_um: Pair, point_um: float | None,
         most_cells: int = _MOST_CELLS,
     ) -> None:  # fmt: skip
         self._pixel_um, self._point_um = pixel_um, point_um
@@ -268,7 +274,7 @@ class PairAtSizes:
         self._sums = PairSums()
         self._ranked: list[Floats] = []
 
-    def add(self, begin: int, x: NDArray[Any], y: NDArray[Any]) -> None:
+    def add(self, begin: int, x: Array, y: Array) -> None:
         """Add the rows from ``begin`` on of both maps; NaN is missing."""
         is_valid = np.isfinite(x) & np.isfinite(y)
         for means in (self._cells, self._points):
@@ -278,116 +284,96 @@ class PairAtSizes:
             return
         self._sums.add(x, y)
         k = self._factor
-        thinned_maps = [m[-begin % k :: k, ::k].astype(np.float64) for m in (x, y)]
-        self._ranked.append(np.stack([m[is_valid[-begin % k :: k, ::k]] for m in thinned_maps]))
+        thin = np.s_[-begin % k :: k, ::k]
+        self._ranked.append(np.stack([m[thin][is_valid[thin]].astype(np.float64) for m in (x, y)]))
 
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
         cells, pitch = self.cells()
         ranked = np.concatenate(self._ranked, axis=1) if self._ranked else np.empty((2, 0))
-        support_um = math.sqrt(math.prod(self._pixel_um))
-        return _stated(self._sums, cells, ranked, pitch_um=pitch, support_um=support_um)
+        return _stated(self._sums, cells, ranked, pitch, math.sqrt(math.prod(self._pixel_um)))
 
     def at_points(self) -> Correlation:
         """The correlation of the larger points; of none where they would be smaller than a pixel."""
-        sums, points = self._of_points()
-        size = self._point_um or math.nan
+        points, size = self.points(), self._point_um or math.nan
         is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
-        return _stated(sums, [*points], np.stack([m[is_valid] for m in points]), pitch_um=(size, size), support_um=size)
+        return _stated(sums_of(*points), points, np.stack([m[is_valid] for m in points]), (size, size), size)
 
     def sizes(self) -> Iterator[tuple[Correlation, PairSums]]:
         """The correlation per pixel, and of the larger points, each with its sums."""
         yield self.at_pixel(), self._sums
-        yield self.at_points(), self._of_points()[0]
+        yield self.at_points(), sums_of(*self.points())
 
-    def cells(self) -> tuple[list[Floats], tuple[float, float]]:
+    def cells(self) -> tuple[list[Floats], Pair]:
         """The means of both maps over the cells that stand for the pixels, and the size of a cell."""
         assert self._cells is not None
         return self._cells.means(), (self._factor * self._pixel_um[0], self._factor * self._pixel_um[1])
 
-    def points(self) -> tuple[Floats, Floats]:
+    def points(self) -> list[Floats]:
         """The means of both maps; none where a point would be smaller than a pixel."""
         means = self._points.means() if self._points is not None else []
-        x, y = means or [np.full((0, 0), np.nan)] * 2
-        return x, y
-
-    def _of_points(self) -> tuple[PairSums, tuple[Floats, Floats]]:
-        sums, points = PairSums(), self.points()
-        sums.add(*points)
-        return sums, points
+        return means or [np.full((0, 0), np.nan)] * 2
 
 
-def _stated(
-    sums: PairSums, cells: list[Floats], ranked: Floats, *, pitch_um: tuple[float, float], support_um: float
-) -> Correlation:
+def _stated(sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair, support_um: float) -> Correlation:
     """Say how sure the correlation is that stands in the sums; ``cells`` are both maps, as they are or averaged."""
-    r = sums.r
+    r, (slope, intercept, other) = sums.r, sums.lines
+    row: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
+    row |= {"slope": slope, "intercept": intercept, "slope_x_on_y": other}
     if math.isnan(r):
-        constant = [f"Map {name} is constant." for name, same in zip("ab", sums.constant, strict=True) if same]
-        few = f"Only {sums.n} points are valid in both maps."
-        return Correlation(
-            point_um=support_um, n=sums.n, r=r, r2=r, slope=r, intercept=r,
-            warnings=(few,) if sums.n < _LEAST else tuple(constant),
-        )  # fmt: skip
-    slope, intercept, other = sums.lines
-    n_eff, p, width, warnings = _certainty(r, sums, cells, pitch_um)
-    rho = pearson(ranks(ranked[0]), ranks(ranked[1])) if ranked.size else math.nan
-    return Correlation(
-        point_um=support_um, n=sums.n, r=r, r2=r * r, rho=rho, slope=slope, intercept=intercept,
-        slope_x_on_y=other, mean_a=sums.means[0], mean_b=sums.means[1], n_eff=n_eff, p=p, interval=_interval(r, width),
-        n_eff_interval=(normal_quantile((1 + _CHANCE) / 2) / width) ** 2 + 3 if width > 0 else math.nan,
-        warnings=(*_nearly_constant(ranked), *warnings),
-    )  # fmt: skip
+        warnings = [f"Map {name} is constant." for name, same in zip("ab", sums.constant, strict=True) if same]
+        if sums.n < LEAST:
+            warnings = [f"Only {sums.n} points are valid in both maps."]
+        return Correlation(**row, warnings=tuple(warnings))
+    rho, warnings = math.nan, list[str]()
+    if ranked.size:
+        rho = pearson(ranks(ranked[0]), ranks(ranked[1]))
+        shares = (float(np.mean(values == np.median(values))) for values in ranked)
+        warnings = [
+            f"{100 * share:.0f} % of the points of map {name} have one value."
+            for name, share in zip("ab", shares, strict=True) if share > 0.9
+        ]  # fmt: skip
+    row |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
+    row |= _certainty(r, sums, cells, pitch_um, warnings)
+    return Correlation(**row, warnings=tuple(warnings))
 
 
 def _certainty(
-    r: float, sums: PairSums, cells: list[Floats], pitch_um: tuple[float, float]
-) -> tuple[float, float, float, list[str]]:
-    """Give n_eff, p, half of the width of the interval of z, and what to be careful about."""
+    r: float, sums: PairSums, cells: list[Floats], pitch_um: Pair, warnings: list[str]
+) -> dict[str, float | Pair]:
+    """Independent points, p and interval, as far as they may be claimed; adds to ``warnings``."""
     is_valid = np.isfinite(cells[0]) & np.isfinite(cells[1])
-    if np.count_nonzero(is_valid) < _LEAST:
-        return math.nan, math.nan, math.nan, ["The maps are too small to tell how many points are independent."]
+    if np.count_nonzero(is_valid) < LEAST:
+        warnings.append("The maps are too small to tell how many points are independent.")
+        return {}
     x, y = (np.where(is_valid, m, 0.0) for m in cells)
     pair = PairCovariances(x, y, Lags(is_valid, pitch_um))
-    variance = pair.variance_of_r(sums.variances)
-    n_eff = min(1 + 1 / variance, float(sums.n)) if variance > 0 else math.nan
+    n_eff = pair.n_eff(sums.n, sums.variances)
     if not n_eff >= LEAST_CLAIMED:
         few = f"{n_eff:.0f}" if n_eff >= 1 else "No"
-        return n_eff, math.nan, math.nan, [f"{few} independent points: nothing is claimed. Measure a larger field."]
-    warnings = [f"Only {n_eff:.0f} independent points. Measure a larger field."] if n_eff < _FEW else []
+        warnings.append(f"{few} independent points: nothing is claimed. Measure a larger field.")
+        return {"n_eff": n_eff}
+    if n_eff < 30:
+        warnings.append(f"Only {n_eff:.0f} independent points. Measure a larger field.")
     if 1 - r * r < 1e-14:
-        return n_eff, 0.0, 0.0, warnings
-    p = 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2)
-    within = PairSums()
-    within.add(x[is_valid], y[is_valid])
-    ratio = 1.0
-    if 1 - within.r**2 > 1e-14:
+        return {"n_eff": n_eff, "p": 0.0, "interval": (r, r)}
+    within, ratio = pearson(x[is_valid], y[is_valid]), 1.0
+    if 1 - within**2 > 1e-14:
         reach = BANDWIDTH * min(k * p for k, p in zip(is_valid.shape, pitch_um, strict=True))
-        ratio = max(pair.spatial_error(within.r, reach)[1], 1.0)
-    if ratio > _UNEQUAL:
+        ratio = max(pair.spatial_error(within, reach)[1], 1.0)
+    if ratio > UNEVEN:
         warnings.append(
             f"The maps do not vary alike everywhere, which makes the interval {ratio:.1f} times as wide. Look at them, "
             "and mask what does not belong."
         )
-    of_z = ratio**2 * pair.variance_of_z(r, sums.variances)
-    quantile = (1 + _CHANCE) / 2
-    width = normal_quantile(quantile) / math.sqrt(n_eff - 3)
-    if 0 < of_z < 1 / _LEAST:
-        width = max(width, student_quantile(quantile, 1 / of_z - 2) * math.sqrt(of_z))
+    of_z, normal = ratio**2 * pair.variance_of_z(r, sums.variances), normal_quantile(0.975)
+    width = normal / math.sqrt(n_eff - 3)
+    if 0 < of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
+        width = max(width, t_95(1 / of_z - 2) * math.sqrt(of_z))
     if trend := shared_trend(x, y, is_valid):
         warnings.append(trend)
-    return n_eff, p, width, warnings
-
-
-def _interval(r: float, width: float) -> tuple[float, float]:
-    if width == 0:
-        return r, r
-    z = math.atanh(r) if abs(r) < 1 else math.nan
-    return math.tanh(z - width), math.tanh(z + width)
-
-
-def _nearly_constant(ranked: Floats) -> Iterator[str]:
-    for name, values in zip("ab", ranked, strict=True):
-        share = float(np.mean(values == np.median(values))) if values.size else 0.0
-        if share > _SAME:
-            yield f"{100 * share:.0f} % of the points of map {name} have one value."
+    z = math.atanh(r)
+    return {
+        "n_eff": n_eff, "p": 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2),
+        "interval": (math.tanh(z - width), math.tanh(z + width)), "n_eff_interval": (normal / width) ** 2 + 3,
+    }  # fmt: skip

@@ -8,31 +8,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import fft, ndimage, optimize, special
 
-from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
+from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_grid
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import normal_tail
 from planish.analyze.ncc import MaskedNcc
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import Interval, Pair, ResultModel, Value, is_known
+from planish.core.facts import Interval, ResultModel, Value, is_known
 from planish.core.numbers import fixed, plain
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
 
 _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
-REACH_UM = 500.0
-"""Along either axis."""
-
 _RAYS = 72
-_STEP = 0.25  # pixels, along a ray
-_NODES = 65
-_MOST_LAGS = 40  # of a profile to either side
 
 
 class LagProfile(ResultModel):
@@ -97,20 +90,15 @@ class Correlogram:
     r: Floats
     lag_y_um: Floats
     lag_x_um: Floats
-    lag_um: tuple[float, float]
+    lag_um: Pair
     peak_r: float
     sign: int
     inner: bool
-    widths_um: tuple[float, float]
+    widths_um: Pair
     angle_deg: float
     n_eff: float
     band_99: Floats
     band_99_of_any: Floats
-
-    @property
-    def anisotropy(self) -> float:
-        """Longer over shorter width of the peak."""
-        return self.widths_um[0] / self.widths_um[1]
 
     @property
     def beyond_chance(self) -> bool | None:
@@ -130,15 +118,15 @@ class Correlogram:
         )  # fmt: skip
 
     def _profile(self, lags_um: Floats, axis: tuple[int | slice, int | slice]) -> LagProfile:
-        """What lies along one axis, at lag 0 and at most so many lags to either side."""
-        step = math.ceil((lags_um.size // 2) / _MOST_LAGS)
+        """What lies along one axis, at lag 0 and at most 40 lags to either side."""
+        step = math.ceil((lags_um.size // 2) / 40)
         every = slice(lags_um.size // 2 % step, None, step)
         r, limit, of_any = (tuple(m[axis][every].tolist()) for m in (self.r, self.band_99, self.band_99_of_any))
         return LagProfile(lags_um=tuple(lags_um[every].tolist()), r=r, limit=limit, limit_of_any=of_any)
 
 
 def cross_correlogram(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     reach_um: float = 500.0,
 ) -> Correlogram:  # fmt: skip
     """Correlate two maps at every lag up to a reach along either axis.
@@ -188,66 +176,64 @@ def cross_correlogram(
 
 
 def correlogram_of(
-    maps: tuple[NDArray[Any], NDArray[Any]], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float = 500.0
+    maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float = 500.0
 ) -> Correlogram:  # fmt: skip
     """The same of maps with the pixels that count in each, and the lags of those that count in both."""
-    (a, b), pixel, n = maps, lags.pixel_um, lags.n
-    for name, m, is_counted in zip("ab", (a, b), valid, strict=True):
-        if n < 3 or not np.ptp(m[is_counted]) > 0:
-            raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
+    (a, b), pixel = maps, lags.pixel_um
+    check_varying(lags.is_valid)
+    check_varying(valid[0], a=a)
+    check_varying(valid[1], b=b)
     reach = tuple(max(min(int(reach_um / p + 1e-9), n // 2), 1) for n, p in zip(a.shape, pixel, strict=True))
     ncc = MaskedNcc(a.astype(np.float64), a_valid=valid[0], b_valid=valid[1], reach=(reach[0], reach[1]))
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():
         raise CannotMeasure("At no lag are there enough pairs that differ. Give a larger map or a smaller mask.")
-    moved = [(np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True)]
+    lag_y, lag_x = ((np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True))
     top, peak_r, inner = _summit(r)
     widths, angle = _widths(r / peak_r, top, pixel) if inner else ((math.nan, math.nan), math.nan)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
     return Correlogram(
-        r=r, lag_y_um=moved[0], lag_x_um=moved[1], peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
+        r=r, lag_y_um=lag_y, lag_x_um=lag_x, peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
         lag_um=((top[0] - reach[0]) * pixel[0], (top[1] - reach[1]) * pixel[1]), widths_um=widths, angle_deg=angle,
         n_eff=n_eff, band_99=band, band_99_of_any=of_any,
     )  # fmt: skip
 
 
-def _summit(r: Floats) -> tuple[tuple[float, float], float, bool]:
+def _summit(r: Floats) -> tuple[Pair, float, bool]:
     """Place of the largest ``|r|`` in rows and columns, r there, and whether it is a summit."""
     row, col = np.unravel_index(int(np.nanargmax(np.abs(r))), r.shape)
     highest = float(r[row, col])
-    plain = (float(row), float(col)), highest, False
+    border = (float(row), float(col)), highest, False
     near = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
     if near.shape != (3, 3) or not np.isfinite(near).all():
-        return plain
+        return border
     y, x = (m.ravel() for m in np.mgrid[-1:2, -1:2])
     terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1).astype(np.float64)
-    c = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0]
-    bend = np.array([[c[3], c[4]], [c[4], c[5]]]) * math.copysign(1.0, highest)
+    c, sign = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0], math.copysign(1.0, highest)
+    bend = c[[[3, 4], [4, 5]]] * sign
     if bend[0, 0] >= 0 or np.linalg.det(bend) <= 0:
-        return plain
-    move = -np.linalg.solve(bend, c[1:3] * math.copysign(1.0, highest))
+        return border
+    move = -np.linalg.solve(bend, c[1:3] * sign)
     if np.abs(move).max() > 1:
-        return plain
-    r_there = float(np.clip(c[0] + c[1:3] @ move / 2, -1.0, 1.0))
-    return (float(row + move[0]), float(col + move[1])), r_there, True
+        return border
+    return (float(row + move[0]), float(col + move[1])), float(np.clip(c[0] + c[1:3] @ move / 2, -1.0, 1.0)), True
 
 
-def _widths(height: Floats, top: tuple[float, float], pixel: tuple[float, float]) -> tuple[tuple[float, float], float]:
+def _widths(height: Floats, top: Pair, pixel: Pair) -> tuple[Pair, float]:
     """Full widths at half height along the main axes of what lies above it, and the direction of the longer one.
 
     The border is looked for along rays; of an ellipse the second moments over the area are a quarter of the squared
     half axes.
     """
-    turn = np.arange(_RAYS) * (2 * math.pi / _RAYS)
+    rays = np.arange(_RAYS)
+    turn = rays * (2 * math.pi / _RAYS)
     ahead = np.stack([np.sin(turn), np.cos(turn)])  # along y and x, in um
-    steps = np.arange(1, int(math.hypot(*height.shape) / _STEP)) * _STEP * min(pixel)
+    steps = np.arange(int(math.hypot(*height.shape) / 0.25)) * 0.25 * min(pixel)
     places = [top[k] + ahead[k][:, None] * steps / pixel[k] for k in (0, 1)]
     along_rays = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
-    along_rays = np.concatenate([np.ones((_RAYS, 1)), along_rays], axis=1)
-    steps = np.concatenate([[0.0], steps])
+    along_rays[:, 0] = 1.0
     below = ~(along_rays > 0.5)
     first = np.argmax(below, axis=1)
-    rays = np.arange(_RAYS)
     inner, outer = along_rays[rays, first - 1], along_rays[rays, first]
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
@@ -260,13 +246,11 @@ def _widths(height: Floats, top: tuple[float, float], pixel: tuple[float, float]
     return (4 * math.sqrt(values[1]), 4 * math.sqrt(values[0])), angle
 
 
-def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Floats, looked_at: Bools) -> tuple[float, Floats, Floats]:
+def _limits(maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools) -> tuple[float, Floats, Floats]:
     """Independent points, and the limits of ``|r|`` by lag: at this lag alone, and at any lag."""
     x, y = (np.where(lags.is_valid, m, 0.0).astype(np.float64) for m in maps)
     pair = PairCovariances(x, y, lags)
-    variance = pair.variance_of_r()
-    n_eff = min(1 + 1 / variance, float(lags.n)) if variance > 0 else math.nan
-    unknown = np.full(pairs.shape, math.nan)
+    n_eff, unknown = pair.n_eff(lags.n), np.full(pairs.shape, math.nan)
     if not n_eff >= LEAST_CLAIMED:
         return n_eff, unknown, unknown
     # Fewer pairs hold as many fewer independent ones.
@@ -286,7 +270,7 @@ def _limits(maps: list[NDArray[Any]], lags: Lags, pairs: Floats, looked_at: Bool
 
     u = float(optimize.brentq(lambda v: math.log(chance(v) / _CHANCE), 2.0, 12.0))
     # Over the inverse of the points, limits are all but straight: a quantile for each lag would take longest of all.
-    nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), _NODES)
+    nodes = np.linspace(1 / float(n_eff_of_lag.max()), 1 / float(n_eff_of_lag.min()), 65)
     alone, anywhere = (
         np.where(looked_at, np.interp(1 / n_eff_of_lag, nodes, t / np.sqrt(t * t + 1 / nodes - 2)), math.nan)
         for t in (np.asarray(-special.stdtrit(1 / nodes - 2, tail)) for tail in (_CHANCE / 2, normal_tail(u)))
@@ -298,16 +282,14 @@ def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
     """The correlogram with its profiles through lag 0; nothing where there are too few lags."""
     is_valid = pair.lags.is_valid
     try:
-        whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=REACH_UM)
+        whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
     except PlanishError:
         return {}
     return {"correlogram": whole.profiles(pair.cell_um)}
 
 
-def say_correlogram(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_correlogram(profiles: CorrelogramProfiles, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
     """Where both maps agree best, and what unrelated maps reach."""
-    profiles = evidence.correlogram
-    assert profiles is not None
     limit = f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated maps"
     if not is_known(profiles.limit_of_any):
         limit = "fewer than 10 independent points: what unrelated maps reach is not known"

@@ -11,10 +11,9 @@ import math
 from collections.abc import Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Complexes, Floats, Pair
 
 _FIELD = 0.5  # of the field, along either axis: longer lags have too few pairs of points
 
@@ -29,7 +28,7 @@ class Lags:
         Along y and x.
     """
 
-    def __init__(self, is_valid: Bools, pixel_um: tuple[float, float]) -> None:
+    def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
         reach = [int(_FIELD * k) for k in is_valid.shape]
         self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)]
@@ -43,11 +42,16 @@ class Lags:
         self._mask = self.transform(is_valid.astype(np.float64))
         self.pairs = np.rint(self._back(np.abs(self._mask) ** 2)) * self.inside
 
-    def transform(self, values: Floats) -> NDArray[np.complex128]:
+    def transform(self, values: Floats) -> Complexes:
         """Fourier transform of a map that is 0 where it is not known."""
         return np.asarray(fft.rfft2(values, self._size))
 
-    def products(self, a: NDArray[np.complex128], b: NDArray[np.complex128]) -> Floats:
+    def own_products(self, values: Array) -> Floats:
+        """Sums of products of a map (rows, cols), less its mean, with itself."""
+        moved = self.transform(np.where(self.is_valid, values - values[self.is_valid].mean(), 0.0))
+        return self.products(moved, moved)
+
+    def products(self, a: Complexes, b: Complexes) -> Floats:
         """Sums of a at a point times b at a lag from it, for every lag (wrapped, as ``pairs``)."""
         return self._back(np.conj(a) * b) * self.inside
 
@@ -68,25 +72,31 @@ class Lags:
         mean = float(products[used].sum()) / rest if rest > 0 else 0.0
         return np.where(pairs > 0, products / np.maximum(pairs, 1.0) + mean, 0.0)
 
+    def variance_of_mean(self, covariance: Floats) -> float:
+        """Variance of the mean of values with this covariance over the known points."""
+        return float(np.sum(self.pairs * covariance)) / self.n**2
+
     def sums(self, covariance: Floats) -> Floats:
         """Sum of the covariances of each known point with all known points: shape of the mask, 0 outside of it."""
         rows, cols = self.is_valid.shape
         summed = self._back(np.asarray(fft.rfft2(covariance)) * self._mask)[:rows, :cols]
         return np.where(self.is_valid, summed, 0.0)
 
-    def _back(self, values: NDArray[np.complex128]) -> Floats:
+    def _back(self, values: Complexes) -> Floats:
         return np.asarray(fft.irfft2(values, self._size))
 
 
-def covariance_of(values: Floats, lags: Lags) -> tuple[Floats, float]:
-    """Covariance of a map with itself by lag, up to its first zero, and the variance of the map's mean.
+def covariance_of(values: Array, lags: Lags) -> Floats:
+    """Covariance of a map (rows, cols) with itself by lag, up to its first zero, over the mask of ``lags``."""
+    products = lags.own_products(values)
+    return lags.covariance(products, lags.until_zero(products))
 
-    ``values``, shape (rows, cols), do not count outside of the mask of ``lags``.
-    """
-    moved = lags.transform(np.where(lags.is_valid, values - values[lags.is_valid].mean(), 0.0))
-    products = lags.products(moved, moved)
-    covariance = lags.covariance(products, lags.until_zero(products))
-    return covariance, float(np.sum(lags.pairs * covariance)) / lags.n**2
+
+def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
+    """Variance of a map, with what the removal of the mean took put back, and the independent points of its mean."""
+    covariance = covariance_of(values, lags)
+    square, of_mean = float(covariance[0, 0]), lags.variance_of_mean(covariance)
+    return square, min(square / of_mean, float(lags.n)) if of_mean > 0 else math.nan
 
 
 class PairCovariances:
@@ -112,7 +122,7 @@ class PairCovariances:
         self._together = [lags.covariance(p, used) for p in (*auto, cross)]
         self.variances = tuple(float(p[0, 0]) / lags.n for p in auto)
 
-    def variance_of_r(self, variances: tuple[float, float] | None = None) -> float:
+    def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of two maps with these covariances that are unrelated (Dutilleul 1993).
 
         ``variances`` are those of single points where the maps are means over more than one.
@@ -128,11 +138,16 @@ class PairCovariances:
         product = traces[0] * traces[1]
         return trace / product if product > 0 else math.nan
 
-    def variance_of_z(self, r: float, variances: tuple[float, float] | None = None) -> float:
+    def n_eff(self, n: int, variances: Pair | None = None) -> float:
+        """Independent points, at most ``n``, that would give r of unrelated maps this variance; NaN if unknown."""
+        variance = self.variance_of_r(variances)
+        return min(1 + 1 / variance, float(n)) if variance > 0 else math.nan
+
+    def variance_of_z(self, r: float, variances: Pair | None = None) -> float:
         """Variance of Fisher's z of r of two jointly Gaussian maps with these covariances (Bartlett's formula)."""
         return float(self._influence(r, variances).sum()) / self.lags.n**2
 
-    def spatial_error(self, r: float, bandwidth_um: float) -> tuple[float, float]:
+    def spatial_error(self, r: float, bandwidth_um: float) -> Pair:
         """Standard error of z from what the points add to r, and the same over that of the model.
 
         Both are sums over lags up to a bandwidth with weights that fall to 0 (Conley 1999), so that what longer lags
@@ -149,7 +164,7 @@ class PairCovariances:
         error = math.sqrt(max(observed, 0.0))
         return error / self.lags.n, error / math.sqrt(expected) if expected > 0 else 1.0
 
-    def _influence(self, r: float, variances: tuple[float, float] | None) -> Floats:
+    def _influence(self, r: float, variances: Pair | None) -> Floats:
         """Sums, by lag, of the covariances of what single points add to z."""
         of_points = self.variances if variances is None else variances
         put_back = [float(c[0, 0]) - w for c, w in zip((self.xx, self.yy), self.variances, strict=True)]
@@ -184,7 +199,7 @@ def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int,
             # Isserlis: of Gaussian maps the covariance of products is one of pairs.
             paired = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
             total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * paired
-    return float(np.sum(lags.pairs * total)) / lags.n**2
+    return lags.variance_of_mean(total)
 
 
 def _reversed(values: Floats) -> Floats:

@@ -12,23 +12,24 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 
-from planish.analyze.correlation import LEAST_CLAIMED, correlate, on_one_grid, valid_in_both
-from planish.analyze.covariance import Lags, covariance_of
-from planish.analyze.distributions import student_quantile
+from planish.analyze.correlation import (
+    LEAST_CLAIMED,
+    check_varying,
+    correlate,
+    valid_pixels,
+)
+from planish.analyze.covariance import Lags, scatter_of
+from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
 from planish.core.numbers import fixed, plain
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
-
-_QUANTILE = 0.975
-_LEAST = 3
-_LEAST_VALUES = 3  # different ones of x: two do not show a curve
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,9 +51,7 @@ class IndependentPoints:
     n_eff_level: float
 
 
-def independent_points(
-    x: NDArray[Any], y: NDArray[Any], *, pixel_um: float | tuple[float, float], mask: Bools | None = None
-) -> IndependentPoints:
+def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | None = None) -> IndependentPoints:
     """Count the independent points of a curve of map y over map x.
 
     Parameters
@@ -75,17 +74,12 @@ def independent_points(
     CannotMeasure
         If fewer than 3 pixels are known in both, or x is constant.
     """
-    pixel = on_one_grid(x, y, mask, pixel_um)
-    is_valid = valid_in_both(x, y, mask)
-    n = int(np.count_nonzero(is_valid))
-    off = np.where(is_valid, x - (x[is_valid].mean() if n else 0.0), 0.0)
-    if n < _LEAST or np.ptp(x[is_valid]) == 0:
-        raise CannotMeasure(f"{n} pixels are known in both maps, or x has one value. Look at the masks.")
-    y_off = np.where(is_valid, y - y[is_valid].mean(), 0.0)
+    is_valid, pixel = valid_pixels(x, y, mask, pixel_um)
+    check_varying(is_valid, x=x)
+    off, y_off = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
     rest = y_off - off * (float(np.sum(off * y_off)) / float(np.sum(off * off)))
     slope, square = (correlate(m, rest, mask=is_valid, pixel_um=pixel).n_eff for m in (off, off * off))
-    covariance, variance = covariance_of(rest, Lags(is_valid, pixel))
-    level = min(float(covariance[0, 0]) / variance, float(n)) if variance > 0 else np.nan
+    level = scatter_of(rest, Lags(is_valid, pixel))[1]
     return IndependentPoints(n_eff=slope, n_eff_square=square, n_eff_level=level)
 
 
@@ -100,7 +94,6 @@ class Curvature(ResultModel):
     n_eff_square: Unsaved = Field(
         default=NULL, exclude=True, description="Independent points that the interval of the curvature counts."
     )
-    mean_x: Unsaved = Field(default=NULL, exclude=True, description="Mean of x.")
     slope: Value = Field(description="Slope of the straight line.")
     slope_interval: Interval = Field(description="In which the slope lies with 95 %.")
     curvature: Value = Field(description="Coefficient of the square.")
@@ -157,36 +150,34 @@ def straight_or_curved(
     squares = count if n_eff_square is None else known_points(x, y, n_eff_square)[2]
     scale = float(weights.std())
     u = (weights - float(weights.mean())) / scale
-    line, line_error, line_left = _least_squares(np.stack([np.ones(weights.size), u], axis=1), values, count)
-    bent, bent_error, bent_left = _least_squares(np.stack([np.ones(weights.size), u, u * u], axis=1), values, squares)
+    line, line_left = _least_squares(np.stack([np.ones(weights.size), u], axis=1), values, count)
+    bent, bent_left = _least_squares(np.stack([np.ones(weights.size), u, u * u], axis=1), values, squares)
     variance = float(values.var())
     r2_line, r2_bent = (1 - rest / variance if variance > 0 else math.nan for rest in (line_left, bent_left))
-    slope, curvature = float(line[1]) / scale, float(bent[2]) / scale**2
-    slopes = slope - (width := float(line_error[1]) / scale), slope + width
-    curvatures = curvature - (width := float(bent_error[2]) / scale**2), curvature + width
-    if curvatures[0] <= 0 <= curvatures[1]:
+    (slope, width), (curvature, wide) = line[:, 1] / scale, bent[:, 2] / scale**2
+    if curvature - wide <= 0 <= curvature + wide:
         words = "not distinguishable from a straight line"
-    elif slopes[0] <= 0 <= slopes[1]:
+    elif slope - width <= 0 <= slope + width:
         words = "curved, without a slope"
     else:  # a curve saturates where its slope, up or down, loses steepness as x grows
         words = "curved, saturating" if curvature * slope < 0 else "curved, growing"
     return Curvature(
-        n=weights.size, n_eff=count, n_eff_square=squares, mean_x=float(weights.mean()), slope=slope,
-        slope_interval=slopes, curvature=curvature, interval=curvatures, r2_line=r2_line, r2_parabola=r2_bent,
+        n=weights.size, n_eff=count, n_eff_square=squares, slope=slope, slope_interval=(slope - width, slope + width),
+        curvature=curvature, interval=(curvature - wide, curvature + wide), r2_line=r2_line, r2_parabola=r2_bent,
         words=words,
     )  # fmt: skip
 
 
 def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floats, float]:
     """Values that are known in both, and how many are independent."""
-    arrays: list[NDArray[Any]] = [np.asarray(v) for v in (x, y)]
-    for name, v in zip("xy", arrays, strict=True):
+    arrays: dict[str, Array] = {"x": np.asarray(x), "y": np.asarray(y)}
+    for name, v in arrays.items():
         if v.dtype.kind not in "fiub":
             raise InputError(f"{name} holds {v.dtype} values. Give an array of numbers.")
-    if arrays[0].shape != arrays[1].shape:
-        raise InputError(f"x has {arrays[0].shape} points, y has {arrays[1].shape}. Give one y for each x.")
-    is_valid = np.isfinite(arrays[0]) & np.isfinite(arrays[1])
-    steps, values = (v[is_valid].astype(np.float64) for v in arrays)
+    if np.shape(x) != np.shape(y):
+        raise InputError(f"x has {np.shape(x)} points, y has {np.shape(y)}. Give one y for each x.")
+    is_valid = np.logical_and(*map(np.isfinite, arrays.values()))
+    steps, values = (v[is_valid].astype(np.float64) for v in arrays.values())
     count = float(n_eff)
     if steps.size < LEAST_CLAIMED or math.isnan(count) or 0 < count < LEAST_CLAIMED:
         independent = "an unknown number" if math.isnan(count) else f"{min(count, steps.size):.0f}"
@@ -199,24 +190,22 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
             f"n_eff is {count:g} of {steps.size} points. Give the independent points of planish.analyze.correlate, at "
             "most as many as there are."
         )
-    spread = float(steps.std())
-    different = 1 if spread <= 1e-12 * float(np.abs(steps).max()) else len(np.unique(steps))
-    if different < _LEAST_VALUES:
+    different = 1 if steps.std() <= 1e-12 * np.abs(steps).max() else len(np.unique(steps))
+    if different < 3:  # two do not show a curve
         raise CannotMeasure(
-            f"x has {different} different value{'s' if different > 1 else ''}; a curve needs {_LEAST_VALUES}. Take "
-            "points whose thickness or weight differs."
+            f"x has {different} different value{'s' if different > 1 else ''}; a curve needs 3. Take points whose "
+            "thickness or weight differs."
         )
     return steps, values, count
 
 
-def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, Floats, float]:
-    """Coefficients, half widths of their 95 % intervals, and the mean square that is left."""
-    coefficients: Floats = np.linalg.lstsq(terms, values, rcond=None)[0].astype(np.float64)
+def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:
+    """Coefficients and half widths of their 95 % intervals, (2, terms), and the mean square that is left."""
+    coefficients = np.linalg.lstsq(terms, values, rcond=None)[0]
     mean_square = float(np.mean((values - terms @ coefficients) ** 2))
     free = n_eff - terms.shape[1]
     spread = np.diag(np.linalg.inv(terms.T @ terms / len(values))) * mean_square / free
-    widths: Floats = np.sqrt(spread) * student_quantile(_QUANTILE, free)
-    return coefficients, widths, mean_square
+    return np.stack([coefficients, np.sqrt(spread) * t_95(free)]).astype(np.float64), mean_square
 
 
 def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
@@ -232,9 +221,7 @@ def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
     return {"curve": ImageCurve.holding(bent, point_um=pair.point_um)}
 
 
-def say_curve(evidence: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_curve(bent: ImageCurve, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Whether the relation is straight."""
-    bent = evidence.curve
-    assert bent is not None
     shares = f"r² is {fixed(bent.r2_line, 2)} of the line and {fixed(bent.r2_parabola, 2)} of the parabola"
     yield f"Over points of {plain(words.point_um)} the relation is {bent.words} ({shares})."

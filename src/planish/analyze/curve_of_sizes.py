@@ -8,24 +8,17 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import Correlation, correlate, on_one_grid, valid_in_both
+from planish.analyze.correlation import Correlation, correlate, valid_pixels
+from planish.analyze.distributions import normal_quantile
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
-from planish.core.facts import NULL, Interval, Pair, ResultModel, Value
-from planish.core.typing import Bools, Floats
+from planish.core.facts import NULL, Interval, ResultModel, Value
+from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps
-
-
-_LEAST_POINTS = 8  # along the shorter side
-_SEED = 20090502
-_DRAWS = 20_000
-_CHANCE = 0.95
-_TILES = 6  # along the shorter side, of which what the sizes share is told
 
 
 class SizeRow(ResultModel):
@@ -57,19 +50,12 @@ class SizeCurve:
     """
 
     rows: tuple[Correlation, ...]
-    band: tuple[tuple[float, float], ...]
-
-
-def usual_sizes(shape: tuple[int, int], pixel_um: tuple[float, float]) -> list[float]:
-    """Sizes from the pixel up by factors of the square root of 2, as far as the field holds 8 points across."""
-    least, most = max(pixel_um), min(n * p for n, p in zip(shape, pixel_um, strict=True)) / _LEAST_POINTS
-    count = math.floor(2 * math.log2(max(most / least, 1.0)) + 1e-9) + 1
-    return [least * 2 ** (k / 2) for k in range(count)]
+    band: tuple[Pair, ...]
 
 
 def size_curve(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None,
-    pixel_um: float | tuple[float, float], sizes_um: Sequence[float] | None = None,
+    a: Array, b: Array, *, mask: Bools | None = None,
+    pixel_um: Pixel, sizes_um: Sequence[float] | None = None,
 ) -> SizeCurve:  # fmt: skip
     """Correlate two maps over points of several sizes.
 
@@ -98,36 +84,37 @@ def size_curve(
     of them; the limits are those of the largest of so many correlated normal deviates. The best of 8 sizes taken by
     itself would be "significant" in 9 % of unrelated maps.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    sizes = sorted(usual_sizes((a.shape[0], a.shape[1]), pixel) if sizes_um is None else map(float, sizes_um))
-    if not sizes or sizes[0] < max(pixel) * (1 - 1e-9):
-        raise SizeError(f"A point of {min(sizes, default=0):g} um is smaller than a pixel of {max(pixel):g} um.")
-    is_valid = valid_in_both(a, b, mask)
-    x, y = (np.where(is_valid, m, np.nan) for m in (a, b))
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    if sizes_um is None:  # up by factors of the square root of 2
+        most = min(n * p for n, p in zip(a.shape, pixel, strict=True)) / 8
+        count = math.floor(2 * math.log2(max(most / max(pixel), 1.0)) + 1e-9) + 1
+        sizes_um = [max(pixel) * 2 ** (k / 2) for k in range(count)]
+    if min(sizes_um, default=0) < max(pixel) * (1 - 1e-9):
+        raise SizeError(f"A point of {min(sizes_um, default=0):g} um is smaller than a pixel of {max(pixel):g} um.")
     rows, parts = list[Correlation](), list[Floats]()
-    for size in sizes:
-        means = AreaMeans((is_valid.shape[0], is_valid.shape[1]), (size / pixel[0], size / pixel[1]))
-        means.add(0, is_valid, x, y)
-        points = means.means()
-        rows.append(correlate(points[0], points[1], pixel_um=size))
-        parts.append(_by_tiles(points, rows[-1].r))
-    claimed = [k for k, row in enumerate(rows) if not math.isnan(row.interval[0]) and abs(row.r) < 1]
-    wider = _wider([parts[k] for k in claimed])
-    band = [(math.nan, math.nan)] * len(rows)
-    for k in claimed:
-        z, (low, high) = math.atanh(rows[k].r), (math.atanh(v) for v in rows[k].interval)
-        band[k] = math.tanh(z + wider * (low - z)), math.tanh(z + wider * (high - z))
+    for size in map(float, sorted(sizes_um)):
+        means = AreaMeans((a.shape[0], a.shape[1]), (size / pixel[0], size / pixel[1]))
+        means.add(0, is_valid, a, b)
+        x, y = means.means()
+        rows.append(correlate(x, y, pixel_um=size))
+        if not math.isnan(rows[-1].interval[0]) and abs(rows[-1].r) < 1:
+            parts.append(_by_tiles(x, y, rows[-1].r))
+    wider, band = _wider(parts), list[Pair]()
+    for row in rows:
+        if math.isnan(row.interval[0]) or not abs(row.r) < 1:
+            band.append((math.nan, math.nan))
+            continue
+        z, (low, high) = math.atanh(row.r), (math.atanh(v) for v in row.interval)
+        band.append((math.tanh(z + wider * (low - z)), math.tanh(z + wider * (high - z))))
     return SizeCurve(rows=tuple(rows), band=tuple(band))
 
 
-def _by_tiles(points: list[Floats], r: float) -> Floats:
-    """Sum what the points of each tile of the field add to r."""
-    is_valid = np.isfinite(points[0]) & np.isfinite(points[1])
-    if np.count_nonzero(is_valid) < 3 or math.isnan(r):
-        return np.zeros(0)
-    x, y = ((m - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for m in points)
+def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:
+    """Sum what the points of each tile of the field, six along its shorter side, add to r."""
+    is_valid = np.isfinite(x) & np.isfinite(y)
+    x, y = ((m - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for m in (x, y))
     added = np.where(is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
-    side = min(is_valid.shape) / _TILES
+    side = min(is_valid.shape) / 6
     for axis, n in enumerate(is_valid.shape):
         count = max(round(n / side), 1)
         added = np.add.reduceat(added, [round(k * n / count) for k in range(count)], axis=axis)
@@ -139,12 +126,10 @@ def _wider(parts: list[Floats]) -> float:
     if len(parts) < 2:
         return 1.0
     count = min(p.size for p in parts)
-    together = np.corrcoef(np.stack([p[:count] for p in parts]))
-    rng = np.random.default_rng(_SEED)
-    power, vectors = np.linalg.eigh(np.nan_to_num(together))
-    drawn = rng.normal(size=(_DRAWS, len(parts))) @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
-    most = np.quantile(np.abs(drawn).max(axis=1), _CHANCE)
-    return float(most / 1.959963984540054)
+    power, vectors = np.linalg.eigh(np.nan_to_num(np.corrcoef(np.stack([p[:count] for p in parts]))))
+    drawn = np.random.default_rng(20090502).normal(size=(20_000, len(parts)))
+    drawn = drawn @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
+    return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / normal_quantile(0.975))
 
 
 def answer_sizes(pair: ComparedMaps) -> dict[str, Any]:

@@ -4,19 +4,19 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from scipy import fft
 
-from planish.analyze.between_sheets import power_of_shift
+from planish.analyze.between_sheets import check_power, power_of_shift, welch_free
 from planish.analyze.correlation import LEAST_CLAIMED
 from planish.analyze.sheets import LEAST_SHEETS
 from planish.core.errors import InputError, SizeError
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair, Pixel
 
 _PARTS = 8  # of the edge of a point, over which its mean is taken
 _MOST_POINTS = 2_000_000
-_MOST_SHEETS = 100_000
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -42,14 +42,14 @@ class StudyDesign:
     sheets: int
     fields: int
     n_eff: float
-    r2: tuple[float, float]
+    r2: Pair
     paired: bool
     standard_error: float
     power: float
 
 
 def power_of_study(
-    r2: tuple[float, float], *, sheets: int, fields: int, n_eff: float, between_sheets: float, paired: bool,
+    r2: Pair, *, sheets: int, fields: int, n_eff: float, between_sheets: float, paired: bool,
     change_between_sheets: float = 0.0, shared: float = 0.0,
 ) -> StudyDesign:  # fmt: skip
     """Say how often a study will distinguish two r².
@@ -97,7 +97,7 @@ def power_of_study(
         error, free = math.sqrt(variance / sheets), sheets - 1.0
     else:
         parts = [s * s * (between_sheets**2 + scatter_of_field) / sheets for s in slopes]
-        error, free = math.sqrt(sum(parts)), sum(parts) ** 2 / sum(v * v / (sheets - 1) for v in parts)
+        error, free = math.sqrt(sum(parts)), welch_free(parts, (sheets, sheets))
     return StudyDesign(
         sheets=sheets, fields=fields, n_eff=n_eff, r2=(float(r2[0]), float(r2[1])), paired=paired, standard_error=error,
         power=power_of_shift(abs(math.sqrt(r2[1]) - math.sqrt(r2[0])) / error, free),
@@ -105,7 +105,7 @@ def power_of_study(
 
 
 def sheets_needed(
-    r2: tuple[float, float], *, fields: int, n_eff: float, between_sheets: float, paired: bool, power: float = 0.8,
+    r2: Pair, *, fields: int, n_eff: float, between_sheets: float, paired: bool, power: float = 0.8,
     change_between_sheets: float = 0.0, shared: float = 0.0,
 ) -> StudyDesign:  # fmt: skip
     """Find the fewest sheets with which a study distinguishes two r² with a power.
@@ -127,31 +127,25 @@ def sheets_needed(
         As :func:`planish.analyze.power_of_study`; if the power is not between 0.05 and 1, or 100 000 sheets do not
         reach it.
     """
-    if not 0.05 < power < 1:
-        raise InputError(f"The power is {power}. Give a share between 0.05 and 1, such as 0.8.")
-
-    def with_sheets(k: int) -> StudyDesign:
-        return power_of_study(
-            r2, sheets=k, fields=fields, n_eff=n_eff, between_sheets=between_sheets, paired=paired,
-            change_between_sheets=change_between_sheets, shared=shared,
-        )  # fmt: skip
-
-    low, high = LEAST_SHEETS, LEAST_SHEETS
-    while with_sheets(high).power < power:
+    check_power(power)
+    with_sheets = partial(
+        power_of_study, r2, fields=fields, n_eff=n_eff, between_sheets=between_sheets, paired=paired,
+        change_between_sheets=change_between_sheets, shared=shared,
+    )  # fmt: skip
+    low, high = LEAST_SHEETS - 1, LEAST_SHEETS
+    while with_sheets(sheets=high).power < power:
         low, high = high, 2 * high
-        if high > _MOST_SHEETS:
+        if high > 100_000:
             raise InputError(
-                f"{_MOST_SHEETS} sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a larger one."
+                f"100000 sheets do not see a difference of {abs(r2[1] - r2[0]):g} in r². Give a larger one."
             )
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if with_sheets(middle).power >= power else (middle, high)
-    return with_sheets(low if with_sheets(low).power >= power else high)
+        low, high = (low, middle) if with_sheets(sheets=middle).power >= power else (middle, high)
+    return with_sheets(sheets=high)
 
 
-def _check(
-    r2: tuple[float, float], sheets: int, fields: int, n_eff: float, between: float, change: float, shared: float
-) -> None:
+def _check(r2: Pair, sheets: int, fields: int, n_eff: float, between: float, change: float, shared: float) -> None:
     if not all(0 <= v < 1 for v in r2) or r2[0] == r2[1]:
         raise InputError(f"r² is {r2[0]} and {r2[1]}. Give two different ones, from 0 to below 1.")
     if sheets < LEAST_SHEETS or fields < 1:
@@ -168,7 +162,7 @@ def _check(
         )
 
 
-def expected_n_eff(field_um: tuple[float, float], *, length_um: float | tuple[float, float], point_um: float) -> float:
+def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> float:
     """Count the independent points of a field that is yet to be measured.
 
     Parameters

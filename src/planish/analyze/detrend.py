@@ -13,7 +13,7 @@ from scipy import fft
 
 from planish.analyze.ncc import MaskedNcc
 from planish.core.robust import masked_gaussian
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 
 _SHARED = 0.25  # of the variance of both maps
 _TAPER = 0.4  # of the map, both borders together
@@ -121,9 +121,7 @@ def without_plane(values: Floats, valid: Bools) -> Floats:
     return Plane(valid).taken_off(values)
 
 
-def in_band(
-    values: Floats, valid: Bools, pixel_um: tuple[float, float], band_um: tuple[float | None, float | None]
-) -> Floats:
+def in_band(values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float | None, float | None]) -> Floats:
     """Keep wavelengths from ``band_um[0]`` to ``band_um[1]`` of a map, where both limits are halved.
 
     Parameters
@@ -143,13 +141,13 @@ def in_band(
     return out
 
 
-def _low(values: Floats, valid: Bools, pixel_um: tuple[float, float], half_um: float) -> Floats:
+def _low(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> Floats:
     sigma = [half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi / p for p in pixel_um]
     total, weight = masked_gaussian(values, valid, sigma)
     return np.asarray(total / np.maximum(weight, 1e-12), dtype=np.float64)
 
 
-def correlation_length_um(values: Floats, valid: Bools, pixel_um: tuple[float, float]) -> float:
+def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float:
     """Distance at which the autocorrelation of a map, averaged over directions, falls below 1/e.
 
     Infinite where it stays above 1/e up to a quarter of the map.

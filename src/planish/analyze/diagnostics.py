@@ -45,7 +45,7 @@ from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel
 from planish.core.grid import Grid
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 
 
 class EvidenceFacts(ResultModel):
@@ -142,7 +142,7 @@ class ComparedMaps:
         return self.params.point_um
 
     @property
-    def cell_um(self) -> tuple[float, float]:
+    def cell_um(self) -> Pair:
         """Size of a cell along y and x."""
         return self.lags.pixel_um
 
@@ -150,6 +150,11 @@ class ComparedMaps:
     def has_points(self) -> bool:
         """Whether the larger points are no smaller than cells."""
         return self.point_um >= max(self.cell_um)
+
+    @property
+    def sizes(self) -> dict[str, Any]:
+        """Size of a cell and of a point, as functions of two maps take them."""
+        return {"pixel_um": self.cell_um, "point_um": self.point_um}
 
     @property
     def why_no_points(self) -> str:
@@ -190,12 +195,12 @@ class Question(NamedTuple):
     """A statistic beside r.
 
     ``fields`` are those of :class:`EvidenceFacts` that ``answer`` fills; where one of them is not empty, ``say`` gives
-    the sentences of a section of the page. ``asked_by`` is the option without which nobody asks.
+    the sentences of a section of the page from the first one. ``asked_by`` is the option without which nobody asks.
     """
 
     fields: tuple[str, ...]
     answer: Callable[[ComparedMaps], dict[str, Any]]
-    say: Callable[[EvidenceFacts, PairWords], Iterable[str]] | None = None
+    say: Callable[[Any, EvidenceFacts, PairWords], Iterable[str]] | None = None
     section: Section = "scale"
     asked_by: str = ""
 
@@ -281,6 +286,6 @@ def correlation_diagnostics(
 def sentences(evidence: EvidenceFacts, section: Section, words: PairWords | None = None) -> Iterator[str]:
     """Give what a section of the page says of two maps, question by question."""
     for question in QUESTIONS:
-        is_answered = any(getattr(evidence, name) not in (None, ()) for name in question.fields)
-        if question.section == section and question.say is not None and is_answered:
-            yield from question.say(evidence, words or PairWords())
+        answers = [getattr(evidence, name) for name in question.fields]
+        if question.section == section and question.say and any(answer not in (None, ()) for answer in answers):
+            yield from question.say(answers[0], evidence, words or PairWords())

@@ -4,19 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.analyze.correlation import LEAST_CLAIMED, Correlation, on_one_grid, pearson
 from planish.analyze.covariance import Lags, variance_of_products
-from planish.analyze.distributions import student_quantile
+from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
-from planish.core.typing import Bools, Floats
-
-_QUANTILE = 0.975
+from planish.core.typing import Array, Bools, Pair, Pixel
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -33,9 +29,9 @@ class Difference:
         In which it lies with 95 %; (NaN, NaN) where fewer than 10 independent points say nothing.
     """
 
-    r: tuple[float, float]
+    r: Pair
     difference: float
-    interval: tuple[float, float] = (math.nan, math.nan)
+    interval: Pair = (math.nan, math.nan)
 
     @property
     def distinguishable(self) -> bool | None:
@@ -51,8 +47,8 @@ class Difference:
 
 
 def paired_difference(
-    first: tuple[NDArray[Any], NDArray[Any]], second: tuple[NDArray[Any], NDArray[Any]], *,
-    mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    first: tuple[Array, Array], second: tuple[Array, Array], *,
+    mask: Bools | None = None, pixel_um: Pixel,
 ) -> Difference:  # fmt: skip
     """Compare the correlations of two pairs of maps on one grid, over the pixels that are valid in all.
 
@@ -81,23 +77,25 @@ def paired_difference(
     is_valid = np.logical_and.reduce([np.isfinite(m) for m in maps])
     if mask is not None:
         is_valid &= mask
-    values = [np.where(is_valid, m, np.nan) for m in maps]
-    r = pearson(*values[:2]), pearson(*values[2:])
+    r = pearson(*(m[is_valid] for m in first)), pearson(*(m[is_valid] for m in second))
+    unknown = Difference(r=r, difference=r[1] - r[0])
     if any(math.isnan(v) or 1 - v * v < 1e-14 for v in r):
-        return Difference(r=r, difference=r[1] - r[0])
-    a, b, c, d = values
-    parts = _influence(c, d, r[1], is_valid) - _influence(a, b, r[0], is_valid)
+        return unknown
+    values = [np.where(is_valid, m, np.nan) for m in maps]
+    maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
+    parts = [(x * y - v / 2 * (x * x + y * y)) / (1 - v * v) for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)]
     lags = Lags(is_valid, pixel)
-    moved = lags.transform(np.where(is_valid, parts - parts[is_valid].mean(), 0.0))
-    products = lags.products(moved, moved)
+    products = lags.own_products(parts[1] - parts[0])
     if not products[0, 0] > 0:  # the same pair twice
-        return Difference(r=r, difference=r[1] - r[0], interval=(r[1] - r[0], r[1] - r[0]))
+        return replace(unknown, interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))
-    variance = max(float(np.sum(lags.pairs * covariance)) / lags.n**2, _of_gaussian_maps(values, r, is_valid, lags))
+    terms: list[tuple[int, int, float]] = []
+    for sign, of_pair, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
+        scale = sign / (1 - of_pair * of_pair)
+        terms += [(a, b, scale), (a, a, -scale * of_pair / 2), (b, b, -scale * of_pair / 2)]
+    variance = max(lags.variance_of_mean(covariance), variance_of_products(maps, terms, lags))
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
-    if n_eff < LEAST_CLAIMED:
-        return Difference(r=r, difference=r[1] - r[0])
-    return _difference(r, student_quantile(_QUANTILE, n_eff - 1) * math.sqrt(variance))
+    return unknown if n_eff < LEAST_CLAIMED else _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
 
 
 def difference_of(first: Correlation, second: Correlation) -> Difference:
@@ -108,10 +106,10 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
     InputError
         If the two are over points of different sizes: r depends on the size.
     """
-    if not math.isclose(first.support_um, second.support_um, rel_tol=0.02):
+    if not math.isclose(first.point_um, second.point_um, rel_tol=0.02):
         raise InputError(
-            f"One correlation is over points of {first.support_um:g} um, the other of {second.support_um:g} um. Give "
-            "both the same point_um."
+            f"One correlation is over points of {first.point_um:g} um, the other of {second.point_um:g} um. Give both "
+            "the same point_um."
         )
     r = first.r, second.r
     ends = [*first.interval, *second.interval]
@@ -121,28 +119,12 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
     return _difference(r, math.hypot(*widths))
 
 
-def _difference(r: tuple[float, float], width: float) -> Difference:
+def _difference(r: Pair, width: float) -> Difference:
     """Turn an interval of the difference of z into one of r, about the mean of both z."""
     z = [math.atanh(v) for v in r]
     middle, change = sum(z) / 2, z[1] - z[0]
     low, high = (math.tanh(middle + d / 2) - math.tanh(middle - d / 2) for d in (change - width, change + width))
     return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
-
-
-def _of_gaussian_maps(values: list[Floats], r: tuple[float, float], is_valid: Bools, lags: Lags) -> float:
-    """Variance of the difference of z of jointly Gaussian maps."""
-    maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
-    terms: list[tuple[int, int, float]] = []
-    for sign, r_of_pair, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
-        scale = sign / (1 - r_of_pair * r_of_pair)
-        terms += [(a, b, scale), (a, a, -scale * r_of_pair / 2), (b, b, -scale * r_of_pair / 2)]
-    return variance_of_products(maps, terms, lags)
-
-
-def _influence(a: NDArray[Any], b: NDArray[Any], r: float, is_valid: Bools) -> Floats:
-    """What each pixel adds to Fisher's z, times their number; 0 where it is not known."""
-    x, y = ((m - m[is_valid].mean()) / m[is_valid].std() for m in (a, b))
-    return np.where(is_valid, (x * y - r / 2 * (x * x + y * y)) / (1 - r * r), 0.0)
 
 
 def holm(p: Sequence[float]) -> list[float]:

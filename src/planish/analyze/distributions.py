@@ -26,6 +26,11 @@ def student_quantile(share: float, free: float) -> float:
     return float(special.stdtrit(free, share))
 
 
+def t_95(free: float) -> float:
+    """Standard errors within which 95 % of Student's distribution with ``free`` degrees of freedom lie."""
+    return student_quantile(0.975, free)
+
+
 def student_tail(value: float, free: float) -> float:
     """The share of Student's distribution with ``free`` degrees of freedom above a value."""
     return float(special.stdtr(free, -value))

@@ -14,9 +14,10 @@ from numpy.typing import ArrayLike, NDArray
 from pydantic import Field
 from scipy import ndimage
 
-from planish.core.errors import CannotMeasure, InputError, SizeError
+from planish.analyze.correlation import valid_pixels
+from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel
-from planish.core.typing import Bools
+from planish.core.typing import Array, Bools, Pair, Pixel
 from planish.io.params import ImageParams
 
 SCREEN_SIGMA_UM = 70.0
@@ -27,11 +28,6 @@ SCREEN_SIGMA = SCREEN_SIGMA_UM * 60 / 1e4
 
 SCREEN_REACH = 3.0
 """Standard deviations to either side at which the Gaussian ends."""
-
-REFLECTANCE = "Reflectance"
-"""What the values of an image are where a dark and a white reference are known."""
-
-_LEAST_SIGMA_PX = 0.75  # below, pixels are too coarse for a Gaussian
 
 
 class ImageFacts(ResultModel):
@@ -64,17 +60,15 @@ class ImageFacts(ResultModel):
 
 def image_facts(params: ImageParams) -> ImageFacts:
     """What the values of an image are."""
-    is_reflectance = params.dark_grey is not None
-    screen = {} if params.screen_um is None else {"sigma_um": _sigma_um(params.screen_um), "reach_um": reach_um(params)}
+    screen_um, has_screen = params.screen_um, params.screen_um is not None
     return ImageFacts(
-        quantity="reflectance" if is_reflectance else "relative grey", dark_grey=params.dark_grey,
-        white_grey=params.white_grey, screen_um=params.screen_um, **screen,
+        quantity="relative grey" if params.dark_grey is None else "reflectance", dark_grey=params.dark_grey,
+        white_grey=params.white_grey, screen_um=screen_um, reach_um=reach_um(params) if has_screen else None,
+        sigma_um=SCREEN_SIGMA * screen_um if has_screen else None,
     )  # fmt: skip
 
 
-def compared_image(
-    image: xr.DataArray, params: ImageParams, *, mask: Bools | None = None
-) -> xr.DataArray:  # fmt: skip
+def compared_image(image: xr.DataArray, params: ImageParams, *, mask: Bools | None = None) -> xr.DataArray:
     """Turn grey into reflectance and take the screen off, as far as the options say so.
 
     Parameters
@@ -105,10 +99,10 @@ def compared_image(
     if params.dark_grey is not None and params.white_grey is not None:
         values = (values - np.float32(params.dark_grey)) / np.float32(params.white_grey - params.dark_grey)
         _, comma, channel = title.partition(", ")
-        title = f"{REFLECTANCE}{comma}{channel}"
+        title = f"Reflectance{comma}{channel}"
     if params.screen_um is not None:
         pixel = float(image.attrs["pixel_um"][0]), float(image.attrs["pixel_um"][1])
-        values = without_screen(values, pixel_um=pixel, sigma_um=_sigma_um(params.screen_um), mask=mask)
+        values = without_screen(values, pixel_um=pixel, sigma_um=SCREEN_SIGMA * params.screen_um, mask=mask)
         title = f"{title}, without its screen"
         more["reach_um"] = reach_um(params)
     return image.copy(data=values).assign_attrs(long_name=title, **more)
@@ -116,15 +110,11 @@ def compared_image(
 
 def reach_um(params: ImageParams | None) -> float:
     """How far the Gaussian reaches that takes the screen off; 0 without one."""
-    return 0.0 if params is None or params.screen_um is None else SCREEN_REACH * _sigma_um(params.screen_um)
-
-
-def _sigma_um(screen_um: float) -> float:
-    return SCREEN_SIGMA * screen_um
+    return 0.0 if params is None or params.screen_um is None else SCREEN_REACH * (SCREEN_SIGMA * params.screen_um)
 
 
 def without_screen(
-    image: ArrayLike, *, pixel_um: float | tuple[float, float], sigma_um: float = SCREEN_SIGMA_UM,
+    image: ArrayLike, *, pixel_um: Pixel, sigma_um: float = SCREEN_SIGMA_UM,
     mask: Bools | None = None,
 ) -> NDArray[np.floating[Any]]:  # fmt: skip
     """Average an image with a Gaussian, over the pixels that are known; before it is averaged over points.
@@ -160,21 +150,20 @@ def without_screen(
     not symmetric there, though, and more of the screen is left than elsewhere: keep 3 sigma off holes and borders where
     the last percent counts. The kernel is cut at the pixel nearest to 3 sigma, along either axis.
     """
-    values = np.asarray(image)
-    sigma = [sigma_um / p for p in pixel_of(values, pixel_um)]
-    if not (math.isfinite(sigma_um) and min(sigma) >= _LEAST_SIGMA_PX):
+    values, valid, pixel = known_pixels(image, mask, pixel_um)
+    sigma = [sigma_um / p for p in pixel]
+    if not (math.isfinite(sigma_um) and min(sigma) >= 0.75):
         raise SizeError(
-            f"A Gaussian of {sigma_um:g} um is {min(sigma):.2g} pixels wide; it needs {_LEAST_SIGMA_PX}. Take a larger "
-            "sigma_um, or an image with smaller pixels."
+            f"A Gaussian of {sigma_um:g} um is {min(sigma):.2g} pixels wide; it needs 0.75. Take a larger sigma_um, or "
+            "an image with smaller pixels."
         )
-    valid = known_of(values, mask)
     kind = np.result_type(values.dtype, np.float32)
     weight = valid.astype(kind)
     return smooth(np.where(valid, values, 0).astype(kind, copy=False), weight, valid, sigma, truncate=SCREEN_REACH)
 
 
 def smooth(
-    values: NDArray[Any], weight: NDArray[Any], is_valid: Bools, sigma: list[float], *, truncate: float
+    values: Array, weight: Array, is_valid: Bools, sigma: list[float], *, truncate: float
 ) -> NDArray[np.floating[Any]]:
     """Gaussian mean (sigma in pixels) over known values, which are 0 elsewhere; NaN where nothing is known."""
     total = ndimage.gaussian_filter(values, sigma, mode="constant", truncate=truncate)
@@ -182,29 +171,10 @@ def smooth(
     return np.divide(total, full, out=np.full_like(total, np.nan), where=is_valid)
 
 
-def pixel_of(values: NDArray[Any], pixel_um: float | tuple[float, float]) -> tuple[float, float]:
-    """Return the size of a pixel along y and x, if the image is one of numbers."""
-    if values.ndim != 2 or values.dtype.kind not in "fiub":
-        raise InputError(f"The image is {values.shape} values of {values.dtype}. Give one of numbers, (rows, cols).")
-    try:
-        down, across = (float(v) for v in (pixel_um if isinstance(pixel_um, tuple) else (pixel_um, pixel_um)))
-    except (TypeError, ValueError):
-        down = across = math.nan
-    if not (0 < down < math.inf and 0 < across < math.inf):
-        raise SizeError(f"The pixel is {pixel_um!r} um. Give one number above 0, or two: along y and x.")
-    return down, across
-
-
-def known_of(values: NDArray[Any], mask: Bools | None) -> Bools:
-    """Return where an image is known and counts; there has to be such a place."""
-    is_valid = np.isfinite(values)
-    if mask is not None:
-        if mask.dtype.kind != "b" or mask.shape != values.shape:
-            raise InputError(
-                f"The mask is {mask.shape} values of {mask.dtype}, the image {values.shape}. Give true or false for "
-                "every pixel."
-            )
-        is_valid &= mask
+def known_pixels(image: ArrayLike, mask: Bools | None, pixel_um: Pixel) -> tuple[Array, Bools, Pair]:
+    """The values of an image, where they are known and count, and the pixel along y and x."""
+    values = np.asarray(image)
+    is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
     if not is_valid.any():
         raise CannotMeasure("No pixel of the image is known and counts. Check the mask.")
-    return is_valid
+    return values, is_valid, pixel

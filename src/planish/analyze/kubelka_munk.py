@@ -18,22 +18,18 @@ from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.curve import independent_points, known_points
-from planish.analyze.distributions import student_quantile
+from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, AtPoints, Interval, Pair, ResultModel, Value, is_known
+from planish.core.facts import NULL, AtPoints, Interval, ResultModel, Value, is_known
 from planish.core.light import layer_over
 from planish.core.numbers import number
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
-_QUANTILE = 0.975
-_EXACT = 1e-9  # rms of what the curve leaves, of a reflectance, below which the fit has no error
-_ENDLESS = 1e6  # S times the mean of x, where a layer hides everything
-_BRACKET = 1e-6
-_EVEN = 1e-3  # of a ratio of two maps, up to which it counts as one number
-_KG_PER_G, _G_PER_KG = 1e-3, 1000.0
+# S times the mean of x, up to where a layer hides everything, and the backing.
+_LOW, _HIGH = np.array([0.0, 0.0]), np.array([1e6, 1.0])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -91,14 +87,15 @@ def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLi
     >>> reflectance([0.0, 0.010, 0.030], scattering=150.0, absorption=0.3, backing=base).round(3)
     array([0.794, 0.839, 0.884])
     """
-    values = _at_least_0(weight=weight, scattering=scattering, absorption=absorption)
+    weights, s, k = _at_least_0(weight=weight, scattering=scattering, absorption=absorption)
     below = np.asarray(backing, dtype=np.float64)
     if np.any((below < 0) | (below > 1)):
+        furthest = below.flat[int(np.nanargmax(np.abs(below - 0.5)))]
         raise InputError(
-            f"The reflectance of the backing is {_furthest(below):g}; it lies within 0 and 1. Divide the grey of the "
-            "base by that of a white reference, both less the dark level."
+            f"The reflectance of the backing is {furthest:g}; it lies within 0 and 1. Divide the grey of the base by "
+            "that of a white reference, both less the dark level."
         )
-    return layer_over(below, values["scattering"], values["absorption"], values["weight"])
+    return layer_over(below, s, k, weights)
 
 
 def stack(layers: Sequence[ScatteringLayer], backing: ArrayLike) -> Floats:
@@ -123,26 +120,22 @@ def pile(*, scattering: ArrayLike, absorption: ArrayLike) -> Floats:
     InputError
         If a coefficient is negative or infinite, or both are 0: such a layer is not there.
     """
-    values = _at_least_0(scattering=scattering, absorption=absorption)
-    s, k = values["scattering"], values["absorption"]
+    s, k = _at_least_0(scattering=scattering, absorption=absorption)
     if np.any((s == 0) & (k == 0)):
         raise InputError("A layer that neither scatters nor absorbs hides nothing. Give a scattering above 0.")
     return s / (s + k + np.sqrt(k * (k + 2 * s)))  # a - b as 1 / (a + b): nothing cancels
 
 
-def _at_least_0(**arguments: ArrayLike) -> dict[str, Floats]:
+def _at_least_0(**arguments: ArrayLike) -> list[Floats]:
     """Turn what is given into arrays; every fault is reported at once."""
-    values = {name: np.asarray(v, dtype=np.float64) for name, v in arguments.items()}
-    wrong = {name: int(np.count_nonzero((v < 0) | np.isinf(v))) for name, v in values.items()}
-    faults = [f"{name} has {n} of {values[name].size} values" for name, n in wrong.items() if n]
+    arrays, faults = list[Floats](), list[str]()
+    for name, values in arguments.items():
+        arrays.append(np.asarray(values, dtype=np.float64))
+        if n := np.count_nonzero((arrays[-1] < 0) | np.isinf(arrays[-1])):
+            faults.append(f"{name} has {n} of {arrays[-1].size} values")
     if faults:
         raise InputError(f"{'; '.join(faults)} that are negative or infinite. Mask them (NaN), or check the units.")
-    return values
-
-
-def _furthest(values: Floats) -> float:
-    """The value that lies furthest from the middle between 0 and 1."""
-    return float(values.flat[int(np.nanargmax(np.abs(values - 0.5)))])
+    return arrays
 
 
 class KubelkaMunk(ResultModel):
@@ -171,13 +164,8 @@ class KubelkaMunk(ResultModel):
 
     def reflectance(self, x: ArrayLike, scattering: float, backing: float) -> Floats:
         """Reflectance of a layer with the same K / S, over thicknesses in um or weights in g/m2."""
-        per_x = scattering * _KG_PER_G if self.weight else scattering
+        per_x = scattering * 1e-3 if self.weight else scattering  # kg to g
         return layer_over(backing, per_x, per_x * self.ratio, x)
-
-    @property
-    def absorption_over_scattering(self) -> float:
-        """K / S, as it was given."""
-        return self.ratio
 
 
 class CoatingCurve(KubelkaMunk, AtPoints):
@@ -252,28 +240,26 @@ def fit_kubelka_munk(
     if not 0 < level < math.inf:
         raise InputError(f"n_eff_level is {level:g}. Give a number above 0, or none where it is not known.")
     mean = float(coat.mean())
-    fit = _Fit(
-        coat / mean, values, ratio, math.sqrt(min(level / count, 1.0))
-    )  # S times the mean of x is about 1, as the backing is
+    # S times the mean of x is about 1, as the backing is.
+    fit = _Fit(coat / mean, values, ratio, math.sqrt(min(level / count, 1.0)))
     best = fit.best()
-    squares = fit.squares(best)
+    squares = fit.squares(*best)
     rms = math.sqrt(squares / coat.size)
     nothing = float(np.sum((values - values.mean()) ** 2))
-    if best[0] <= _BRACKET or squares >= nothing * (1 - 1e-9):
+    if best[0] <= 1e-6 or squares >= nothing * (1 - 1e-9):
         raise CannotMeasure(
             f"No scattering layer of K/S = {ratio:g} fits: over {coat.size} points the grey does not rise with x as it "
             "would. Look at the straight line; give absorption_over_scattering where the layer darkens what it covers."
         )
-    ends: tuple[Pair, Pair] = ((best[0], best[0]), (best[1], best[1]))
-    if rms > _EXACT:
-        t = student_quantile(_QUANTILE, count - 2)
-        limit = squares * (1 + t * t / (count - 2))
-        ends = fit.interval(0, best, limit), fit.interval(1, best, limit)
-    backing_at_ends = [fit.backing(s, best[1]) if s < math.inf else math.nan for s in ends[0]]
-    scattering, low, high = (s / mean * (_G_PER_KG if weight else 1.0) for s in (best[0], *ends[0]))
+    ends: list[Pair] = [(v, v) for v in best]
+    if rms > 1e-9:  # else the fit has no error
+        limit = squares * (1 + t_95(count - 2) ** 2 / (count - 2))
+        ends = [fit.interval(which, best, limit) for which in (0, 1)]
+    low, high = (fit.other(0, s, best) if s < math.inf else math.nan for s in ends[0])
+    scattering, *limits = (s / mean * (1000.0 if weight else 1.0) for s in (best[0], *ends[0]))  # g to kg
     return KubelkaMunk(
-        ratio=ratio, n=coat.size, n_eff=count, weight=weight, scattering=scattering, scattering_interval=(low, high),
-        backing=best[1], backing_interval=ends[1], backing_at_ends=(backing_at_ends[0], backing_at_ends[1]), rms=rms,
+        ratio=ratio, n=coat.size, n_eff=count, weight=weight, scattering=scattering, backing=best[1], rms=rms,
+        scattering_interval=(limits[0], limits[1]), backing_interval=ends[1], backing_at_ends=(low, high),
     )  # fmt: skip
 
 
@@ -284,16 +270,14 @@ class _Fit:
     hardly changed by that; how far they may be off it is.
     """
 
-    _low, _high = (0.0, 0.0), (_ENDLESS, 1.0)
-
     def __init__(self, x: Floats, y: Floats, ratio: float, level: float) -> None:
         self._x, self._y, self._ratio, self._level = x, y, ratio, level
 
-    def squares(self, parameters: tuple[float, float]) -> float:
+    def squares(self, s: float, backing: float) -> float:
         """Sum of what is left, squared."""
-        return float(np.sum(self._residuals(*parameters) ** 2))
+        return float(np.sum(self._residuals(s, backing) ** 2))
 
-    def best(self) -> tuple[float, float]:
+    def best(self) -> Pair:
         """Both free, from the straight line on: dR/dW of a layer is S [(1 - R)^2 - 2 R K/S]."""
         x, y = self._x, self._y
         slope = float(np.cov(x, y)[0, 1] / x.var(ddof=1))
@@ -301,46 +285,42 @@ class _Fit:
         steep = (1 - middle) ** 2 - 2 * middle * self._ratio
         s = slope / steep if abs(steep) > 1e-3 else 1.0
         start = float(np.clip(s, 0.01, 100.0)), float(np.clip(middle - slope, 0.01, 0.99))
-        solution = self._solve(lambda v: self._residuals(v[0], v[1]), start, self._low, self._high)
-        return float(solution[0]), float(solution[1])
+        s, backing = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
+        return float(s), float(backing)
 
-    def backing(self, s: float, start: float) -> float:
-        """The backing that fits best with a given S."""
-        solution = self._solve(lambda v: self._residuals(s, v[0]), (start,), self._low[1:], self._high[1:])
-        return float(solution[0])
+    def other(self, which: int, value: float, best: Pair) -> float:
+        """The other parameter, near that of the best fit, that fits best with a value of one of them."""
+        free = slice(1 - which, 2 - which)
+        return float(_solved(lambda v: self._residuals(*_both(which, value, v[0])), best[free], free)[0])
 
-    def interval(self, which: int, best: tuple[float, float], limit: float) -> Pair:
+    def interval(self, which: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
-        free = 1 - which
 
         def beyond(value: float) -> float:
-            def residuals(v: Floats) -> Floats:
-                return self._residuals(value, v[0]) if which == 0 else self._residuals(v[0], value)
+            return self.squares(*_both(which, value, self.other(which, value, best))) - limit
 
-            inner = self._solve(residuals, (best[free],), (self._low[free],), (self._high[free],))
-            return float(np.sum(residuals(inner) ** 2)) - limit
-
+        low, high = float(_LOW[which]), float(_HIGH[which])
         return (
-            _crossing(beyond, best[which], self._low[which], self._low[which]),
-            _crossing(beyond, best[which], self._high[which], math.inf if which == 0 else self._high[which]),
+            _crossing(beyond, best[which], low, low),
+            _crossing(beyond, best[which], high, math.inf if which == 0 else high),
         )
 
     def _residuals(self, s: float, backing: float) -> Floats:
         residuals = layer_over(backing, s, s * self._ratio, self._x) - self._y
         return residuals - (1.0 - self._level) * float(residuals.mean())
 
-    def _solve(
-        self,
-        residuals: Callable[[Floats], Floats],
-        start: tuple[float, ...],
-        low: tuple[float, ...],
-        high: tuple[float, ...],
-    ) -> Floats:
-        inside = np.clip(start, [v + 1e-9 for v in low], [v - 1e-9 for v in high])
-        done = optimize.least_squares(
-            residuals, inside, bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-14, gtol=1e-14
-        )
-        return np.asarray(done.x, dtype=np.float64)
+
+def _both(which: int, value: float, other: float) -> Pair:
+    return (value, other) if which == 0 else (other, value)
+
+
+def _solved(residuals: Callable[[Floats], Floats], start: tuple[float, ...], free: slice) -> Floats:
+    """Least squares over the parameters that are free, within what is possible."""
+    low, high = _LOW[free], _HIGH[free]
+    return optimize.least_squares(
+        residuals, np.clip(start, low + 1e-9, high - 1e-9), bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-14,
+        gtol=1e-14,
+    ).x  # fmt: skip
 
 
 def _crossing(beyond: Callable[[float], float], inside: float, end: float, without: float) -> float:
@@ -372,7 +352,7 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
     ratio = weight[is_valid].astype(np.float64) / coating[is_valid]
     middle = float(np.median(ratio))
     # A weight by absorption is another measurement: no one number leads to it.
-    return float(f"{middle:.6g}") if np.percentile(np.abs(ratio - middle), 99) < _EVEN * middle else None
+    return float(f"{middle:.6g}") if np.percentile(np.abs(ratio - middle), 99) < 1e-3 * middle else None
 
 
 def kubelka_munk_of(
@@ -412,10 +392,8 @@ def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
     return {"kubelka_munk": kubelka_munk_of(pair.points, point_um=point_um, ratio=ratio, density=density)}
 
 
-def say_kubelka_munk(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_kubelka_munk(curve: CoatingCurve, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
     """S and the backing with their intervals."""
-    curve = evidence.kubelka_munk
-    assert curve is not None
     name = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
     if curve.silence is not None:
         yield f"{name}: none. {curve.silence}"

@@ -18,8 +18,8 @@ from planish.analyze.ncc import MARGIN, find_peak, rival_r, within
 from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
-from planish.core.facts import NULL, Interval, Pair, ResultModel, Value
-from planish.core.typing import Floats
+from planish.core.facts import NULL, Interval, ResultModel, Value
+from planish.core.typing import Floats, Pair
 
 Silence = Literal["few", "texture", "border", "rival", "light"]
 
@@ -108,10 +108,10 @@ class Lag:
     """
 
     reach_um: float
-    pixel_um: tuple[float, float]
+    pixel_um: Pair
     n: int
     silence: Silence | None
-    lag_um: tuple[float, float] = (math.nan, math.nan)
+    lag_um: Pair = (math.nan, math.nan)
     covariance_um2: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))
     r: float = math.nan
     r_at_zero: float = math.nan
@@ -125,7 +125,7 @@ class Lag:
         return self.silence is None
 
     @property
-    def se_um(self) -> tuple[float, float]:
+    def se_um(self) -> Pair:
         """Standard errors along x and y, in um."""
         x, y = np.sqrt(np.diag(self.covariance_um2))
         return float(x), float(y)
@@ -295,7 +295,7 @@ def texture_lag(
     ))  # fmt: skip
 
 
-def _reach(shape: tuple[int, ...], pixel_um: tuple[float, float], reach_um: float) -> tuple[int, int]:
+def _reach(shape: tuple[int, ...], pixel_um: Pair, reach_um: float) -> tuple[int, int]:
     sides = shape[0] * pixel_um[0], shape[1] * pixel_um[1]
     least, most = 3 * max(pixel_um), min(sides) / 4
     if not least <= reach_um <= most:

@@ -9,7 +9,7 @@ import numpy as np
 
 from planish.analyze.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, within
 from planish.core.errors import SizeError
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 
 _LEAST_SHARE = 0.5  # of a tile that has to be known
 _LEVEL = 0.99  # of the null: a field has many tiles
@@ -71,7 +71,7 @@ class LagField:
 
 
 def lag_field(
-    a: Floats, b: Floats, is_valid: Bools, pixel_um: tuple[float, float], *, reach: tuple[int, int], tile_um: float,
+    a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, reach: tuple[int, int], tile_um: float,
     unrelated: list[Floats],
 ) -> LagField:  # fmt: skip
     """Find the lag of every tile of a within b, by positive correlation; tiles overlap by half.

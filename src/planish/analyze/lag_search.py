@@ -5,12 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, special
 
 from planish.analyze.ncc import LEAST_PAIRS, Peak, cropped, overlap
 from planish.analyze.texture import tile_sums
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Complexes, Floats, Pair
 
 _CHANCE = 0.001  # that unrelated textures give a lag; of those that are not alike everywhere, more do
 _TILE_UM = 150.0
@@ -71,7 +70,7 @@ class LagSearch:
         root = math.sqrt(max(moments[0] * moments[1] - moments[2] ** 2, 0.0))
         return variance * _chi2_limit(int(use.sum()), reach, root)
 
-    def covariance(self, peak: Peak, pixel_um: tuple[float, float]) -> Floats:
+    def covariance(self, peak: Peak, pixel_um: Pair) -> Floats:
         """Covariance of the peak's place, (2, 2) in pixels squared, from the scatter of tiles.
 
         The slope of R²/2 at the peak is the mean of ``(m - R² y) grad y + e x·w`` over the pixels, with the fitted map
@@ -95,10 +94,10 @@ class LagSearch:
     def _products_at(self, pixel: tuple[int, int]) -> Floats:
         return self._g[:, pixel[0] + self._wide[0], pixel[1] + self._wide[1]]
 
-    def _transform(self, values: Floats) -> NDArray[np.complex128]:
+    def _transform(self, values: Floats) -> Complexes:
         return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)
 
-    def _lags(self, spectrum: NDArray[np.complex128] | Floats) -> Floats:
+    def _lags(self, spectrum: Complexes | Floats) -> Floats:
         return cropped(np.asarray(fft.irfft2(spectrum, self._size), dtype=np.float64), self._wide)
 
 

@@ -4,26 +4,23 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import fft
 
-from planish.analyze.correlation import correlate, on_one_grid
+from planish.analyze.correlation import correlate, valid_pixels
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import NULL, Interval, ResultModel, Value, is_known
-from planish.core.numbers import count, fixed, plain
-from planish.core.typing import Bools, Floats
+from planish.core.numbers import count, fixed, limits_text, plain
+from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
-
-
-_FAR = 10.0  # widths by which the field is padded: what wraps around has fallen to 5e-5
 
 
 class LightSpread(ResultModel):
@@ -43,7 +40,7 @@ class LightSpread(ResultModel):
 
 
 def spread_light(
-    values: NDArray[Any], *, pixel_um: float | tuple[float, float], width_um: float,
+    values: Array, *, pixel_um: Pixel, width_um: float,
     mask: Bools | None = None,
 ) -> Floats:  # fmt: skip
     """Blur a map as light is that spreads in the paper, over the pixels that are known.
@@ -80,17 +77,16 @@ def spread_light(
     which the spectrum is multiplied. Map and mask are treated alike and divided by each other, so that a map that is
     constant stays so; along borders and holes the mean leans to one side.
     """
-    pixel = on_one_grid(values, values, mask, pixel_um)
+    is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
     side = min(n * p for n, p in zip(values.shape, pixel, strict=True))
     if not 0 < width_um < side:
         raise SizeError(
             f"Light would spread over {width_um:g} um; the map is {side:g} um wide. Give a width above 0, below that."
         )
-    is_valid = np.isfinite(values) if mask is None else np.isfinite(values) & mask
     if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
-    shape = [
-        fft.next_fast_len(n + min(math.ceil(_FAR * width_um / p), n), real=True)
+    shape = [  # padded by ten widths: what wraps around has fallen to 5e-5
+        fft.next_fast_len(n + min(math.ceil(10.0 * width_um / p), n), real=True)
         for n, p in zip(values.shape, pixel, strict=True)
     ]
     square = fft.fftfreq(shape[0], pixel[0])[:, None] ** 2 + fft.rfftfreq(shape[1], pixel[1]) ** 2
@@ -109,8 +105,9 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
     width_um, point_um, cell_um = pair.params.light_spread_um, pair.point_um, pair.cell_um
     if width_um is None or not pair.is_coat_on_image:
         return {}
+    spread_r = partial(LightSpread, width_um=width_um, point_um=point_um)
     if pair.why_no_points:
-        return {"light_spread": LightSpread(width_um=width_um, point_um=point_um, silence=pair.why_no_points)}
+        return {"light_spread": spread_r(silence=pair.why_no_points)}
     try:
         blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um, mask=pair.lags.is_valid)
         spread = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
@@ -118,32 +115,28 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
         row = correlate(spread, image, pixel_um=point_um)
         change = paired_difference((plain_map, image), (spread, image), pixel_um=point_um)
     except PlanishError as error:
-        return {"light_spread": LightSpread(width_um=width_um, point_um=point_um, silence=error.text)}
+        return {"light_spread": spread_r(silence=error.text)}
     if math.isnan(row.r):
-        why = " ".join(row.warnings)
-        return {"light_spread": LightSpread(width_um=width_um, point_um=point_um, n=row.n, silence=why)}
-    return {"light_spread": LightSpread(
-        width_um=width_um, point_um=point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval,
-        difference=change.difference, difference_interval=change.interval,
+        return {"light_spread": spread_r(n=row.n, silence=" ".join(row.warnings))}
+    return {"light_spread": spread_r(
+        n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, difference=change.difference,
+        difference_interval=change.interval,
     )}  # fmt: skip
 
 
-def say_light_spread(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_light_spread(spread: LightSpread, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
     """R with the coating blurred, and whether it differs from that of the coating as it is."""
-    spread = evidence.light_spread
-    assert spread is not None
     width = f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
     if not is_known(spread.r):
         yield f"{width}, there is no r. {spread.silence or ''}".strip()
         return
     text = f"{width}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
-    if is_known(spread.interval):
-        low, high = (fixed(v, 2) for v in spread.interval)
-        text += f" (95 %: {low} to {high}; {count(round(spread.n_eff))} independent points)"
+    if limits := limits_text(spread.interval):
+        text += f" ({limits}; {count(round(spread.n_eff))} independent points)"
     if not is_known(spread.difference_interval):
         yield f"{text}."
         return
     low, high = spread.difference_interval
     verdict = "not distinguishable from" if low <= 0 <= high else "distinguishable from"
-    change = f"r changes by {fixed(spread.difference, 3)}, 95 %: {fixed(low, 3)} to {fixed(high, 3)}"
+    change = f"r changes by {fixed(spread.difference, 3)}, {limits_text(spread.difference_interval, 3)}"
     yield f"{text}: {verdict} that of the coating as it is ({change})."

@@ -7,26 +7,23 @@ their method, and conforms to neither.
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import numpy as np
 import xarray as xr
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from planish.analyze.image_values import known_of, pixel_of, smooth
+from planish.analyze.image_values import known_pixels, smooth
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import NULL, OfLayer, ResultModel, Value
 from planish.core.grid import Grid
-from planish.core.typing import Bools
+from planish.core.typing import Bools, Pixel
 
-_LEAST_PX = 4.0  # of the shortest wave: shorter ones are no waves on a grid
-_FIELD = 0.2  # of the shorter side: of longer waves a field has too few
 _HALF = math.sqrt(math.log(2.0) / 2) / math.pi  # sigma of the Gaussian that halves a wave, over its length
 _OCTAVE = math.sqrt(math.log2(25 / 16) / 2)  # rms that a band keeps of waves that are alike in every octave
-_CUT = 4.0
-_CELL_UM = 15.0  # means over up to so much keep 0.99 of the shortest waves of the mottle
 
 
 class MottleBand(ResultModel):
@@ -53,7 +50,7 @@ class LayerMottle(Mottle, OfLayer):
 
 
 def print_mottle(
-    reflectance: ArrayLike, *, pixel_um: float | tuple[float, float], shortest_um: float = 250.0,
+    reflectance: ArrayLike, *, pixel_um: Pixel, shortest_um: float = 250.0,
     longest_um: float | None = None, mask: Bools | None = None, quantity: str = "reflectance",
 ) -> Mottle:  # fmt: skip
     """Coefficient of variation of the reflectance in octaves of wavelength.
@@ -102,10 +99,17 @@ def print_mottle(
     >>> [(b.shortest_um, b.longest_um) for b in print_mottle(image, pixel_um=40.0).bands]
     [(250.0, 500.0), (500.0, 1000.0)]
     """
-    image = np.asarray(reflectance)
-    pixel = pixel_of(image, pixel_um)
-    edges = _edges(image.shape, pixel, shortest_um, longest_um)
-    valid = known_of(image, mask)
+    image, valid, pixel = known_pixels(reflectance, mask, pixel_um)
+    least = 4.0 * max(pixel)  # shorter ones are no waves on a grid
+    most = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))  # of longer waves a field has too few
+    longest = most if longest_um is None else longest_um
+    if not (least <= shortest_um < math.inf and 2 * shortest_um <= longest * (1 + 1e-9) <= most * (1 + 2e-9)):
+        raise SizeError(
+            f"No octave lies between waves of {shortest_um:g} and {longest:g} um: this image shows waves from "
+            f"{least:g} um (4 pixels) to {most:g} um (a fifth of its shorter side), and an octave ends at twice its "
+            "beginning. Take other wavelengths, smaller pixels or a larger field."
+        )
+    edges = [shortest_um * 2.0**k for k in range(math.floor(math.log2(longest / shortest_um) + 1e-9) + 1)]
     mean = float(image[valid].mean(dtype=np.float64))
     if not mean > 0:
         raise CannotMeasure(
@@ -114,13 +118,11 @@ def print_mottle(
         )
     values = np.where(valid, image - mean, 0.0)  # first, so that rounding is that of the variation
     weight = valid.astype(np.float64)
-    means = (smooth(values, weight, valid, [_HALF * edge / p for p in pixel], truncate=_CUT)[valid] for edge in edges)
+    means = (smooth(values, weight, valid, [_HALF * edge / p for p in pixel], truncate=4.0)[valid] for edge in edges)
     bands: list[MottleBand] = []
-    before, fine = edges[0], next(means)
-    for edge, coarse in zip(edges[1:], means, strict=True):
+    for (short, fine), (long, coarse) in pairwise(zip(edges, means, strict=True)):
         spread = float((fine - coarse).std()) / _OCTAVE
-        bands.append(MottleBand(shortest_um=before, longest_um=edge, coefficient_of_variation=spread / mean))
-        before, fine = edge, coarse
+        bands.append(MottleBand(shortest_um=short, longest_um=long, coefficient_of_variation=spread / mean))
     measured = (
         f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g} um, as differences "
         f"of Gaussian means over {np.count_nonzero(valid)} pixels; after ISO/IEC 24790 and ISO 15311, conforming to "
@@ -129,27 +131,10 @@ def print_mottle(
     return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(valid)), measured=measured)
 
 
-def _edges(
-    shape: tuple[int, ...], pixel: tuple[float, float], shortest_um: float, longest_um: float | None
-) -> list[float]:
-    """Wavelengths at which the octaves begin and end."""
-    least = _LEAST_PX * max(pixel)
-    most = _FIELD * min(n * p for n, p in zip(shape, pixel, strict=True))
-    longest = most if longest_um is None else longest_um
-    if not (least <= shortest_um < math.inf and 2 * shortest_um <= longest * (1 + 1e-9) <= most * (1 + 2e-9)):
-        raise SizeError(
-            f"No octave lies between waves of {shortest_um:g} and {longest:g} um: this image shows waves from "
-            f"{least:g} um (4 pixels) to {most:g} um (a fifth of its shorter side), and an octave ends at twice its "
-            "beginning. Take other wavelengths, smaller pixels or a larger field."
-        )
-    octaves = math.floor(math.log2(longest / shortest_um) + 1e-9)
-    return [shortest_um * 2.0**k for k in range(octaves + 1)]
-
-
 def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> LayerMottle:
     """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
     grid = Grid.of(data)
-    factor = max(1, int(_CELL_UM / max(grid.pixel_um)))
+    factor = max(1, int(15.0 / max(grid.pixel_um)))  # means over up to 15 um keep 0.99 of the shortest waves
     means = AreaMeans(grid.shape, (factor, factor))
     for rows in bands(grid.shape[0]):
         image = band_of(data["image"], rows)

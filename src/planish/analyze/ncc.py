@@ -5,11 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy import fft, ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Complexes, Floats, Pair
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
@@ -61,10 +60,10 @@ class MaskedNcc:
         spread = np.sqrt(np.where(is_valid, self._var_a, 1.0) * np.where(is_valid, var_b, 1.0))
         return np.where(is_valid, np.clip(product / spread, -1.0, 1.0), np.nan)
 
-    def _transform(self, values: Floats) -> NDArray[np.complex128]:
+    def _transform(self, values: Floats) -> Complexes:
         return np.asarray(fft.rfft2(values, self._shape), dtype=np.complex128)
 
-    def _lags(self, spectrum: NDArray[np.complex128]) -> Floats:
+    def _lags(self, spectrum: Complexes) -> Floats:
         return cropped(np.asarray(fft.irfft2(spectrum, self._shape), dtype=np.float64), self._reach)
 
 
@@ -74,7 +73,7 @@ def cropped(circular: Floats, reach: tuple[int, int]) -> Floats:
     return circular[np.ix_(rows % circular.shape[0], cols % circular.shape[1])]
 
 
-def _mean_and_sd(values: Floats, valid: Bools) -> tuple[float, float]:
+def _mean_and_sd(values: Floats, valid: Bools) -> Pair:
     inside = values[valid]
     if inside.size == 0:
         return 0.0, 1.0
@@ -197,7 +196,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     mask_hat, u_hat = fft.rfft2(is_valid.astype(np.float64), shape), fft.rfft2(u, shape)
     v_hat = [fft.rfft2(s, shape) for s in v]
 
-    def lags(first: NDArray[np.complex128], second: NDArray[np.complex128]) -> Floats:
+    def lags(first: Complexes, second: Complexes) -> Floats:
         return cropped(np.asarray(fft.irfft2(np.conj(first) * second, shape), dtype=np.float64), reach)
 
     pairs = np.maximum(np.rint(lags(mask_hat, mask_hat)), 1.0)

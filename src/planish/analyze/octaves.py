@@ -4,29 +4,20 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import fft, ndimage
 
-from planish.analyze.correlation import on_one_grid, valid_in_both
+from planish.analyze.correlation import valid_pixels
 from planish.analyze.detrend import without_trend
 from planish.core.errors import CannotMeasure
 from planish.core.facts import NULL, ResultModel, Unsaved, Value
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps
-
-
-_BANDS = 5
-_EDGE = 0.2  # of the field, over which the window falls to 0 (Tukey)
-_LEAST_MODES = 4.0
-_LEAST_POWER = 1e-5  # of the strongest ring: what is weaker is what the window lets through of others
-_LONGEST = 0.25  # of the shorter side: of longer waves a field holds too few
 
 
 class Band(ResultModel):
@@ -54,8 +45,8 @@ class Coherence:
 
 
 def coherence(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
-    bands: int = _BANDS,
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
+    bands: int = 5,
 ) -> Coherence:  # fmt: skip
     """Squared coherence of two maps by octaves of wavelength.
 
@@ -85,65 +76,76 @@ def coherence(
     steeply, and without that the longest waves of a band decide alone while all are counted (14-27 % of unrelated maps
     passed a test at 5 %). The number of independent waves is that of the modes, less what the window joins.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = valid_in_both(a, b, mask)
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-    longest = _LONGEST * shortest_side
+    longest = 0.25 * shortest_side  # of longer waves a field holds too few
     count = min(bands, int(math.log2(max(longest / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
     if count < 1:
         raise CannotMeasure(
             f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to two pixels. Give a "
             "larger map."
         )
-    window = window_of(is_valid)
-    power = float(np.sum(window**2))
-    wave_a, wave_b = (spectrum_of(m, is_valid, window) for m in (a, b))
-    frequency = frequencies(is_valid.shape, pixel)
-    # Width of the window in frequency: one over the field it leaves.
-    joined = is_valid.size * float(np.sum(window**4)) / power**2
-    resolution = math.sqrt(joined) / shortest_side
-    ring = np.rint(frequency / resolution).astype(np.intp)
-    white = [_whitened(m, ring) for m in (wave_a, wave_b)]
-    half = half_plane(is_valid.shape) & np.logical_and.reduce([stands_out(m, ring) for m in (wave_a, wave_b)])
-    edges = [longest / 2**k for k in range(count + 1)]
-    octaves = [
-        _band(wave_a, wave_b, white, half & (frequency > 1 / high) & (frequency <= 1 / low), joined, (low, high), count)
-        for high, low in pairwise(edges)
-    ]
-    return Coherence(bands=tuple(octaves), resolution_per_um=resolution)
+    waves = Waves(is_valid, pixel, a, b)
+    half = half_plane(is_valid.shape) & waves.stand_out
+    white = [m / np.sqrt(np.maximum(p, 1e-300))[waves.ring] for m, p in zip(waves.spectra, waves.powers, strict=True)]
+    octaves: list[Band] = []
+    for k in range(count):
+        high, low = longest / 2**k, longest / 2 ** (k + 1)
+        inside = half & (waves.frequency > 1 / high) & (waves.frequency <= 1 / low)
+        whole_in, white_in = ([m[inside] for m in maps] for maps in (waves.spectra, white))
+        band = _band(whole_in, white_in, np.count_nonzero(inside) / waves.joined, count)
+        octaves.append(Band(shortest_um=low, longest_um=high, **band))
+    return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
 
 
-def _band(
-    wave_a: NDArray[Any], wave_b: NDArray[Any], white: list[NDArray[Any]], inside: Bools, joined: float,
-    limits: tuple[float, float], count: int,
-) -> Band:  # fmt: skip
-    modes = float(np.count_nonzero(inside)) / joined
-    x, y = (m[inside] for m in white)
-    cross = complex(np.vdot(x, y))
-    spread = math.sqrt(float(np.vdot(x, x).real) * float(np.vdot(y, y).real))
-    share = abs(cross) ** 2 / spread**2 if spread > 0 else math.nan
-    whole = float(np.vdot(wave_a[inside], wave_a[inside]).real)
-    gain = complex(np.vdot(wave_a[inside], wave_b[inside]))
-    enough = modes >= _LEAST_MODES and not math.isnan(share)
-    # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
-    p = float((1 - share) ** (modes - 1)) if enough else math.nan
-    right = (share - 1 / modes) / (1 - 1 / modes) if enough else math.nan
-    return Band(
-        shortest_um=limits[0], longest_um=limits[1], coherence=right, p=p, p_of_bands=1 - (1 - p) ** count,
-        phase_deg=-math.degrees(math.atan2(cross.imag, cross.real)) if spread > 0 else math.nan,
-        gain=math.copysign(abs(gain), gain.real) / whole if whole > 0 else math.nan, modes=modes,
-    )  # fmt: skip
+def _band(whole: list[Complexes], white: list[Complexes], modes: float, count: int) -> dict[str, float]:
+    """What the waves of both maps, as they are and whitened, have in common in one of so many bands."""
+    cross, gain = complex(np.vdot(white[0], white[1])), complex(np.vdot(whole[0], whole[1]))
+    spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in white))
+    power = float(np.vdot(whole[0], whole[0]).real)
+    p = right = math.nan
+    if modes >= 4 and spread > 0:
+        share = abs(cross) ** 2 / spread**2
+        # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
+        p, right = (1 - share) ** (modes - 1), (share - 1 / modes) / (1 - 1 / modes)
+    return {
+        "coherence": right, "p": p, "p_of_bands": 1 - (1 - p) ** count, "modes": modes,
+        "phase_deg": -math.degrees(math.atan2(cross.imag, cross.real)) if spread > 0 else math.nan,
+        "gain": math.copysign(abs(gain), gain.real) / power if power > 0 else math.nan,
+    }  # fmt: skip
+
+
+class Waves:
+    """Spectra of maps (rows, cols) under one window, and rings of frequency one resolution of the window wide."""
+
+    def __init__(self, is_valid: Bools, pixel_um: Pair, *maps: Array) -> None:
+        window = window_of(is_valid)
+        self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
+        down, across = fft.fftfreq(is_valid.shape[0], pixel_um[0]), fft.rfftfreq(is_valid.shape[1], pixel_um[1])
+        self.frequency = np.hypot(down[:, None], across)  # waves a um
+        # Width of the window in frequency: one over the field it leaves.
+        self.joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
+        self.resolution = math.sqrt(self.joined) / min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
+        self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
+        rings = self.ring.ravel()
+        powers = [np.bincount(rings, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
+        self.powers = np.stack(powers) / np.maximum(np.bincount(rings), 1)  # (maps, rings)
+
+    @property
+    def stand_out(self) -> Bools:
+        """Rings that are, in all maps, no mere leakage of stronger ones through the window."""
+        return (self.powers > 1e-5 * self.powers.max(axis=1, keepdims=True)).all(axis=0)[self.ring]
 
 
 def window_of(is_valid: Bools) -> Floats:
     """A window that is 1 inside and falls to 0 towards the edge of the field and of what is missing."""
-    width = max(_EDGE * min(is_valid.shape) / 2, 1.0)
+    width = max(0.2 * min(is_valid.shape) / 2, 1.0)  # a fifth of the field (Tukey)
     padded = np.pad(is_valid, 1)
     distance = np.asarray(ndimage.distance_transform_edt(padded))[1:-1, 1:-1]
     return np.where(is_valid, np.sin(math.pi / 2 * np.minimum(distance / width, 1.0)) ** 2, 0.0)
 
 
-def spectrum_of(values: NDArray[Any], is_valid: Bools, window: Floats) -> NDArray[np.complex128]:
+def spectrum_of(values: Array, is_valid: Bools, window: Floats) -> Complexes:
     """Half of the Fourier transform (``rfft2``) of a map without its trend and mean under a window."""
     flat = without_trend(np.where(is_valid, values, 0.0).astype(np.float64), is_valid)
     weighted = window * flat
@@ -151,27 +153,11 @@ def spectrum_of(values: NDArray[Any], is_valid: Bools, window: Floats) -> NDArra
     return np.asarray(fft.rfft2(weighted - mean * window))
 
 
-def _whitened(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> NDArray[np.complex128]:
-    power = np.bincount(ring.ravel(), weights=np.abs(values.ravel()) ** 2) / np.maximum(np.bincount(ring.ravel()), 1)
-    return values / np.sqrt(np.maximum(power, 1e-300))[ring]
-
-
-def stands_out(values: NDArray[np.complex128], ring: NDArray[np.intp]) -> Bools:
-    """Rings that are no mere leakage of stronger ones through the window."""
-    power = np.bincount(ring.ravel(), weights=np.abs(values.ravel()) ** 2) / np.maximum(np.bincount(ring.ravel()), 1)
-    return (power > _LEAST_POWER * power.max())[ring]
-
-
 def half_plane(shape: tuple[int, ...]) -> Bools:
     """One of each two modes that a real map has twice, in half of a Fourier transform."""
     rows, cols = fft.fftfreq(shape[0], 1 / shape[0]), np.arange(shape[1] // 2 + 1)
     inner = (cols > 0) & (2 * cols < shape[1])
     return inner[None, :] | ((cols[None, :] == 0) & (rows[:, None] > 0))
-
-
-def frequencies(shape: tuple[int, ...], pixel_um: tuple[float, float]) -> Floats:
-    """Length of the frequency of each mode of half of a Fourier transform, in waves a um."""
-    return np.hypot(fft.fftfreq(shape[0], pixel_um[0])[:, None], fft.rfftfreq(shape[1], pixel_um[1]))
 
 
 def answer_octaves(pair: ComparedMaps) -> dict[str, Any]:

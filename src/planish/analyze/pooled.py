@@ -9,15 +9,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
-from planish.analyze.distributions import chi_square_tail, student_quantile
+from planish.analyze.distributions import chi_square_tail, t_95
 from planish.analyze.sheets import Fields, over_sheets
 from planish.core.errors import InputError
-from planish.core.typing import Floats
-
-_CHANCE = 0.95
-_UNKNOWN = (math.nan, math.nan)
-_STEPS = 200
-_MOST_SCATTERED = 4.0  # independent points; the variance of z is 1 / (n - 3)
+from planish.core.typing import Floats, Pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -46,7 +41,7 @@ class RandomEffects:
     mean: float
     standard_error: float
     between: float
-    interval: tuple[float, float]
+    interval: Pair
     q: float
     q_p: float
     i2: float
@@ -87,19 +82,18 @@ def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float]
     q = _excess(0.0, y, v)[0]
     between = _between(y, v)
     weight = 1 / (v + between)
-    mean = float(np.sum(weight * y) / weight.sum())
-    interval = _UNKNOWN
+    mean, width = float(np.sum(weight * y) / weight.sum()), math.nan
     if k > 2:
         squares = float(np.sum(weight * (y - mean) ** 2))
-        width = student_quantile((1 + _CHANCE) / 2, k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
-        interval = (mean - width, mean + width)
+        width = t_95(k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
     return RandomEffects(
-        effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between, interval=interval,
-        q=q, q_p=chi_square_tail(q, k - 1), i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
+        effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between, q=q,
+        interval=(mean - width, mean + width), q_p=chi_square_tail(q, k - 1),
+        i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
     )  # fmt: skip
 
 
-def _excess(between: float, y: Floats, v: Floats) -> tuple[float, float]:
+def _excess(between: float, y: Floats, v: Floats) -> Pair:
     """The weighted sum of squares about the weighted mean, and how it falls with the variance between."""
     weight = 1 / (v + between)
     square = (y - np.sum(weight * y) / weight.sum()) ** 2
@@ -112,7 +106,7 @@ def _between(y: Floats, v: Floats) -> float:
     The sum falls and is convex, so that the steps never pass the solution but by rounding.
     """
     between = 0.0
-    for _ in range(_STEPS):
+    for _ in range(200):
         total, slope = _excess(between, y, v)
         step = (total - (y.size - 1)) / slope if slope > 0 else 0.0
         if step <= 1e-15 * between:
@@ -147,7 +141,7 @@ class PooledCorrelation:
     fields: int
     missing: int
     r: float = math.nan
-    interval: tuple[float, float] = _UNKNOWN
+    interval: Pair = (math.nan, math.nan)
     reason: str = ""
     between_sheets: RandomEffects | None = None
     between_fields: RandomEffects | None = None
@@ -180,16 +174,13 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> PooledCorrelation:
     sheets for known (docs/series.md).
     """
     z, variance = _of_z(r, n_eff)
-    counted = z.by_sheet
     mean = over_sheets(z)
-    fields = [(k, v) for k, v in zip(z.values, variance, strict=True) if not math.isnan(k)]
-    by_sheet = Fields([v if not math.isnan(k) else math.nan for k, v in zip(z.values, variance, strict=True)], z.sheets)
-    of_sheets = [float(v.sum()) / v.size**2 for v in by_sheet.by_sheet.values()]
+    fields = [(k, v) for k, v in zip(z.values, variance.values, strict=True) if not math.isnan(k)]
+    of_sheets = [float(v.sum()) / v.size**2 for v in variance.by_sheet.values()]
     return PooledCorrelation(
         sheets=mean.sheets, fields=mean.fields, missing=mean.missing, r=math.tanh(mean.mean),
         interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])), reason=mean.reason,
-        between_sheets=random_effects([float(v.mean()) for v in counted.values()], of_sheets)
-        if len(counted) > 1 else None,
+        between_sheets=random_effects(z.means, of_sheets) if mean.sheets > 1 else None,
         between_fields=random_effects(*zip(*fields, strict=True)) if len(fields) > 1 else None,
     )  # fmt: skip
 
@@ -225,27 +216,22 @@ def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squar
     z = [_of_z(m, None)[0] for m in (first, second)]
     compare = paired_over_sheets if paired else two_groups
     means = compare(*z).means
-    return compare(*(_in_r(m, at, squared) for m, at in zip(z, means, strict=True)))
+    linear: list[Fields] = []  # values of r, or r², that are linear in z and right at its mean
+    for fields, centre in zip(z, means, strict=True):
+        r = math.tanh(centre)
+        middle, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
+        linear.append(replace(fields, values=[middle + slope * (k - centre) for k in fields.values]))
+    return compare(*linear)
 
 
-def _in_r(z: Fields, centre: float, squared: bool) -> Fields:
-    """Values of r, or r², that are linear in z and right at one z."""
-    r = math.tanh(centre)
-    value, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
-    return replace(z, values=[value + slope * (k - centre) for k in z.values])
-
-
-def _of_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, list[float]]:
+def _of_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, Fields]:
     """Fisher's z of fields and its variances, both NaN where a field does not count."""
     if n_eff is not None and len(n_eff) != len(r.values):
         raise InputError(f"There are {len(r.values)} correlations and {len(n_eff)} n_eff. Give one for each.")
     if any(abs(v) > 1 for v in r.values):
         raise InputError("A correlation is beyond 1. Give r of every field, from -1 to 1, or NaN.")
-    z: list[float] = []
-    variance: list[float] = []
-    for k, value in enumerate(r.values):
-        n = math.inf if n_eff is None else n_eff[k]
-        counts = abs(value) < 1 and n > _MOST_SCATTERED
-        z.append(math.atanh(value) if counts else math.nan)
-        variance.append(1 / (n - 3) if counts and n_eff is not None else math.nan)
-    return replace(r, values=z), variance
+    points = [math.inf] * len(r.values) if n_eff is None else n_eff
+    counts = [abs(v) < 1 and n > 4 for v, n in zip(r.values, points, strict=True)]
+    z = [math.atanh(v) if use else math.nan for v, use in zip(r.values, counts, strict=True)]
+    variance = [1 / (n - 3) if use else math.nan for n, use in zip(points, counts, strict=True)]
+    return replace(r, values=z), replace(r, values=variance)

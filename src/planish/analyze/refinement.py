@@ -18,10 +18,10 @@ from planish.analyze.detrend import PhaseSurrogate, correlation_length_um, in_ba
 from planish.analyze.differences import Difference, paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, Interval, Pair, ResultModel, Value
+from planish.core.facts import NULL, Interval, ResultModel, Value
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.refinement import Refinement
 
@@ -96,7 +96,7 @@ def cross_fitted(
     tune: Tune,
     *,
     valid: Bools | None = None,
-    pixel_um: tuple[float, float],
+    pixel_um: Pair,
     tile_um: float | None = None,
     guard_um: float | None = None,
 ) -> CrossFitted:
@@ -166,7 +166,7 @@ def _sentence_of(row: Correlation, gain: Difference) -> str:
 
 
 def _checkerboard(
-    is_valid: Bools, pixel_um: tuple[float, float], guard: float, tile_um: float | None
+    is_valid: Bools, pixel_um: Pair, guard: float, tile_um: float | None
 ) -> tuple[float, list[Bools], list[Bools]]:
     """Side of the tiles, and for either colour what is tuned on and what is reported then."""
     shape, sides = is_valid.shape, [6 * guard, 4 * guard] if tile_um is None else [tile_um]
@@ -233,7 +233,7 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
 
 
 def _tile_numbers(
-    shape: tuple[int, ...], pixel_um: tuple[float, float], side_um: float
+    shape: tuple[int, ...], pixel_um: Pair, side_um: float
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Number of the tile of every row (rows, 1) and column (cols,); a rest at the border goes half to either side."""
     numbers: list[NDArray[np.int64]] = []
@@ -312,7 +312,7 @@ def refine_link(
     return RefinedTransform(marks=Chain(fits=(fit,)), refined=moved), facts
 
 
-def _detail(values: Floats, valid: Bools, pixel_um: tuple[float, float]) -> Floats:
+def _detail(values: Floats, valid: Bools, pixel_um: Pair) -> Floats:
     """A map without its slow variations; NaN where it is not valid."""
     is_valid = valid & np.isfinite(values)
     return np.where(is_valid, in_band(values.astype(np.float64), is_valid, pixel_um, (None, _COARSEST_UM)), np.nan)

@@ -3,19 +3,15 @@
 from __future__ import annotations
 
 import math
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import on_one_grid, valid_in_both
-from planish.analyze.octaves import frequencies, half_plane, spectrum_of, stands_out, window_of
+from planish.analyze.correlation import check_varying, valid_pixels
+from planish.analyze.octaves import Waves, half_plane
 from planish.core.errors import CannotMeasure
 from planish.core.facts import ResultModel
-from planish.core.typing import Bools, Floats
-
-_LEAST_RINGS = 3
+from planish.core.typing import Array, Bools, Floats, Pixel
 
 
 class Ring(ResultModel):
@@ -25,11 +21,6 @@ class Ring(ResultModel):
     correlation: float = Field(description="Of the waves of the ring.")
     threshold: float = Field(description="Correlation at which the mean of both holds half a bit a wave.")
     modes: float = Field(description="Independent waves.")
-
-    @property
-    def frequency_per_um(self) -> float:
-        """One over the wavelength."""
-        return 1 / self.wavelength_um
 
 
 class RingCorrelation(ResultModel):
@@ -43,9 +34,7 @@ class RingCorrelation(ResultModel):
     sentence: str | None = Field(default=None, description="The same in words.")
 
 
-def ring_correlation(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float]
-) -> RingCorrelation:
+def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel) -> RingCorrelation:
     """Correlate two measurements of one quantity ring by ring of frequency.
 
     Parameters
@@ -77,40 +66,31 @@ def ring_correlation(
     ----------
     van Heel and Schatz (2005), J. Struct. Biol. 151, 250, doi:10.1016/j.jsb.2005.05.009.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = valid_in_both(a, b, mask)
-    n = int(np.count_nonzero(is_valid))
-    for name, m in zip("ab", (a, b), strict=True):
-        if n < 3 or not np.ptp(m[is_valid]) > 0:
-            raise CannotMeasure(f"{n} pixels are known in both maps, or map {name} is constant. Look at the masks.")
-    window = window_of(is_valid)
-    wave_a, wave_b = (spectrum_of(m, is_valid, window) for m in (a, b))
-    frequency = frequencies(is_valid.shape, pixel)
-    joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
-    width = math.sqrt(joined) / min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-    number = np.rint(frequency / width).astype(np.intp)
-    last = int(0.5 / max(pixel) / width - 0.5)  # rings that lie whole within the shorter Nyquist frequency
-    if last < _LEAST_RINGS:
-        raise CannotMeasure(f"The field holds {last} rings of frequency, {_LEAST_RINGS} are needed. Give a larger map.")
-    strong = np.logical_and.reduce([stands_out(m, number) for m in (wave_a, wave_b)])
-    inside = half_plane(is_valid.shape) & (number >= 1) & (number <= last)
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    check_varying(is_valid, a=a, b=b)
+    waves = Waves(is_valid, pixel, a, b)
+    last = int(0.5 / max(pixel) / waves.resolution - 0.5)  # rings that lie whole within the shorter Nyquist frequency
+    if last < 3:
+        raise CannotMeasure(f"The field holds {last} rings of frequency, 3 are needed. Give a larger map.")
+    inside = half_plane(is_valid.shape) & (waves.ring >= 1) & (waves.ring <= last)
 
-    def sums(values: NDArray[Any]) -> Floats:
-        return np.bincount(number[inside], weights=values[inside], minlength=last + 1)[1:].astype(np.float64)
+    def sums(values: Array) -> Floats:
+        return np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)[1:].astype(np.float64)
 
-    count = sums(np.ones(number.shape))
+    count, (wave_a, wave_b) = sums(np.ones(inside.shape)), waves.spectra
     spread = np.sqrt(sums(np.abs(wave_a) ** 2) * sums(np.abs(wave_b) ** 2))
     correlation = sums((np.conj(wave_a) * wave_b).real) / np.maximum(spread, 1e-300)
-    weak = np.flatnonzero(sums(strong.astype(np.float64)) < count)
-    middle = sums(frequency) / count
+    weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
+    middle, modes = sums(waves.frequency) / count, (count / waves.joined).tolist()
     rings = tuple(
         Ring(
-            wavelength_um=1 / float(middle[k]), correlation=float(correlation[k]), modes=float(count[k]) / joined,
-            threshold=half_bit(float(count[k]) / joined),
+            wavelength_um=1 / float(middle[k]), correlation=float(correlation[k]), modes=modes[k],
+            threshold=half_bit(modes[k]),
         )
         for k in range(int(weak[0]) if weak.size else last)
     )  # fmt: skip
-    return _resolved(rings, middle.tolist(), leaking=bool(weak.size))
+    wave, sentence = _resolved(rings, middle.tolist(), leaking=bool(weak.size))
+    return RingCorrelation(rings=rings, resolution_um=wave, sentence=sentence)
 
 
 def half_bit(modes: float) -> float:
@@ -120,23 +100,17 @@ def half_bit(modes: float) -> float:
     return (ratio + (2 * math.sqrt(ratio) + 1) / root) / (1 + ratio + 2 * math.sqrt(ratio) / root)
 
 
-def _resolved(rings: tuple[Ring, ...], frequencies_per_um: list[float], *, leaking: bool) -> RingCorrelation:
+def _resolved(rings: tuple[Ring, ...], frequencies: list[float], *, leaking: bool) -> tuple[float | None, str]:
+    """Wavelength down to which the rings agree, None where they do not say, and the same in words."""
     above = [ring.correlation - ring.threshold for ring in rings]
     first = next((k for k, v in enumerate(above) if v < 0), None)
     if first is None:
         why = "shorter waves are too weak to be distinguished from leakage" if leaking else "the pixels end there"
         shortest = f"{rings[-1].wavelength_um:.3g} um" if rings else "the longest waves"
-        return RingCorrelation(
-            rings=rings, resolution_um=None, sentence=f"Both show the same down to {shortest}; {why}. No resolution."
-        )
+        return None, f"Both show the same down to {shortest}; {why}. No resolution."
     if first == 0:
-        return RingCorrelation(
-            rings=rings, resolution_um=None,
-            sentence=f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution.",
-        )  # fmt: skip
+        return None, f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution."
     share = above[first - 1] / (above[first - 1] - above[first])
-    longer, shorter = frequencies_per_um[first - 1 : first + 1]
+    longer, shorter = frequencies[first - 1 : first + 1]
     wave = 1 / (longer + share * (shorter - longer))
-    return RingCorrelation(
-        rings=rings, resolution_um=wave, sentence=f"Both show the same down to waves of {wave:.3g} um (half bit)."
-    )
+    return wave, f"Both show the same down to waves of {wave:.3g} um (half bit)."

@@ -2,35 +2,35 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import combinations
+from itertools import combinations, product
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import Correlation, correlate, on_one_grid, valid_in_both
+from planish.analyze.correlation import (
+    LEAST,
+    Correlation,
+    check_varying,
+    correlate,
+    valid_pixels,
+)
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.analyze.detrend import without_trend
 from planish.analyze.texture import low_pass
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
-from planish.core.errors import CannotMeasure, InputError, PlanishError, SizeError
+from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import NULL, Interval, ResultModel, Value, is_known
-from planish.core.numbers import count, decimals_of_r, fixed, plain
-from planish.core.typing import Bools, Floats
+from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
+from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
-
-
-_ORIGINS = 4  # along either axis
-_LONGEST = 0.2  # of the shorter side: waves that a field holds too few of
-_MOST_PARTS = 4
-_LEAST = 3  # pixels
 
 
 class Partial(ResultModel):
@@ -56,7 +56,7 @@ class Origins:
 
 
 def origins(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     point_um: float,
 ) -> Origins:  # fmt: skip
     """Correlate two maps over points whose grid begins at 16 places within a point.
@@ -68,14 +68,13 @@ def origins(
     InputError, SizeError
         As :func:`planish.correlate`.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    x = np.asarray(a, dtype=np.float64)
-    x = x if mask is None else np.where(mask, x, np.nan)
-    steps = [[round(k * point_um / p / _ORIGINS) for k in range(_ORIGINS)] for p in pixel]
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    x = np.where(is_valid, a, np.nan)
+    steps = [sorted({round(k * point_um / p / 4) for k in range(4)}) for p in pixel]
     correlations = [
-        correlate(x[down:, across:], np.asarray(b)[down:, across:], pixel_um=pixel, point_um=point_um).r
-        for down in sorted(set(steps[0])) for across in sorted(set(steps[1]))
-    ]  # fmt: skip
+        correlate(x[down:, across:], b[down:, across:], pixel_um=pixel, point_um=point_um).r
+        for down, across in product(*steps)
+    ]
     finite = [r for r in correlations if not math.isnan(r)]
     if not finite:
         raise SizeError(f"No grid of points of {point_um:g} um fits into the map. Give smaller points.")
@@ -83,7 +82,7 @@ def origins(
 
 
 def of_short_waves(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     longest_um: float | None = None, point_um: float | None = None,
 ) -> tuple[Correlation, float]:  # fmt: skip
     """Correlate what waves below a fifth of the field leave of two maps; return it with that wavelength.
@@ -98,10 +97,11 @@ def of_short_waves(
     CannotMeasure
         If fewer than 3 pixels are valid.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = _enough(valid_in_both(a, b, mask))
-    side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-    longest = _LONGEST * side if longest_um is None else longest_um
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    check_varying(is_valid)
+    longest = longest_um
+    if longest is None:
+        longest = 0.2 * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     if not 0 < longest < math.inf:
         raise SizeError(f"The longest wave is {longest:g} um. Give a length above 0.")
     weight = np.maximum(low_pass(is_valid.astype(np.float64), longest, pixel), 1e-9)
@@ -109,11 +109,11 @@ def of_short_waves(
         np.where(is_valid, m - low_pass(np.where(is_valid, m, 0.0), longest, pixel) / weight, np.nan)
         for m in (np.where(is_valid, v - np.mean(v[is_valid]), 0.0) for v in (a, b))
     ]
-    return correlate(short[0], short[1], pixel_um=pixel, point_um=point_um), longest
+    return correlate(*short, pixel_um=pixel, point_um=point_um), longest
 
 
 def without_trends(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     point_um: float | None = None,
 ) -> Correlation:  # fmt: skip
     """Correlate two maps without their plane and second-order surface.
@@ -125,14 +125,15 @@ def without_trends(
     CannotMeasure
         If fewer than 3 pixels are valid.
     """
-    pixel, is_valid = on_one_grid(a, b, mask, pixel_um), _enough(valid_in_both(a, b, mask))
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    check_varying(is_valid)
     x, y = (np.where(is_valid, without_trend(np.where(is_valid, m, 0.0), is_valid), np.nan) for m in (a, b))
     return correlate(x, y, pixel_um=pixel, point_um=point_um)
 
 
 def partial(
-    a: NDArray[Any], b: NDArray[Any], covariates: Sequence[NDArray[Any]], *, mask: Bools | None = None,
-    pixel_um: float | tuple[float, float],
+    a: Array, b: Array, covariates: Sequence[Array], *, mask: Bools | None = None,
+    pixel_um: Pixel,
 ) -> Correlation:  # fmt: skip
     """Correlate what other maps do not explain of two maps, by least squares.
 
@@ -151,17 +152,25 @@ def partial(
     CannotMeasure
         If fewer than 3 pixels are valid in all maps.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = _enough(valid_in_both(a, b, mask))
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     for m in covariates:
-        on_one_grid(a, m, None, pixel)
-        is_valid &= np.isfinite(m)
-    _enough(is_valid)
-    x, y = (_rest(m, covariates, is_valid) for m in (a, b))
-    return correlate(x, y, pixel_um=pixel)
+        is_valid &= valid_pixels(a, m, None, pixel)[0]
+    check_varying(is_valid)
+    terms = np.stack([m[is_valid] - m[is_valid].mean() for m in covariates], axis=1)
+    rests: list[Floats] = []
+    for m in (a, b):
+        y = m[is_valid] - m[is_valid].mean()
+        rest = y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]
+        if float(rest @ rest) <= 1e-10 * float(y @ y):
+            raise InputError(
+                "The other maps explain all of one map: parts stand beside their sum. Leave one of them out."
+            )
+        rests.append(np.full(m.shape, np.nan))
+        rests[-1][is_valid] = rest
+    return correlate(*rests, pixel_um=pixel)
 
 
-def commonality(b: NDArray[Any], parts: Mapping[str, NDArray[Any]], *, mask: Bools | None = None) -> dict[str, float]:
+def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = None) -> dict[str, float]:
     """Share of the variance of map b that each map explains alone, and that maps explain only together.
 
     Parameters
@@ -185,51 +194,31 @@ def commonality(b: NDArray[Any], parts: Mapping[str, NDArray[Any]], *, mask: Boo
         If fewer than 3 pixels are valid in all maps, or b is constant.
     """
     names = list(parts)
-    if not 2 <= len(names) <= _MOST_PARTS:
-        raise InputError(f"{len(names)} maps were given. Commonality needs 2 to {_MOST_PARTS}.")
-    is_valid = np.isfinite(b) if mask is None else np.isfinite(b) & mask
-    for m in parts.values():
-        is_valid &= np.isfinite(m)
-    _enough(is_valid)
+    if not 2 <= len(names) <= 4:
+        raise InputError(f"{len(names)} maps were given. Commonality needs 2 to 4.")
+    is_valid = np.logical_and.reduce([np.isfinite(m) for m in (b, *parts.values())])
+    if mask is not None:
+        is_valid &= mask
+    check_varying(is_valid, b=b)
     y = b[is_valid] - b[is_valid].mean()
-    if not np.ptp(y) > 0:
-        raise CannotMeasure("Map b is constant: there is nothing to explain.")
     columns = {k: (m[is_valid] - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for k, m in parts.items()}
     if np.linalg.cond(np.stack(list(columns.values()), axis=1)) > 1e6:
         raise InputError("One of the maps is the sum of others. Leave the sum, or one of its parts, out.")
+    subsets = [chosen for size in range(1, len(names) + 1) for chosen in combinations(names, size)]
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
-    for size in range(1, len(names) + 1):
-        for chosen in combinations(names, size):
-            terms = np.stack([columns[k] for k in chosen], axis=1)
-            rest = y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]
-            explained[frozenset(chosen)] = 1.0 - float(rest @ rest) / float(y @ y)
-    out: dict[str, float] = {}
-    for size in range(1, len(names) + 1):
-        for chosen in combinations(names, size):
-            remaining = frozenset(names) - frozenset(chosen)
-            # What is gained by these maps over the others, counted in and out.
-            out[" and ".join(chosen)] = -sum(
-                (-1) ** k * explained[remaining | frozenset(some)]
-                for k in range(size + 1) for some in combinations(chosen, k)
-            )  # fmt: skip
-    return out
-
-
-def _enough(is_valid: Bools) -> Bools:
-    if (n := int(np.count_nonzero(is_valid))) < _LEAST:
-        raise CannotMeasure(f"{n} pixels are valid in all maps, {_LEAST} are needed. Look at the masks.")
-    return is_valid
-
-
-def _rest(values: NDArray[Any], covariates: Sequence[NDArray[Any]], valid: Bools) -> Floats:
-    y = values[valid] - values[valid].mean()
-    terms = np.stack([m[valid] - m[valid].mean() for m in covariates], axis=1) if covariates else np.zeros((y.size, 0))
-    rest = y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0] if covariates else y
-    if float(rest @ rest) <= 1e-10 * float(y @ y):
-        raise InputError("The other maps explain all of one map: parts stand beside their sum. Leave one of them out.")
-    out = np.full(values.shape, np.nan)
-    out[valid] = rest
-    return out
+    for chosen in subsets:
+        terms = np.stack([columns[k] for k in chosen], axis=1)
+        rest = y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]
+        explained[frozenset(chosen)] = 1.0 - float(rest @ rest) / float(y @ y)
+    shares: dict[str, float] = {}
+    for chosen in subsets:
+        others = frozenset(names) - frozenset(chosen)
+        # What is gained by these maps over the others, counted in and out.
+        shares[" and ".join(chosen)] = -sum(
+            (-1) ** k * explained[others | frozenset(part)]
+            for k in range(len(chosen) + 1) for part in combinations(chosen, k)
+        )  # fmt: skip
+    return shares
 
 
 # --- what stands beside r ------------------------------------------------------------------------------------------
@@ -239,15 +228,14 @@ def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
     """Least, mean and largest r over grids of points that begin elsewhere."""
     if not pair.has_points:
         return {}
-    spread = origins(pair.x, pair.y, pixel_um=pair.cell_um, point_um=pair.point_um)
+    spread = origins(pair.x, pair.y, **pair.sizes)
     return {"origins": (spread.least, spread.r, spread.largest)}
 
 
-def say_origins(evidence: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_origins(limits: tuple[float, float, float], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """How far r depends on where the grid of points begins."""
-    assert evidence.origins
-    digits = decimals_of_r((evidence.origins[0], evidence.origins[2]))
-    least, mean, largest = (fixed(v, digits) for v in evidence.origins)
+    digits = decimals_of_r((limits[0], limits[2]))
+    least, mean, largest = (fixed(v, digits) for v in limits)
     yield (
         f"Where the grid of points of {plain(words.point_um)} begins is arbitrary: over 16 origins r is {mean} on "
         f"average, from {least} to {largest}."
@@ -258,20 +246,18 @@ def answer_short_waves(pair: ComparedMaps) -> dict[str, Any]:
     """R without the waves of which the field holds few."""
     if not pair.has_points:
         return {}
-    short, longest_um = of_short_waves(pair.x, pair.y, pixel_um=pair.cell_um, point_um=pair.point_um)
+    short, longest_um = of_short_waves(pair.x, pair.y, **pair.sizes)
     return {"short_waves": SizeRow.of(short), "short_waves_um": longest_um}
 
 
-def say_short_waves(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_short_waves(short: SizeRow, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """R of short waves, where it has an interval."""
-    short = evidence.short_waves
-    if short and is_known(short.r) and is_known(short.interval) and evidence.short_waves_um:
-        low, r, high = (
-            fixed(v, decimals_of_r(short.interval)) for v in (short.interval[0], short.r, short.interval[1])
-        )
+    if is_known(short.interval) and evidence.short_waves_um:
+        digits = decimals_of_r(short.interval)
         yield (
-            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r = {r} (95 %: {low} to "
-            f"{high}; {count(round(short.n_eff))} independent points). This says nothing of longer waves."
+            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r = {fixed(short.r, digits)} "
+            f"({limits_text(short.interval, digits)}; {count(round(short.n_eff))} independent points). This says "
+            "nothing of longer waves."
         )
 
 
@@ -286,6 +272,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     (first, second), covariates, point_um, grid = pair.layers, pair.params.beside, pair.point_um, pair.grid
     if "thickness" not in first:
         return {}
+    rest = functools.partial(Partial, given=covariates, point_um=point_um)
     if lacking := [name for name in covariates if name not in first]:
         raise InputError(
             f"The sheet has no map {', '.join(lacking)} to stand beside. Leave it out of --beside, or measure it."
@@ -293,7 +280,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         why = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
-        return {"partial": Partial(given=covariates, point_um=point_um, silence=why)}
+        return {"partial": rest(silence=why)}
     names = (pair.a[1], *covariates)
     means = AreaMeans(grid.shape, factor)
     for rows in bands(grid.shape[0]):
@@ -303,31 +290,25 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     *sheet, image = means.means()
     is_valid = np.isfinite(image)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
-    flat = [name for name, m in zip(names, sheet, strict=True) if n < _LEAST or not np.ptp(m[is_valid]) > 0]
+    flat = [name for name, m in zip(names, sheet, strict=True) if n < LEAST or not np.ptp(m[is_valid]) > 0]
     if flat:
         why = f"Over {n} points that are valid in all maps, {', '.join(flat)} does not vary."
-        return {"partial": Partial(given=covariates, point_um=point_um, n=n, silence=why)}
+        return {"partial": rest(n=n, silence=why)}
     try:
         row = partial(sheet[0], image, sheet[1:], pixel_um=point_um)
         shares = commonality(image, dict(zip(names, sheet, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": Partial(given=covariates, point_um=point_um, silence=error.text)}
-    rest = Partial(given=covariates, point_um=point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval)
-    return {"partial": rest, "commonality": shares}
+        return {"partial": rest(silence=error.text)}
+    return {"partial": rest(n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval), "commonality": shares}
 
 
-def say_partial(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_partial(rest: Partial, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """R given other maps, and the share that the map explains alone."""
-    rest = evidence.partial
-    assert rest is not None
     names = " and ".join(name.replace("_", " ") for name in rest.given)
     if not is_known(rest.r):
         yield f"Given {names}, there is no r. {rest.silence or ''}".strip()
         return
-    limits = ""
-    if is_known(rest.interval):
-        low, high = (fixed(v, 2) for v in rest.interval)
-        limits = f"95 %: {low} to {high}; "
+    limits = f"{limits_text(rest.interval)}; ".lstrip("; ")
     alone = (evidence.commonality or {}).get(evidence.a_map)
     share = "" if alone is None else f" Alone, the map explains {fixed(alone, 2)} of the variance."
     yield (

@@ -11,25 +11,25 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, correlate, on_one_grid, pearson, valid_in_both
+from planish.analyze.correlation import (
+    BANDWIDTH,
+    LEAST_CLAIMED,
+    UNEVEN,
+    correlate,
+    pearson,
+    valid_pixels,
+)
 from planish.analyze.covariance import Lags, PairCovariances
-from planish.analyze.distributions import student_quantile
+from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known
-from planish.core.numbers import decimals_of_r, fixed, plain
-from planish.core.typing import Bools
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
+from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
+from planish.core.typing import Array, Bools, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
-
-
-_CHANCE = 0.95
-_UNKNOWN = (math.nan, math.nan)
-_UNEVEN = 1.4  # standard error over that of the covariances
-_MOST_CELLS = 400  # of a mask, from which its critical value is told
 
 
 class SecondOpinion(ResultModel):
@@ -37,14 +37,14 @@ class SecondOpinion(ResultModel):
 
     point_um: float = Field(description="Edge of a point.")
     r: Unsaved = Field(default=NULL, exclude=True, description="Pearson's correlation.")
-    interval: Interval = Field(description="In which r lies with 95 %.")
-    standard_error: Value = Field(description="Of Fisher's z.")
-    critical: Value = Field(description="Standard errors to either side.")
-    ratio: Value = Field(description="Standard error over that of the covariances.")
+    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
+    standard_error: Value = Field(default=NULL, description="Of Fisher's z.")
+    critical: Value = Field(default=NULL, description="Standard errors to either side.")
+    ratio: Value = Field(default=NULL, description="Standard error over that of the covariances.")
 
 
 def second_opinion(
-    a: NDArray[Any], b: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float],
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     point_um: float | None = None,
 ) -> SecondOpinion:  # fmt: skip
     """State the interval of r that a spatial standard error with critical values of its own gives.
@@ -79,42 +79,34 @@ def second_opinion(
     Bester, Conley, Hansen and Vogelsang (2016), Econometric Theory 32, 154, doi:10.1017/S0266466614000814.
     Satterthwaite (1946), Biometrics Bulletin 2, 110, doi:10.2307/3002019.
     """
-    pixel = on_one_grid(a, b, mask, pixel_um)
-    is_valid = valid_in_both(a, b, mask)
+    is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
+    row = correlate(a, b, mask=mask, pixel_um=pixel, point_um=point_um)
     if point_um is not None:
-        n_eff = correlate(a, b, mask=mask, pixel_um=pixel, point_um=point_um).n_eff
         factor = point_um / pixel[0], point_um / pixel[1]
         a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
         pixel, is_valid = (point_um, point_um), np.isfinite(a)
-    else:
-        n_eff = correlate(a, b, mask=mask, pixel_um=pixel).n_eff
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
-    r, size = pearson(x[is_valid], y[is_valid]), math.sqrt(math.prod(pixel)) if point_um is None else point_um
-    if not n_eff >= LEAST_CLAIMED or 1 - r * r < 1e-14:
-        return SecondOpinion(
-            point_um=size, r=r, interval=_UNKNOWN, standard_error=math.nan, critical=math.nan, ratio=math.nan
-        )
+    r = pearson(x[is_valid], y[is_valid])
+    if not row.n_eff >= LEAST_CLAIMED or 1 - r * r < 1e-14:
+        return SecondOpinion(point_um=row.point_um, r=r)
     reach = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
     error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach)
     if not error > 0:
-        return SecondOpinion(
-            point_um=size, r=r, interval=_UNKNOWN, standard_error=math.nan, critical=math.nan, ratio=ratio
-        )
-    critical = critical_value(is_valid, pixel)
-    z = math.atanh(r)
+        return SecondOpinion(point_um=row.point_um, r=r, ratio=ratio)
+    critical, z = critical_value(is_valid, pixel), math.atanh(r)
     return SecondOpinion(
-        point_um=size, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
+        point_um=row.point_um, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
         standard_error=error, critical=critical, ratio=ratio,
     )  # fmt: skip
 
 
-def critical_value(is_valid: Bools, pixel_um: tuple[float, float]) -> float:
+def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     """Standard errors within which the mean of independent values on a mask lies with 95 %, as they are estimated.
 
     The squared standard error is a quadratic form of the values about their mean, whose expectation and variance follow
     from the weights; its distribution is taken for that of a chi-square with the same two (Satterthwaite 1946).
     """
-    k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / _MOST_CELLS)))
+    k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
     shape = [n // k * k for n in is_valid.shape]
     cells = is_valid[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k).mean(axis=(1, 3)) >= 0.5
     places = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
@@ -125,24 +117,20 @@ def critical_value(is_valid: Bools, pixel_um: tuple[float, float]) -> float:
     about = weight - rows - rows[:, None] + rows.mean()
     expected = float(np.trace(about))
     free = expected**2 / float(np.sum(about * about))
-    return student_quantile((1 + _CHANCE) / 2, free) * math.sqrt(places.shape[0] / expected)
+    return t_95(free) * math.sqrt(places.shape[0] / expected)
 
 
 def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
     """The second opinion at the larger points."""
-    if not pair.has_points:
-        return {}
-    return {"second_opinion": second_opinion(pair.x, pair.y, pixel_um=pair.cell_um, point_um=pair.point_um)}
+    return {"second_opinion": second_opinion(pair.x, pair.y, **pair.sizes)} if pair.has_points else {}
 
 
-def say_second_opinion(evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_second_opinion(second: SecondOpinion, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
     """The second interval, where there is one."""
-    second = evidence.second_opinion
-    if second is not None and is_known(second.interval):
-        low, high = (fixed(v, decimals_of_r(second.interval)) for v in second.interval)
-        uneven = second.ratio > _UNEVEN
+    if limits := limits_text(second.interval, decimals_of_r(second.interval)):
+        uneven = second.ratio > UNEVEN
         end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
         yield (
-            f"Second opinion, from what single points of {plain(second.point_um)} add to r: 95 %: {low} to {high} "
+            f"Second opinion, from what single points of {plain(second.point_um)} add to r: {limits} "
             f"({fixed(second.critical, 2)} standard errors after Conley); {end}."
         )

@@ -8,18 +8,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from planish.analyze.distributions import f_quantile, f_tail, student_quantile
+from planish.analyze.distributions import f_quantile, f_tail, t_95
 from planish.core.errors import InputError
-from planish.core.typing import Floats
+from planish.core.typing import Floats, Pair
 
 LEAST_SHEETS = 3
 """Sheets below which there is no interval."""
 
-_CHANCE = 0.95
 _SAME = 1e-12  # of the largest value: what rounding leaves of a spread
 _UNKNOWN = (math.nan, math.nan)
 
@@ -72,9 +71,9 @@ class Fields:
         return {sheet: np.array(values) for sheet, values in values_of.items()}
 
     @property
-    def known(self) -> int:
-        """Number of fields whose value is known."""
-        return sum(not math.isnan(v) for v in self.values)
+    def means(self) -> Floats:
+        """The mean of each sheet."""
+        return np.array([float(v.mean()) for v in self.by_sheet.values()])
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,7 +104,7 @@ class SheetMean:
     mean: float = math.nan
     sd: float = math.nan
     standard_error: float = math.nan
-    interval: tuple[float, float] = _UNKNOWN
+    interval: Pair = _UNKNOWN
     reason: str = ""
 
 
@@ -121,21 +120,17 @@ def over_sheets(fields: Fields) -> SheetMean:
     Every sheet counts alike, however many fields it has. Means of sheets are taken for normal; where sheets have
     different numbers of fields, their means scatter differently, which the interval withstands (docs/series.md).
     """
-    means = np.array([float(v.mean()) for v in fields.by_sheet.values()])
-    k, n_fields = means.size, fields.known
-    summary = SheetMean(sheets=k, fields=n_fields, missing=len(fields.values) - n_fields, reason=too_few(k))
+    means, missing = fields.means, sum(map(math.isnan, fields.values))
+    k = means.size
+    summary = SheetMean(sheets=k, fields=len(fields.values) - missing, missing=missing, reason=too_few(k))
     if k == 0:
         return summary
-    spread = spread_of(means)
-    error = spread / math.sqrt(k) if k > 1 else math.nan
-    interval, reason = _UNKNOWN, summary.reason or all_alike(spread)
-    if not reason:
-        width = student_quantile((1 + _CHANCE) / 2, k - 1) * error
-        interval = (float(means.mean()) - width, float(means.mean()) + width)
-    return SheetMean(
-        sheets=k, fields=n_fields, missing=summary.missing, mean=float(means.mean()), sd=spread, standard_error=error,
-        interval=interval, reason=reason,
-    )  # fmt: skip
+    mean, spread = float(means.mean()), spread_of(means)
+    error, reason = spread / math.sqrt(k) if k > 1 else math.nan, summary.reason or all_alike(spread)
+    width = math.nan if reason else t_95(k - 1) * error
+    return replace(
+        summary, mean=mean, sd=spread, standard_error=error, interval=(mean - width, mean + width), reason=reason
+    )
 
 
 def spread_of(values: Floats) -> float:
@@ -149,8 +144,7 @@ def spread_of(values: Floats) -> float:
 
 def too_few(*sheets: int) -> str:
     """Why there is no interval where sheets are too few; empty where there are enough."""
-    fewest = min(sheets)
-    return "" if fewest >= LEAST_SHEETS else f"{fewest} of at least {LEAST_SHEETS} sheets"
+    return "" if min(sheets) >= LEAST_SHEETS else f"{min(sheets)} of at least {LEAST_SHEETS} sheets"
 
 
 def all_alike(spread: float) -> str:
@@ -185,7 +179,7 @@ class SheetVariances:
     between: float = math.nan
     within: float = math.nan
     share: float = math.nan
-    share_interval: tuple[float, float] = _UNKNOWN
+    share_interval: Pair = _UNKNOWN
     p: float = math.nan
     reason: str = ""
 
@@ -198,10 +192,6 @@ class SheetVariances:
     def sd_within(self) -> float:
         """Standard deviation of the fields of one sheet, in the unit of the property."""
         return math.sqrt(self.within)
-
-    def error_of_mean(self, sheets: int, fields: int) -> float:
-        """Standard error of the mean over so many sheets with so many fields each."""
-        return math.sqrt(self.between / sheets + self.within / (sheets * fields))
 
 
 def variances_of(fields: Fields) -> SheetVariances:
@@ -229,7 +219,7 @@ def variances_of(fields: Fields) -> SheetVariances:
         why = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
         within = float(sheets[0].var(ddof=1)) if k == 1 and n > 1 else math.nan
         return SheetVariances(sheets=k, fields=n, within=within, reason=why)
-    means = np.array([float(v.mean()) for v in sheets])
+    means = fields.means
     inside = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
     within, spread = inside / (n - k), spread_of(means) ** 2
     if not within > (_SAME * float(np.abs(means).max())) ** 2:
@@ -245,7 +235,7 @@ def variances_of(fields: Fields) -> SheetVariances:
     if not too_few(k):
         low, high = (
             max(each * spread / within / f_quantile(share, k - 1, n - k) - 1, 0.0) / each
-            for share in ((1 + _CHANCE) / 2, (1 - _CHANCE) / 2)
+            for share in ((1 + 0.95) / 2, (1 - 0.95) / 2)
         )
         interval = (low / (1 + low), high / (1 + high))
     return SheetVariances(

@@ -10,11 +10,10 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
 
@@ -27,7 +26,7 @@ from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.numbers import count, fixed, percent, plain
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts
@@ -72,8 +71,8 @@ class MapReliability(Reliability, OfMap):
 
 
 def split_reliability(
-    first: NDArray[Any], second: NDArray[Any], *, mask: Bools | None = None,
-    pixel_um: float | tuple[float, float], point_um: float | None = None, shared_errors: bool = True,
+    first: Array, second: Array, *, mask: Bools | None = None,
+    pixel_um: Pixel, point_um: float | None = None, shared_errors: bool = True,
 ) -> Reliability:  # fmt: skip
     """Tell the reliability of a map from two halves of its measurement.
 
@@ -108,7 +107,7 @@ def split_reliability(
         raise CannotMeasure(f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary.")
     low, high = (_of_both(v) for v in row.interval)
     return Reliability(
-        point_um=row.support_um, n=row.n, halves_r=row.r, value=_of_both(row.r), interval=(low, high),
+        point_um=row.point_um, n=row.n, halves_r=row.r, value=_of_both(row.r), interval=(low, high),
         n_eff=row.n_eff, shared_errors=shared_errors,
     )  # fmt: skip
 
@@ -166,7 +165,7 @@ class SheetColumns:
 
 
 def half_points(
-    columns: SheetColumns, name: str, is_valid: Bools, *, origin_um: tuple[float, float], cell_um: tuple[float, float],
+    columns: SheetColumns, name: str, is_valid: Bools, *, origin_um: Pair, cell_um: Pair,
     point_um: float,
 ) -> tuple[Floats, Floats, bool]:  # fmt: skip
     """Means of a map over the points of a reference, of the odd and of the even rows of its columns.

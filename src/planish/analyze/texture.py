@@ -12,7 +12,7 @@ from scipy import fft, ndimage
 from planish.core.area import AreaMeans
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 _MOST_PIXELS = 300_000
@@ -32,7 +32,7 @@ class Textures:
 
     maps: dict[str, Floats]
     known: Bools
-    pixel_um: tuple[float, float]
+    pixel_um: Pair
 
     @property
     def n(self) -> int:
@@ -81,7 +81,7 @@ class Relation:
         return f"r = {self.r:.2f}, z = {self.z:.1f}"
 
 
-def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: tuple[float, float]) -> Textures:
+def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures:
     """Keep the waves of 15 to 250 um of maps, with the same spread everywhere.
 
     Parameters
@@ -143,7 +143,7 @@ def _means(data: Rows, valid: Bools, factor: int) -> Floats:
 
 
 def relate(
-    a: Floats, b: Floats, is_valid: Bools, pixel_um: tuple[float, float], *, of: Floats | None = None
+    a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None
 ) -> Relation:  # fmt: skip
     """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
 
@@ -174,7 +174,7 @@ def relate(
     return Relation(r, sd, share * r, share * rest * part_se)
 
 
-def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: tuple[float, float]) -> float:
+def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
     """Standard deviation of r of unrelated textures like these two; 0 where they are not known."""
     size = [fft.next_fast_len(k, real=True) for k in a.shape]
     power = np.abs(np.asarray(fft.rfft2(a, size)) * np.asarray(fft.rfft2(b, size))) ** 2
@@ -199,13 +199,13 @@ def unexplained(values: Floats, other: Floats) -> Floats:
     return values - float(np.vdot(values, other)) / square * other if square > 0 else values
 
 
-def low_pass(values: Floats, half_um: float, pixel_um: tuple[float, float]) -> Floats:
+def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
     """Gaussian filter that halves a wave of a length; 0 beyond the borders."""
     sigma = [half_um * math.sqrt(math.log(2.0) / 2) / math.pi / p for p in pixel_um]
     return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.0)
 
 
-def tile_sums(values: Floats, pixel_um: tuple[float, float], tile_um: float = _TILE_UM) -> Floats:
+def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = _TILE_UM) -> Floats:
     """Sums over square tiles of a map (..., rows, cols); the last ones may be incomplete."""
     for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
         side = max(round(tile_um / pixel), 1)
@@ -216,7 +216,7 @@ def tile_sums(values: Floats, pixel_um: tuple[float, float], tile_um: float = _T
 class _Band:
     """The band of maps with one mask; its filters' weights are computed once."""
 
-    def __init__(self, shown: Bools, pixel_um: tuple[float, float]) -> None:
+    def __init__(self, shown: Bools, pixel_um: Pair) -> None:
         self._pixel_um = pixel_um
         self._local = [max(round(_LOCAL_UM / 2 / p), 1) for p in pixel_um]
         self._shown, self._fine = shown, self._smooth(shown.astype(np.float64), 0)

@@ -7,23 +7,20 @@ from collections.abc import Iterator
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 
-from planish.analyze.correlation import LEAST_CLAIMED, on_one_grid
-from planish.analyze.covariance import Lags, covariance_of
-from planish.analyze.distributions import student_quantile
+from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid_pixels
+from planish.analyze.covariance import Lags, scatter_of
+from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, PlanishError
 from planish.core.facts import Interval, ResultModel, Value, is_known
 from planish.core.numbers import number, percent, plain
-from planish.core.typing import Bools
+from planish.core.typing import Array, Bools, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
 THIN_UM = (2.0, 5.0, 10.0)
-_LEAST = 3
-_QUANTILE = 0.975
 
 
 class RegionDifference(ResultModel):
@@ -36,8 +33,8 @@ class RegionDifference(ResultModel):
 
 
 def region_difference(
-    values: NDArray[Any], inside: Bools, *, mask: Bools | None = None,
-    pixel_um: float | tuple[float, float],
+    values: Array, inside: Bools, *, mask: Bools | None = None,
+    pixel_um: Pixel,
 ) -> RegionDifference:  # fmt: skip
     """Compare a map inside and outside of regions.
 
@@ -67,14 +64,13 @@ def region_difference(
     What each pixel adds to the difference is a map of its own, whose mean has the variance that its covariances by lag
     give: a region is one event, however many pixels it has.
     """
-    pixel = on_one_grid(values, values, mask, pixel_um)
+    is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
     on_one_grid(values, inside, inside, pixel)
-    is_valid = np.isfinite(values) if mask is None else np.isfinite(values) & mask
     within, outside = is_valid & inside, is_valid & ~inside
     count = int(np.count_nonzero(within)), int(np.count_nonzero(outside))
-    if min(count) < _LEAST:
+    if min(count) < LEAST:
         raise CannotMeasure(
-            f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {_LEAST} are needed on either "
+            f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {LEAST} are needed on either "
             "side. Give another limit."
         )
     share = count[0] / sum(count)
@@ -82,20 +78,14 @@ def region_difference(
     added = np.zeros(is_valid.shape)
     added[within] = (values[within] - means[0]) / share
     added[outside] = -(values[outside] - means[1]) / (1 - share)
-    difference = means[0] - means[1]
-    covariance, variance = covariance_of(added, Lags(is_valid, pixel))
-    square = float(covariance[0, 0])
+    square, n_eff = scatter_of(added, Lags(is_valid, pixel))
+    width = math.nan
     if not square > 0:
-        return RegionDifference(
-            share=share, difference=difference, interval=(difference, difference), n_eff=float(sum(count))
-        )
-    n_eff = min(square / variance, float(sum(count))) if variance > 0 else math.nan
-    if not n_eff >= LEAST_CLAIMED:
-        return RegionDifference(share=share, difference=difference, interval=(math.nan, math.nan), n_eff=n_eff)
-    width = student_quantile(_QUANTILE, n_eff - 1) * math.sqrt(square / n_eff)
-    return RegionDifference(
-        share=share, difference=difference, interval=(difference - width, difference + width), n_eff=n_eff
-    )
+        width, n_eff = 0.0, float(sum(count))
+    elif n_eff >= LEAST_CLAIMED:
+        width = t_95(n_eff - 1) * math.sqrt(square / n_eff)
+    shift = means[0] - means[1]
+    return RegionDifference(share=share, difference=shift, interval=(shift - width, shift + width), n_eff=n_eff)
 
 
 class _ThinnerThan(ResultModel):
@@ -122,12 +112,12 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
     return {"thin": tuple(regions)}
 
 
-def say_thin(evidence: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_thin(regions: tuple[ThinRegion, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """How the image differs where the coating is thin."""
-    for thin in evidence.thin:
+    for thin in regions:
         if is_known(thin.interval):
-            low, high = (number(v, 3) for v in thin.interval)
-            where = (
-                f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid area)"
+            low, high = map(number, thin.interval)
+            yield (
+                f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid "
+                f"area) the mean {words.image} differs by {number(thin.difference)} (95 %: {low} to {high})."
             )
-            yield (f"{where} the mean {words.image} differs by {number(thin.difference, 3)} (95 %: {low} to {high}).")

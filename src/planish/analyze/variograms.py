@@ -8,27 +8,21 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy import optimize
 
-from planish.analyze.correlation import on_one_grid
+from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import NULL, OfMap, Pair, ResultModel, Value, is_known
+from planish.core.facts import NULL, OfMap, ResultModel, Value, is_known
 from planish.core.numbers import in_words, number, percent, plain, unit
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
 
-_SECTOR = 45.0  # deg
 _LEAST_RINGS = 4  # for a model of three numbers
-_FITTED = 0.3  # of the first covariance, down to which the model is fitted
-_MOST_FITTED = 40
-_MOST = 60  # distances of a curve
-_EXPONENTS = (1.0, 2.0)  # from the exponential to the Gaussian covariance
 
 
 class VariogramCurve(ResultModel):
@@ -90,7 +84,7 @@ class Variogram:
 
     def curve(self, *, units: str, cell_um: Pair, md_deg: float | None) -> VariogramCurve:
         """Return what stands in the results of a run: the values at up to 60 distances, closer for short ones."""
-        far = np.unique(np.geomspace(1, self.lags_um.size, _MOST).round().astype(np.intp)) - 1
+        far = np.unique(np.geomspace(1, self.lags_um.size, 60).round().astype(np.intp)) - 1
         return VariogramCurve(
             units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill, range_um=self.range_um,
             md_deg=math.nan if md_deg is None else md_deg, range_along_um=self.range_along_um,
@@ -99,9 +93,7 @@ class Variogram:
         )  # fmt: skip
 
 
-def variogram(
-    a: NDArray[Any], *, mask: Bools | None = None, pixel_um: float | tuple[float, float], md_deg: float | None = None
-) -> Variogram:
+def variogram(a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: float | None = None) -> Variogram:
     """Variogram of a map with nugget, sill and ranges.
 
     Parameters
@@ -132,17 +124,13 @@ def variogram(
     sill; a texture that is rougher than the exponential one counts as nugget in part. The range is read off the
     covariances themselves. Waves longer than a fifth of the field make sill and range smaller than they are.
     """
-    pixel = on_one_grid(a, a, mask, pixel_um)
-    return variogram_of(a, Lags(np.isfinite(a) if mask is None else np.isfinite(a) & mask, pixel), md_deg)
+    return variogram_of(a, Lags(*valid_pixels(a, a, mask, pixel_um)), md_deg)
 
 
-def variogram_of(a: NDArray[Any], lags: Lags, md_deg: float | None = None) -> Variogram:
+def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram:
     """The same from the lags of a mask of known pixels, which several maps may share."""
-    is_valid = lags.is_valid
-    if lags.n < 3 or not np.ptp(a[is_valid]) > 0:
-        raise CannotMeasure(f"{lags.n} pixels are known, or all have one value: no variogram. Look at the mask.")
-    moved = lags.transform(np.where(is_valid, a - a[is_valid].mean(), 0.0))
-    products = lags.products(moved, moved)
+    check_varying(lags.is_valid, a=a)
+    products = lags.own_products(a)
     # What the mean took is known from the lags that are used, and put back at all lags.
     sill = float(lags.covariance(products, lags.until_zero(products))[0, 0])
     products = products + (sill - float(products[0, 0]) / lags.n) * lags.pairs
@@ -157,8 +145,7 @@ def variogram_of(a: NDArray[Any], lags: Lags, md_deg: float | None = None) -> Va
         turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))
         for direction in (md_deg, md_deg + 90):
             away = np.abs((turned - direction + 90) % 180 - 90)
-            h, c, _ = _by_ring(lags, products, away <= _SECTOR / 2 + 1e-9)
-            ranges.append(_range(h, c, shared))
+            ranges.append(_range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared))
     ranges += [math.nan] * (3 - len(ranges))
     return Variogram(
         lags_um=distance, values=sill - covariance, pairs=pairs, nugget=sill - shared, sill=sill, range_um=ranges[0],
@@ -184,8 +171,8 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     """Covariance towards distance 0: the variance that neighbours share; 0 where they share nothing."""
     if covariance[0] <= 0:
         return 0.0
-    low = np.flatnonzero(covariance < _FITTED * covariance[0])
-    count = min(max(int(low[0]) if low.size else covariance.size, _LEAST_RINGS), _MOST_FITTED)
+    low = np.flatnonzero(covariance < 0.3 * covariance[0])
+    count = min(max(int(low[0]) if low.size else covariance.size, _LEAST_RINGS), 40)
     h, c = distance[:count], covariance[:count] / covariance[0]
     # Each ring counts the same: longer ones have more pairs but scatter more, as a field holds few long waves.
 
@@ -195,7 +182,8 @@ def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
     start = max(float(h[-1]) / 2, step)
     fit = optimize.least_squares(
         off, np.array([1.1, math.log(start), 1.3]),
-        bounds=([0.0, math.log(step / 20), _EXPONENTS[0]], [np.inf, math.log(1e3 * float(h[-1])), _EXPONENTS[1]]),
+        # From the exponential to the Gaussian covariance.
+        bounds=([0.0, math.log(step / 20), 1.0], [np.inf, math.log(1e3 * float(h[-1])), 2.0]),
     )  # fmt: skip
     return float(fit.x[0] * covariance[0])
 
@@ -226,9 +214,9 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
     return {"variograms": tuple(curves)}
 
 
-def say_variograms(evidence: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_variograms(curves: tuple[MapVariogram, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Nugget, range and direction of each map."""
-    for curve, title in zip(evidence.variograms, words.titles, strict=True):
+    for curve, title in zip(curves, words.titles, strict=True):
         share = curve.nugget / curve.sill if curve.sill > 0 else 1.0
         nugget = f"nugget {number(curve.nugget, 2)} {squared_unit(curve, title)}"
         if share > 0.999:

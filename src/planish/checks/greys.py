@@ -4,17 +4,16 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 import numpy as np
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.checks.scan import GreyScan
 from planish.checks.windows import Window
 from planish.core.checks import PROPERTIES, Check, CheckRule
 from planish.core.facts import SIDES
 from planish.core.frame import Frame
+from planish.core.typing import Array
 from planish.measure.registry import Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
@@ -37,7 +36,7 @@ _CUT_SHARE = 0.01  # of an image's pixels at one end of the scale, from which on
 class SheetImage:
     """A sample of the greys of an image of the sheet, away from holes: any shape and numeric type, NaN is left out."""
 
-    greys: NDArray[Any]
+    greys: Array
 
 
 # --- of a scan -------------------------------------------------------------------------------------------------------
@@ -72,7 +71,7 @@ def denser_coating(greys: Greys) -> float | None:
     return max(levels, key=lambda level: abs(level - greys.base), default=None)
 
 
-def clipping(sample: NDArray[Any], greys: Greys) -> tuple[float, float, float]:
+def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
     """Look for a spike in the histogram at the sheet's end of the grey scale, whatever type and level.
 
     Returns

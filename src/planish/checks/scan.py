@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from planish.checks.windows import Window, read_windows
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.measure.registry import Greys
 
 TILE_UM = 60.0
@@ -50,7 +50,7 @@ class GreyScan(ScannedSheet):
     """A scan whose voxels are greys, not labels."""
 
     greys: Greys
-    sample: NDArray[Any]  # as stored, of a part of the voxels around the sheet
+    sample: Array  # as stored, of a part of the voxels around the sheet
     core: Core
     core_grey: NDArray[np.float32]  # (tiles, columns, depths), NaN where it was not read
 
@@ -127,10 +127,10 @@ def _base_end(measured: xr.Dataset, side: str) -> Floats:
     return np.where(np.isfinite(interface), interface, face) if is_coated else face
 
 
-def _tile_columns(shape: tuple[int, ...], pitch_um: tuple[float, float]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints]:
     """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
     counts: list[int] = []
-    columns: list[NDArray[np.intp]] = []  # (tiles, columns) along one axis
+    columns: list[Ints] = []  # (tiles, columns) along one axis
     for n, step in zip(shape, pitch_um, strict=True):
         edge = max(round(TILE_UM / step), 1)
         counts.append(max(n // edge, 1))

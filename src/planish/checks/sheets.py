@@ -15,7 +15,7 @@ from planish.core.checks import Check, CheckRule
 from planish.core.facts import SIDES, Side
 from planish.core.grid import pitch
 from planish.core.status import Status
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Bools, Floats, Pair
 from planish.results import SheetFacts
 from planish.surface import Corrections
 
@@ -208,7 +208,7 @@ class Particles(NamedTuple):
     area_mm2: float  # that was measured
 
 
-def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
+def find_particles(coating: Floats, pitch_um: Pair) -> Particles:
     """Find the particles that stand out of a map of a coating, (rows, cols) in um."""
     is_measured = np.isfinite(coating)
     cell = pitch_um[0] * pitch_um[1]
@@ -225,7 +225,7 @@ def find_particles(coating: Floats, pitch_um: tuple[float, float]) -> Particles:
     return Particles(large[labels], number, number / max(area, 1e-9), area)
 
 
-def _median_around(coating: Floats, pitch_um: tuple[float, float]) -> Floats:
+def _median_around(coating: Floats, pitch_um: Pair) -> Floats:
     """Median of 300 um around every column, from medians of cells of a tenth."""
     edges = [max(round(_AROUND_UM / _COARSE / p), 1) for p in pitch_um]
     counts = [max(n // e, 1) for n, e in zip(coating.shape, edges, strict=True)]

@@ -9,16 +9,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.checks.scan import ScannedSheet
 from planish.checks.windows import Window
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule
 from planish.core.frame import Axis
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Ints
 
 Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "jump"]
 
@@ -161,7 +160,7 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
 class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
-    s: NDArray[Any]  # (slices, blocks)
+    s: Array  # (slices, blocks)
     square: Floats
     product: Floats
     first: int
@@ -183,7 +182,7 @@ class _Stack:
         if visible.size < _LEAST:
             return None
         a, b = int(visible[0]), int(visible[-1]) + 1
-        s: NDArray[Any] = window.blocks[a:b]
+        s: Array = window.blocks[a:b]
         if standardised:
             s = s.astype(np.float64)
             s = (s - s.mean(axis=1, keepdims=True)) / np.maximum(s.std(axis=1, keepdims=True), 1e-300)
@@ -200,19 +199,19 @@ class _Stack:
         """Give the difference of every slice from slice ``k``."""
         return np.array([_square(_difference(a, self.s[k])) for a in self.s])
 
-    def scatter(self, k: NDArray[np.intp]) -> Floats:
+    def scatter(self, k: Ints) -> Floats:
         """Relative standard error of ``d1`` at ``k``."""
         fourth = np.array([_square(_difference(self.s[i + 1], self.s[i]) ** 2) for i in k])
         return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
 
 
-def _differences(s: NDArray[Any], lag: int) -> Floats:
+def _differences(s: Array, lag: int) -> Floats:
     """Mean squared difference of slices k and k + lag."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
     return np.array([_square(_difference(a, b)) for a, b in zip(s[lag:], s[:-lag], strict=True)])
 
 
-def _difference(a: NDArray[Any], b: NDArray[Any]) -> Floats:
+def _difference(a: Array, b: Array) -> Floats:
     """Subtract two slices in double precision; they are stored in single."""
     return np.subtract(a, b, dtype=np.float64)
 
@@ -289,7 +288,7 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
             yield Fault(kind="exchanged", first=first, last=last)
 
 
-def _all(good: Bools, k: NDArray[np.intp], low: int, high: int) -> Bools:
+def _all(good: Bools, k: Ints, low: int, high: int) -> Bools:
     """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
     return np.logical_and.reduce([good[k + i] for i in range(low, high + 1)])
 
@@ -372,7 +371,7 @@ def _jump(t: _Stack, k: int) -> Fault:
     return Fault(kind="jump", first=k, last=k + 1, steps=_steps(t.s, k, float(t.d1[k])))
 
 
-def _steps(s: NDArray[Any], k: int, difference: float) -> float:
+def _steps(s: Array, k: int, difference: float) -> float:
     """Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much."""
     sides = [part.astype(np.float64) for part in (s[max(k - 40, 0) : k + 1], s[k + 1 : k + 42])]
     before = 0.0

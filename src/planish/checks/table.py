@@ -7,7 +7,6 @@ from functools import partial
 from typing import Any, TypeVar
 
 import xarray as xr
-from numpy.typing import NDArray
 
 from planish.checks import greys, registration, sheets, through_scale
 from planish.checks.greys import SheetImage
@@ -18,6 +17,7 @@ from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
 from planish.core.facts import Trust
+from planish.core.typing import Array
 from planish.results import (
     ComparisonRow,
     CorrelationRow,
@@ -121,7 +121,7 @@ def check_holes(holes: xr.Dataset) -> Check:
     return run_checks(DetectedHoles("", holes))[0].model_copy(update={"name": "holes"})
 
 
-def exposure_check(values: NDArray[Any]) -> Check:
+def exposure_check(values: Array) -> Check:
     """Judge the greys of an image of the sheet, away from holes.
 
     Parameters

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from planish.checks import _kernels
 from planish.core.frame import Axis
 from planish.core.threads import map_threads
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Array, Bools, Floats, Ints
 
-Index = NDArray[np.intp]
+Index = Ints
 Places = NDArray[np.signedinteger[Any]]
 Sums = tuple[Floats, Floats, NDArray[np.float32]]
 
@@ -39,7 +39,7 @@ class Window:
     blocks: NDArray[np.float32]  # (slices, blocks): means of 5 x 5 voxels
 
 
-def window_of(slices: NDArray[Any], axis: Axis = "z", first: int = 0) -> Window:
+def window_of(slices: Array, axis: Axis = "z", first: int = 0) -> Window:
     """Sum up slices that are in memory, (slices, rows, cols)."""
     part = np.ascontiguousarray(slices, dtype=np.float32)
     sums = _sums(part)
@@ -51,7 +51,7 @@ class WindowReading(NamedTuple):
     """Sums and greys that one pass over the windows gave."""
 
     windows: tuple[Window, ...]
-    sample: NDArray[Any]  # greys as stored, of a part of the voxels around the sheet
+    sample: Array  # greys as stored, of a part of the voxels around the sheet
     grey: NDArray[np.float32]  # (points,): at the places asked for, NaN for those outside of all windows
 
 
@@ -90,7 +90,7 @@ def read_windows(
 
     pieces = map_threads(read, _pieces(volume, places, reach), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
-    samples: list[NDArray[Any]] = []
+    samples: list[Array] = []
     sums: list[list[Sums]] = [[] for _ in axes]
     while pieces:  # a piece goes as soon as it is used
         for axis_sums, part in zip(sums, pieces.pop(0), strict=True):
@@ -108,7 +108,7 @@ class _Part(NamedTuple):
     """Part of a window: its sums, some of its greys, and the greys of the points ``indices``."""
 
     sums: Sums
-    sample: NDArray[Any]
+    sample: Array
     indices: Index
     grey: NDArray[np.float32]
 
@@ -127,7 +127,7 @@ def _read_part(
     whole = place | {"z": slice(start - before, stop)}
     k = "zyx".index(axis)
     parts: list[_Part] = []
-    tail: NDArray[Any] | None = None
+    tail: Array | None = None
     for cut in [whole[axis]] if axis == "z" else _cuts(volume, whole, axis):
         box = whole | {axis: cut}
         raw = np.asarray(volume.isel(box).values)
@@ -190,7 +190,7 @@ def _pieces(volume: xr.DataArray, places: dict[Axis, dict[str, slice]], reach: s
     return [slice(k, min(k + size, reach.stop)) for k in range(reach.start, reach.stop, size)]
 
 
-def _part_sums(raw: NDArray[Any], axis: Axis, before: int, missing: float) -> Sums:
+def _part_sums(raw: Array, axis: Axis, before: int, missing: float) -> Sums:
     """Sums of a part (z, y, x) of a window."""
     part = np.ascontiguousarray(np.moveaxis(raw, "zyx".index(axis), 0), dtype=np.float32)
     sums = _sums(part, before)

@@ -76,6 +76,12 @@ def plain(value_um: float) -> str:
     return f"{value:.6g}{_SPACE}{name}"
 
 
+def limits_text(limits: tuple[float, float], decimals: int = 2) -> str:
+    """Write the ends of a 95 % interval; nothing where there is none."""
+    low, high = (fixed(v, decimals) for v in limits)
+    return f"95 %: {low} to {high}" if NONE not in (low, high) else ""
+
+
 def in_words(title: str) -> str:
     """Put a title into a sentence: what follows a comma goes into brackets.
 

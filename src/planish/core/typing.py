@@ -1,5 +1,7 @@
 """Short names for the types that most modules use."""
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -7,3 +9,6 @@ Floats = NDArray[np.float64]
 Bools = NDArray[np.bool_]
 Ints = NDArray[np.intp]
 Pair = tuple[float, float]
+Pixel = float | Pair  # edge of a pixel in um, or its edges along y and x
+Array = NDArray[Any]
+Complexes = NDArray[np.complex128]
