@@ -105,7 +105,7 @@ MUTANTS = [
     # analyze
     Mutant("analyze/correlation.py", "        is_valid = np.isfinite(x) & np.isfinite(y)\n        n = ", "        is_valid = np.isfinite(x)\n        n = ", "analyze/test_correlate.py"),
     Mutant("analyze/correlation.py", "slope = float(self._square[0, 1] / self._square[0, 0])", "slope = float(self._square[0, 1] / self._square[1, 1])", "analyze/test_correlate.py"),
-    Mutant("analyze/ncc.py", "np.abs(r) if sign == 0 else sign * r", "np.abs(r)", "analyze/test_lag.py"),
+    Mutant("analyze/ncc.py", "isfinite(r), r, -np.inf", "isfinite(r), np.abs(r), -np.inf", "analyze/test_lag.py"),
     # sections, correct
     Mutant("sections/volume.py", "share = np.clip((planes - places[before]) / step, 0.0, 1.0)", "share = np.clip((places[after] - planes) / step, 0.0, 1.0)", "sections/test_volume.py"),
     Mutant("sections/network.py", "_HALF = 1.0 / np.sqrt(0.5) - 1.0", "_HALF = 1.0", "sections/test_align.py sections/test_reference.py"),

@@ -14,7 +14,7 @@ from pydantic import Field
 from planish.analyze.detrend import PhaseSurrogate
 from planish.analyze.lag_field import LagField, lag_field
 from planish.analyze.lag_search import LagSearch
-from planish.analyze.ncc import MARGIN, find_peak, rival_r, within
+from planish.analyze.ncc import MARGIN, find_peak, rival_of, within
 from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
@@ -23,16 +23,7 @@ from planish.core.typing import Floats, Pair
 
 Silence = Literal["few", "texture", "border", "rival", "light"]
 
-# 95 % of errors that are normal with the same spread along x and y lie within this many rms lengths.
-TRE95 = math.sqrt(-math.log(0.05))
 NAME = "position by texture"
-_SURE = 3.0  # standard errors by which a lag has to differ from 0 to speak against the marks
-_LEAST_PIXELS = 400
-_FLOOR_PIXELS = 0.1  # of a pixel is lost between the pixels
-_RIVAL = 0.8  # of the peak's height
-_VAGUE = 1 / 4  # of the reach: a lag known no better locates nothing
-_SEED = 20090501
-
 _SILENCE: dict[Silence, str] = {
     "few": "too few pixels are known in all maps",
     "texture": "the maps have no texture in common that stands out from chance",
@@ -156,40 +147,41 @@ class Lag:
         """
         if not self.distinct or not math.isfinite(expected_error_um):
             return None
-        return self.length_um <= self.allowed_um(expected_error_um)
+        return self.length_um <= self._allowed_um(expected_error_um)
 
-    def allowed_um(self, expected_error_um: float) -> float:
-        """Length that 95 % of the lags of right registrations stay below, in um."""
-        return TRE95 * math.hypot(expected_error_um, *self.se_um)
+    def _allowed_um(self, expected_error_um: float) -> float:
+        """Length that 95 % of the lags of right registrations, normal with one spread along x and y, stay below."""
+        return math.sqrt(-math.log(0.05)) * math.hypot(expected_error_um, *self.se_um)
 
     def check(self, expected_error_um: float | None = None) -> Check:
         """What the lag says of the registration, whose expected error (rms, in um) may be unknown."""
+        inconclusive = "Image-based check: inconclusive, because"
         if self.silence is not None:
-            sentence = f"Image-based check: inconclusive, because {_SILENCE[self.silence]}."
+            sentence = f"{inconclusive} {_SILENCE[self.silence]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
+        length, error = self.length_um, self.length_se_um
         offset = (
-            f"by their texture the maps lie {self.length_um:.1f} ± {self.length_se_um:.1f} um apart "
-            f"(x {self.lag_um[0]:.1f}, y {self.lag_um[1]:.1f} um)"
+            f"y their texture the maps lie {length:.1f} ± {error:.1f} um apart (x {self.lag_um[0]:.1f}, "
+            f"y {self.lag_um[1]:.1f} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
-            sentence = f"Image-based check: inconclusive, because the marks give no expected error; {offset}."
-            return Check(name=NAME, state="unknown", sentence=sentence, value=self.length_um, units="um")
-        limit, expected = self.allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        make = partial(Check, name=NAME, value=self.length_um, limit=limit, units="um", figures=(POSITION, CORRELATION))
-        if self.length_um <= limit:
-            vague = math.hypot(*self.se_um) > max(expected_error_um, max(self.pixel_um))
+            sentence = f"{inconclusive} the marks give no expected error; b{offset}."
+            return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
+        limit, expected = self._allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
+        make = partial(Check, name=NAME, value=length, limit=limit, units="um", figures=(POSITION, CORRELATION))
+        if length <= limit:
+            vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
             end = "agrees, but is less certain than the marks" if vague else "agrees"
-            return make(state="pass", sentence=f"B{offset[1:]}, {expected}: {end}.")
-        if self.length_um <= _SURE * self.length_se_um:
-            sentence = (
-                f"Image-based check: inconclusive, because {offset}, which is more than the marks allow ({expected}) "
-                "but within 3 standard errors."
+            return make(state="pass", sentence=f"B{offset}, {expected}: {end}.")
+        beyond = f"more than the marks allow ({expected})"
+        if length <= 3.0 * error:
+            return make(
+                state="unknown", sentence=f"{inconclusive} b{offset}, which is {beyond} but within 3 standard errors."
             )
-            return make(state="unknown", sentence=sentence)
         return make(
-            state="look", sentence=f"B{offset[1:]}, more than the marks allow ({expected}). Such a shift of all "
-            "marks together shows nowhere else.", advice="Compare the outlines of maps and image; if it is "
-            "real, take it off, or use marks at the face that the image shows.",
+            state="look", sentence=f"B{offset}, {beyond}. Such a shift of all marks together shows nowhere else.",
+            advice="Compare the outlines of maps and image; if it is real, take it off, or use marks at the face that "
+            "the image shows.",
         )  # fmt: skip
 
     def sentence(self, expected_error_um: float | None = None) -> str:
@@ -253,18 +245,26 @@ def texture_lag(
     Worsley (1994), Adv. Appl. Probab. 26, 13, doi:10.2307/1427576.
     """
     pixel = texture.pixel_um
-    reach = _reach(texture.known.shape, pixel, reach_um)
+    sides = texture.known.shape[0] * pixel[0], texture.known.shape[1] * pixel[1]
+    least, most = 3 * max(pixel), min(sides) / 4
+    if not least <= reach_um <= most:
+        raise SizeError(
+            f"A reach of {reach_um:g} um does not fit maps of {sides[1]:.0f} x {sides[0]:.0f} um in pixels of "
+            f"{max(pixel):g} um. Take one from 3 pixels ({least:g} um) to a quarter of the shorter side "
+            f"({most:.0f} um)."
+        )
+    reach = int(reach_um / pixel[0] + 1e-9), int(reach_um / pixel[1] + 1e-9)
     build = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)
-    if texture.n < _LEAST_PIXELS or not all(k in texture.maps and texture.maps[k].any() for k in (*first, last)):
+    if texture.n < 400 or not all(k in texture.maps and texture.maps[k].any() for k in (*first, last)):
         return build(silence="few")
     halves = [texture.halves(k) for k in first]
     x, y = np.stack([m for two in halves for m in two]), texture.maps[last]
     search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed, limit = within(reach), search.limit(reach)
     above = allowed & (search.height > limit)
-    peak = find_peak(search.share, above if above.any() else allowed, 1)
-    at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
-    lag = build(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(at_zero, 0)))
+    peak = find_peak(search.share, above if above.any() else allowed)
+    zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
+    lag = build(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(zero, 0)))
     if peak is None:
         return lag
     model = search.weights(peak.pixel)
@@ -274,34 +274,21 @@ def texture_lag(
         return lag
     if not peak.inner:
         return replace(lag, silence="border")
-    if abs(rival_r(search.share, peak, allowed)) > max(limit, _RIVAL * peak.r):
+    if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
         return replace(lag, silence="rival")
     step = np.array([pixel[1], pixel[0]])
     spread = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
-    spread += (_FLOOR_PIXELS * max(pixel)) ** 2 * np.eye(2)
+    spread += (0.1 * max(pixel)) ** 2 * np.eye(2)  # what is lost between the pixels
     if slopes:
         without_slopes = slice(0, sum(map(len, halves[: len(first) - slopes])))
         lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.pixel) / peak.r)
-    if not math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) < _VAGUE * reach_um:
+    if not math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) < reach_um / 4:  # else it locates nothing
         return replace(lag, silence="light" if slopes else "texture")
-    lag = replace(
-        lag, silence=None, lag_um=(float(peak.at[1] * step[0]), float(peak.at[0] * step[1])), covariance_um2=spread
-    )
+    x_um, y_um = (float(v) for v in peak.at[::-1] * step)
+    lag = replace(lag, silence=None, lag_um=(x_um, y_um), covariance_um2=spread)
     if tiles_um is None:
         return lag
     return replace(lag, field=lag_field(
         np.tensordot(model, x, 1), y, texture.known, pixel, reach=reach, tile_um=tiles_um,
-        unrelated=[*PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(_SEED))],
+        unrelated=[*PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))],
     ))  # fmt: skip
-
-
-def _reach(shape: tuple[int, ...], pixel_um: Pair, reach_um: float) -> tuple[int, int]:
-    sides = shape[0] * pixel_um[0], shape[1] * pixel_um[1]
-    least, most = 3 * max(pixel_um), min(sides) / 4
-    if not least <= reach_um <= most:
-        raise SizeError(
-            f"A reach of {reach_um:g} um does not fit maps of {sides[1]:.0f} x {sides[0]:.0f} um in pixels of "
-            f"{max(pixel_um):g} um. Take one from 3 pixels ({least:g} um) to a quarter of the shorter side "
-            f"({most:.0f} um)."
-        )
-    return int(reach_um / pixel_um[0] + 1e-9), int(reach_um / pixel_um[1] + 1e-9)

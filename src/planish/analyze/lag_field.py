@@ -11,9 +11,6 @@ from planish.analyze.ncc import MARGIN, MaskedNcc, covariance_of, find_peak, wit
 from planish.core.errors import SizeError
 from planish.core.typing import Bools, Floats, Pair
 
-_LEAST_SHARE = 0.5  # of a tile that has to be known
-_LEVEL = 0.99  # of the null: a field has many tiles
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class LagField:
@@ -98,10 +95,10 @@ def lag_field(
         inside[row : row + side[0], col : col + side[1]] = True
         masks = (is_valid & inside)[rows, cols], is_valid[rows, cols]
         share = float(masks[0].sum()) / (side[0] * side[1])
-        if share < _LEAST_SHARE:
+        if share < 0.5:
             continue
         correlate = MaskedNcc(a[rows, cols], a_valid=masks[0], b_valid=masks[1], reach=wide)
-        peak = find_peak(correlate(b[rows, cols]), allowed, 1)
+        peak = find_peak(correlate(b[rows, cols]), allowed)
         highest = (float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated)
         null += [float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)) for r in highest]
         spread, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
@@ -110,11 +107,7 @@ def lag_field(
             spread = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[::-1, ::-1] * np.outer(step, step)
         place = (np.array([col, row]) + (np.array(side[::-1]) - 1) / 2) * step
         tiles.append((place, lag, spread, np.nan if peak is None else peak.r, share))
-    return _judged(tiles, float(np.quantile(null, _LEVEL, method="higher")) if null else np.inf, tile_um)
-
-
-def _judged(tiles: list[tuple[Floats, Floats, Floats, float, float]], limit: float, tile_um: float) -> LagField:
-    """Keep the lags of tiles whose peaks are summits above the limit."""
+    limit = float(np.quantile(null, 0.99, method="higher")) if null else np.inf  # a field has many tiles
     places, lags, spreads, r, shares = (
         np.array([row[k] for row in tiles]).reshape(len(tiles), *size)
         for k, size in enumerate(((2,), (2,), (2, 2), (), ()))

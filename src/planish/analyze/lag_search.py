@@ -12,7 +12,6 @@ from planish.analyze.texture import tile_sums
 from planish.core.typing import Bools, Complexes, Floats, Pair
 
 _CHANCE = 0.001  # that unrelated textures give a lag; of those that are not alike everywhere, more do
-_TILE_UM = 150.0
 
 
 class LagSearch:
@@ -54,9 +53,8 @@ class LagSearch:
         use = values > 1e-6 * values[-1]
         across = (vectors[:, use] / np.sqrt(values[use])).T
         n = float(np.count_nonzero(self._is_valid))
-        twice = np.full(self._size[1] // 2 + 1, 2.0)
-        twice[0] = 1.0
-        power_y = np.abs(self._y_hat) ** 2 * twice
+        power_y = np.abs(self._y_hat) ** 2
+        power_y[:, 1:] *= 2.0
         powers = [np.abs(np.tensordot(weights, self._x_hat, 1)) ** 2 * power_y for weights in across]
         # As in `relate`.
         variance = max(float(np.sum(m)) for m in powers) / (self._size[0] * self._size[1] * n**3)
@@ -87,7 +85,7 @@ class LagSearch:
         w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
         scores = (fitted - peak.r * y) * slopes + rest * np.tensordot(w, x, 1)
         scores = np.where(is_valid, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
-        parts = tile_sums(scores, pixel_um, _TILE_UM).reshape(2, -1)
+        parts = tile_sums(scores, pixel_um, 150.0).reshape(2, -1)
         back = np.linalg.inv(-0.5 * peak.curvature)
         return back @ (parts @ parts.T / n**2) @ back
 

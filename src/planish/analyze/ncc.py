@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from scipy import fft, ndimage
@@ -12,10 +12,7 @@ from planish.core.typing import Bools, Complexes, Floats, Pair
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
-_LEAST_VARIANCE = 1e-9
 MARGIN = 4  # pixels of r that have to be known around the lags that are searched
-_STEPS = 20
-_FROM_PIXEL = 2.0  # on a ridge, the summit is not within the pixel that is highest
 
 
 class MaskedNcc:
@@ -55,7 +52,7 @@ class MaskedNcc:
         sum_b = self._lags(self._mask_a * b_hat)
         var_b = self._lags(self._mask_a * self._transform(standard**2)) - sum_b**2 / self._n
         product = self._lags(self._a * b_hat) - self._sum_a * sum_b / self._n
-        least = _LEAST_VARIANCE * self._n
+        least = 1e-9 * self._n
         is_valid = (self._var_a > least) & (var_b > least)
         spread = np.sqrt(np.where(is_valid, self._var_a, 1.0) * np.where(is_valid, var_b, 1.0))
         return np.where(is_valid, np.clip(product / spread, -1.0, 1.0), np.nan)
@@ -87,86 +84,58 @@ class Peak:
 
     pixel: tuple[int, int]  # whole lag
     at: Floats  # (2,): lag between the pixels
-    r: float  # correlation there, with its sign
-    curvature: Floats  # (2, 2): second derivatives of ``|r|``, negative definite
-    inner: bool  # whether it is a summit, not a slope that goes on beyond the lags searched
+    r: float  # correlation there
+    curvature: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))  # second derivatives, negative definite
+    inner: bool = False  # whether it is a summit, not a slope that goes on beyond the lags searched
 
 
-def within(reach: tuple[int, int], margin: int = MARGIN) -> Bools:
-    """Lags inside the ellipse of half axes ``reach``, in an array that is ``margin`` larger on every side."""
-    rows, cols = (np.arange(-n - margin, n + margin + 1) / n for n in reach)
+def within(reach: tuple[int, int]) -> Bools:
+    """Lags inside the ellipse of half axes ``reach``, in an array that is larger by a margin on every side."""
+    rows, cols = (np.arange(-n - MARGIN, n + MARGIN + 1) / n for n in reach)
     return rows[:, None] ** 2 + cols[None, :] ** 2 <= 1.0 + 1e-12
 
 
-def find_peak(r: Floats, allowed: Bools, sign: int) -> Peak | None:
-    """Find the largest ``sign * r``, or ``|r|`` for ``sign`` 0, where allowed; None where nothing is known.
-
-    Between pixels a cubic spline through r is climbed.
-    """
-    height = np.where(allowed & np.isfinite(r), np.abs(r) if sign == 0 else sign * r, -np.inf)
-    where = int(np.argmax(height))
-    row, col = divmod(where, r.shape[1])
+def find_peak(r: Floats, allowed: Bools) -> Peak | None:
+    """Find the largest r where allowed, None where nothing is known; between pixels a cubic spline is climbed."""
+    height = np.where(allowed & np.isfinite(r), r, -np.inf)
+    row, col = divmod(int(np.argmax(height)), r.shape[1])
     if not np.isfinite(height[row, col]):
         return None
-    middle = r.shape[0] // 2, r.shape[1] // 2
-    pixel = (row - middle[0], col - middle[1])
-    sign_r = 1.0 if r[row, col] >= 0 else -1.0
-    around = sign_r * r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
-    flat = Peak(
-        pixel=pixel,
-        at=np.array(pixel, dtype=np.float64),
-        r=float(r[row, col]),
-        curvature=np.full((2, 2), np.nan),
-        inner=False,
-    )
+    pixel = (row - r.shape[0] // 2, col - r.shape[1] // 2)
+    around = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
+    flat = Peak(pixel=pixel, at=np.array(pixel, dtype=np.float64), r=float(r[row, col]))
     full = 2 * MARGIN + 1
-    if around.shape != (full, full) or not np.isfinite(around).all():
+    if r[row, col] < 0 or around.shape != (full, full) or not np.isfinite(around).all():
         return flat
-    near = around[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2]
-    if near.max() > near[1, 1]:
+    if around[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > around[MARGIN, MARGIN]:
         return flat
     axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
     spline = RectBivariateSpline(axis, axis, around, kx=3, ky=3, s=0)
-    spot = np.zeros(2)
-    for _ in range(_STEPS):
-        slope, curvature = _derivatives(spline, spot)
+
+    def at(place: Floats, down: int = 0, across: int = 0) -> float:
+        return float(spline.ev(place[0], place[1], dx=down, dy=across))
+
+    spot, step = np.zeros(2), np.ones(2)
+    for k in range(21):
+        mixed = at(spot, 1, 1)
+        curvature = np.array([[at(spot, 2, 0), mixed], [mixed, at(spot, 0, 2)]])
         if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
             return flat
-        step = np.clip(-np.linalg.solve(curvature, slope), -0.5, 0.5)
+        if k == 20 or np.abs(step).max() < 1e-10:
+            return Peak(pixel=pixel, at=flat.at + spot, r=at(spot), curvature=curvature, inner=True)
+        step = np.clip(-np.linalg.solve(curvature, [at(spot, 1, 0), at(spot, 0, 1)]), -0.5, 0.5)
         spot = spot + step
-        if np.abs(spot).max() > _FROM_PIXEL:
+        if np.abs(spot).max() > 2.0:  # on a ridge, the summit is not within the pixel that is highest
             return flat
-        if np.abs(step).max() < 1e-10:
-            break
-    _, curvature = _derivatives(spline, spot)
-    if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
-        return flat
-    return Peak(
-        pixel=pixel, at=flat.at + spot, r=sign_r * float(spline.ev(spot[0], spot[1])), curvature=curvature, inner=True
-    )  # fmt: skip
+    return flat
 
 
-def _derivatives(spline: RectBivariateSpline, place: Floats) -> tuple[Floats, Floats]:
-    d = {(i, j): float(spline.ev(place[0], place[1], dx=i, dy=j)) for i, j in ((1, 0), (0, 1), (2, 0), (1, 1), (0, 2))}
-    return np.array([d[1, 0], d[0, 1]]), np.array([[d[2, 0], d[1, 1]], [d[1, 1], d[0, 2]]])
-
-
-def rival_r(r: Floats, peak: Peak, allowed: Bools) -> float:
-    """Correlation, with its sign, of the extreme that most puts the peak in doubt; 0 where there is none.
-
-    The peak reaches as far as r stays above half its height. Outside it, an extreme of the other sign counts with its
-    full height (a map that follows the slope of the other has a peak on either side of the true lag, one positive, one
-    negative), one of the same sign only above 0.8 of the peak (a pattern that repeats itself).
-    """
-    sign_r = 1.0 if peak.r >= 0 else -1.0
-    height = np.where(allowed & np.isfinite(r), sign_r * r, 0.0)
-    parts, _ = ndimage.label(height > 0.5 * abs(peak.r))
-    peak_part = parts[r.shape[0] // 2 + peak.pixel[0], r.shape[1] // 2 + peak.pixel[1]]
-    rivals = np.where(parts == peak_part, 0.0, height)
-    same, opposite = float(rivals.max()), float(-rivals.min())
-    if same > 0.8 * abs(peak.r) and same > opposite:
-        return sign_r * same
-    return -sign_r * opposite
+def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
+    """Height of the second peak: beyond where what is explained, R² by lag, stays above half of the first one's."""
+    height = np.where(allowed & np.isfinite(share), share, 0.0)
+    parts, _ = ndimage.label(height > 0.5 * peak.r)
+    first = parts[share.shape[0] // 2 + peak.pixel[0], share.shape[1] // 2 + peak.pixel[1]]
+    return float(np.where(parts == first, 0.0, height).max())
 
 
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
 import xarray as xr
 
-from planish.analyze.lag import LagNumbers, texture_lag
+from planish.analyze import lag
+from planish.analyze.lag import LagNumbers
 from planish.analyze.texture import Relation, Textures, relate, textures, unexplained
 from planish.core.bands import any_finite, rms_of, thinned
-from planish.core.checks import CORRELATION, POSITION, Check
+from planish.core.checks import CORRELATION, POSITION, Check, State
 from planish.core.errors import SizeError
 from planish.core.facts import Side
 from planish.core.grid import Grid
@@ -34,24 +34,11 @@ _TURN = (
     "or give --image-side {side} if the image shows that side."
 )
 
-_REACH_UM, _TILE_UM = 150.0, 1000.0
-_SEEN_SHARE, _SEEN = 0.5, 3.0  # of the valid pixels; standard errors
+_TILE_UM = 1000.0
 _MAPS = ("coating_top", "coating_bottom", "thickness", "base_thickness", "topography_top", "topography_bottom", "image")
 
-_WITHOUT_SCREEN = Check(
-    name="position by texture", state="unknown", figures=(POSITION,),
-    sentence="Image-based check: not made, because the fine texture that it aligns was taken off with the screen.",
-)  # fmt: skip
 
-_SIDE_UNKNOWN = Check(
-    name="side and specimen", state="unknown",
-    sentence="Side and specimen: inconclusive, because the fine texture that would show it was taken off with the "
-    "screen.",
-)  # fmt: skip
-
-
-@dataclass(frozen=True, slots=True)
-class SideFound:
+class SideFound(NamedTuple):
     """The check, and the side whose texture the image has; None where that cannot be told."""
 
     check: Check
@@ -79,32 +66,32 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
     ``|z|`` is above 4.5 and that of the other below 3, or smaller by 3 standard deviations of the difference.
     """
     if "image" not in texture.maps:
-        text = f"Specimen: inconclusive, because the sheet and the {image} share no field."
-        return SideFound(_check("unknown", text, None))
-    measured: list[Side] = [k for k in coated if f"coating_{k}" in texture.maps]
-    names: dict[Side, list[str]] = {k: [f"coating_{k}"] for k in measured}
-    coatings = _faces(texture, names)
+        return SideFound(
+            _check("unknown", f"Specimen: inconclusive, because the sheet and the {image} share no field.")
+        )
+    coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps})
     words = f"The {side} side was {'given' if is_given else 'assumed (--image-side not given)'}"
     other: Side = "bottom" if side == "top" else "top"
-    shown = f"the coating of the {side} side ({coatings[side]})" if side in coatings else ""
-    shown_other = f"that of the {other} side ({coatings[other]})" if other in coatings else ""
-    if side in coatings and _stands_out(coatings[side], coatings.get(other)):
-        end = f"{_than(coatings[other])} {shown_other}" if shown_other else f"; no coating is seen on the {other} side"
-        text = f"The {image} goes with {shown}{end}. {words}."
-        return SideFound(_check("pass", text, coatings[side]), side)
-    if other in coatings and _stands_out(coatings[other], coatings.get(side)):
-        if side in coatings:
-            text = f"The {image} goes with the coating of the {other} side ({coatings[other]}){_than(coatings[side])} "
-            text += f"that of the {side} side ({coatings[side]}). {words}."
-            advice = _TURN.format(side=other)
-            return SideFound(_check("fail", text, coatings[other], advice=advice, figures=_OF_SIDES), other)
-        text = f"The {image} goes with the coating of the {other} side ({coatings[other]}), and none is seen on the "
-        text += f"{side} side. {words}."
-        advice = f"{_TURN.format(side=other)} Light that goes through the sheet may show it as well."
-        return SideFound(_check("look", text, coatings[other], advice=advice, figures=_OF_SIDES), other)
-    if any(abs(k.z) > Z_RELATED for k in coatings.values()):
-        text = f"Side: inconclusive, because the {image} goes with both coatings, {shown} and {shown_other}, {_ONE}."
-        return SideFound(_check("unknown", text, max(coatings.values(), key=lambda k: abs(k.z))))
+    shown, hidden = coatings.get(side), coatings.get(other)
+    if shown is not None and _stands_out(shown, hidden):
+        end = f"; no coating is seen on the {other} side"
+        if hidden is not None:
+            end = f"{_than(hidden)} that of the {other} side ({hidden})"
+        text = f"The {image} goes with the coating of the {side} side ({shown}){end}. {words}."
+        return SideFound(_check("pass", text, shown), side)
+    if hidden is not None and _stands_out(hidden, shown):
+        text, advice = f"The {image} goes with the coating of the {other} side ({hidden})", _TURN.format(side=other)
+        if shown is not None:
+            text += f"{_than(shown)} that of the {side} side ({shown}). {words}."
+            return SideFound(_check("fail", text, hidden, advice=advice, figures=_OF_SIDES), other)
+        text += f", and none is seen on the {side} side. {words}."
+        advice += " Light that goes through the sheet may show it as well."
+        return SideFound(_check("look", text, hidden, advice=advice, figures=_OF_SIDES), other)
+    strongest = max(coatings.values(), key=lambda k: abs(k.z), default=None)
+    if strongest is not None and abs(strongest.z) > Z_RELATED:
+        text = f"Side: inconclusive, because the {image} goes with both coatings, the coating of the {side} side "
+        text += f"({shown}) and that of the {other} side ({hidden}), {_ONE}."
+        return SideFound(_check("unknown", text, strongest))
     return _by_the_rest(texture, coatings, side, words, image)
 
 
@@ -112,36 +99,35 @@ def _by_the_rest(
     texture: Textures, coatings: Mapping[Side, Relation], side: Side, words: str, image: str
 ) -> SideFound:  # fmt: skip
     """No coating goes with the image: what slopes of the faces under light from one side say, and the thickness."""
-    other: Side = "bottom" if side == "top" else "top"
     for k in SIDES:
         if f"topography_{k}" in texture.maps:
             texture = texture.with_slopes(f"topography_{k}")
     slopes = _faces(texture, {k: [f"topography_{k}_{way}" for way in "xy"] for k in SIDES})
     tried = "; ".join(f"coating of the {k} side {relation}" for k, relation in coatings.items())
-    rivals: dict[Side, Side] = {side: other, other: side}
-    for face, rival in rivals.items():
-        if face in slopes and _stands_out(slopes[face], slopes.get(rival)):
+    rivals: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
+    for face in (side, rivals[side]):
+        if face in slopes and _stands_out(slopes[face], slopes.get(rivals[face])):
+            tail = f", not with the coatings ({tried})" if tried else ""
             text = f"The {image} goes with the slopes of the {face} face, as light from one side shows them "
-            text += f"({slopes[face]}), not with the coatings ({tried}). " if tried else f"({slopes[face]}). "
+            text += f"({slopes[face]}){tail}. {words}."
             if face == side:
-                return SideFound(_check("pass", f"{text}{words}.", slopes[face]), face)
+                return SideFound(_check("pass", text, slopes[face]), face)
             advice = _TURN.format(side=face)
-            return SideFound(_check("look", f"{text}{words}.", slopes[face], advice=advice, figures=_OF_SIDES), face)
+            return SideFound(_check("look", text, slopes[face], advice=advice, figures=_OF_SIDES), face)
     plain = {
         k: relate(m, texture.maps["image"], texture.known, texture.pixel_um)
         for k, m in texture.maps.items() if k in ("thickness", "base_thickness", f"topography_{side}")
     }  # fmt: skip
     plain |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
     best = max(plain, key=lambda k: abs(plain[k].z), default=None)
+    rest, figures = _NO_WORD, _OF_A_SPECIMEN
     if best is not None and abs(plain[best].z) > Z_RELATED:
         rest = f"it goes with the {best.replace('_', ' ')} of the sheet ({plain[best]}), {_ONE}"
-    else:
-        rest = _NO_WORD
-    if coatings and side in coatings:
+        figures = (CORRELATION,)
+    if side in coatings:
         text = f"The {image} goes with no coating ({tried}; {Z_RELATED} is needed), and {rest}."
         advice = "Compare map and image by eye: is it this specimen, this place, and a side that shows its coating?"
         strongest = max(coatings.values(), key=lambda k: abs(k.z))
-        figures = _OF_A_SPECIMEN if rest == _NO_WORD else (CORRELATION,)
         return SideFound(_check("look", text, strongest, advice=advice, figures=figures))
     text = f"Side: inconclusive, because no coating is seen on the {side} side; {rest}."
     return SideFound(_check("unknown", text, plain[best] if best else None))
@@ -150,8 +136,7 @@ def _by_the_rest(
 def two_images(texture: Textures, names: tuple[str, str]) -> Check:
     """Judge whether two images, ``image`` and ``other image``, show one specimen by their texture, with either sign."""
     if not {"image", "other image"} <= texture.maps.keys():
-        text = f"Specimen: inconclusive, because {names[0]} and {names[1]} share no field."
-        return _check("unknown", text, None)
+        return _check("unknown", f"Specimen: inconclusive, because {names[0]} and {names[1]} share no field.")
     r = relate(texture.maps["image"], texture.maps["other image"], texture.known, texture.pixel_um)
     if abs(r.z) > Z_RELATED:
         return _check("pass", f"The textures of {names[0]} and {names[1]} go together ({r}), {_ONE}.", r)
@@ -191,20 +176,19 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
         return _check("unknown", text, whole)
     tried = "; ".join(f"{k} {v}" for k, v in (("coatings", same), ("thickness", whole)) if v is not None)
     if not tried:
-        return _check("unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common.", None)
+        return _check("unknown", f"Specimen: inconclusive, because {a} and {b} have no map in common.")
     text = f"No map of {a} goes with that of {b} ({tried}; {Z_RELATED} is needed): {_NO_WORD}."
     advice = "Either they are not the same piece of paper, or they do not lie on each other, or one is measured badly."
     return _check("look", text, same or whole, advice=advice, figures=_OF_A_SPECIMEN)
 
 
 def _check(
-    state: str, text: str, relation: Relation | None, *, advice: str = "", figures: tuple[str, ...] = ()
+    state: State, text: str, relation: Relation | None = None, *, advice: str = "", figures: tuple[str, ...] = ()
 ) -> Check:  # fmt: skip
-    value = math.nan if relation is None else relation.z
-    return Check.model_validate({
-        "name": NAME, "state": state, "sentence": text, "value": value, "limit": Z_RELATED, "units": "z",
-        "advice": advice, "figures": figures,
-    })  # fmt: skip
+    return Check(
+        name=NAME, state=state, sentence=text, value=None if relation is None else relation.z, limit=Z_RELATED,
+        units="z", advice=advice, figures=figures,
+    )  # fmt: skip
 
 
 def _stands_out(face: Relation, rival: Relation | None) -> bool:
@@ -221,31 +205,27 @@ def _than(other: Relation) -> str:
 
 def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relation]:
     """Partial correlation of each face with the image; of several maps of a face that which stands out most."""
-    image, out = texture.maps["image"], dict[Side, Relation]()
+    image, strongest = texture.maps["image"], dict[Side, Relation]()
     for side, names_of_side in names.items():
-        best: Relation | None = None
+        relations: list[Relation] = []
         for k, name in enumerate(names_of_side):
             if name not in texture.maps:
                 continue
             a, b = texture.maps[name], image
-            for rival in (maps[k] for of, maps in names.items() if of != side):
-                if rival in texture.maps:
-                    a, b = unexplained(a, texture.maps[rival]), unexplained(b, texture.maps[rival])
-            r = relate(a, b, texture.known, texture.pixel_um, of=image)
-            if best is None or abs(r.z) > abs(best.z):
-                best = r
-        if best is not None:
-            out[side] = best
-    return out
+            for rival in (maps[k] for of, maps in names.items() if of != side and maps[k] in texture.maps):
+                a, b = (unexplained(m, texture.maps[rival]) for m in (a, b))
+            relations.append(relate(a, b, texture.known, texture.pixel_um, of=image))
+        if relations:
+            strongest[side] = max(relations, key=lambda r: abs(r.z))
+    return strongest
 
 
 def _mean(relations: Iterable[Relation | None]) -> Relation | None:
     """Mean of correlations of maps that go together or not as one."""
-    relations_known = [k for k in relations if k is not None]
-    if not relations_known:
+    maps = [k for k in relations if k is not None]
+    if not maps:
         return None
-    n = len(relations_known)
-    r, sd = sum(k.r for k in relations_known) / n, math.sqrt(sum(k.sd**2 for k in relations_known)) / n
+    r, sd = sum(k.r for k in maps) / len(maps), math.sqrt(sum(k.sd**2 for k in maps)) / len(maps)
     return Relation(r, sd, r, sd)
 
 
@@ -254,15 +234,6 @@ class TextureFound(NamedTuple):
 
     lag: LagNumbers | None
     checks: tuple[Check, ...]
-
-
-class _Compared(NamedTuple):
-    """Maps that another map is registered by: the first, what it may need beside it, and the other one."""
-
-    found: Textures
-    first: list[str]
-    slopes: int
-    last: str
 
 
 def texture_of(
@@ -282,55 +253,58 @@ def texture_of(
         texture = textures(maps, valid, Grid.of(a).pixel_um)
     except SizeError as error:
         text = f"Specimen and position by texture: inconclusive. {error.text}"
-        return TextureFound(None, (Check(name="side and specimen", state="unknown", sentence=text),))
+        return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
     coated_sides = [_coated(d) for d in (a, b) if "thickness" in d]
     coated: list[Side] = [k for k in SIDES if all(k in sides for sides in coated_sides)]
+    slopes: tuple[str, ...] = ()
     if one_sheet:
-        judged = image_of_sheet(texture, coated=coated, side=side, is_given=is_given, image=names[1])
-        check, compared = judged.check, _by_face(texture, judged.side or side, coated)
+        last = "image"
+        check, face = image_of_sheet(texture, coated=coated, side=side, is_given=is_given, image=names[1])
+        # An image of a face follows its coating, or thickness and height, and slopes under light from one side.
+        face = face or side
+        height = f"topography_{face}"
+        first_maps = [f"coating_{face}"] if face in coated else ["thickness"]
+        if height in texture.maps:
+            first_maps += [] if face in coated else [height]
+            texture, slopes = texture.with_slopes(height), (f"{height}_x", f"{height}_y")
     elif coated_sides:
         check = two_sheets(texture, names, coated=coated)
-        name = next((f"coating_{k}" for k in coated), "thickness")
-        compared = _Compared(texture, [name], 0, f"other {name}")
+        first_maps = [next((f"coating_{k}" for k in coated), "thickness")]
+        last = f"other {first_maps[0]}"
     else:
-        check, compared = two_images(texture, names), _Compared(texture, ["image"], 0, "other image")
+        check, first_maps, last = two_images(texture, names), ["image"], "other image"
     if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
-        # The texture that would show the side is gone, so that none goes with the coating is no evidence.
-        return TextureFound(None, (_SIDE_UNKNOWN if check.state == "look" else check, _WITHOUT_SCREEN))
-    moved = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
-    expected_um = None if moved is None else rms_of(moved, valid)
+        gone = "was taken off with the screen."
+        if check.state == "look":  # the texture that would show the side is gone: that none goes is no evidence
+            text = f"Side and specimen: inconclusive, because the fine texture that would show it {gone}"
+            check = Check(name=NAME, state="unknown", sentence=text)
+        text = f"Image-based check: not made, because the fine texture that it aligns {gone}"
+        moved = Check(name=lag.NAME, state="unknown", figures=(POSITION,), sentence=text)
+        return TextureFound(None, (check, moved))
+    error = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
+    expected_um = None if error is None else rms_of(error, valid)
     short = min(n * um for n, um in zip(texture.known.shape, texture.pixel_um, strict=True))
     try:
-        lag = texture_lag(
-            *compared[:2], compared.last, slopes=compared.slopes, reach_um=min(_REACH_UM, short / 4),
+        offset = lag.texture_lag(
+            texture, [*first_maps, *slopes], last, slopes=len(slopes), reach_um=min(150.0, short / 4),
             tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
         )  # fmt: skip
     except SizeError:
         return TextureFound(None, (check,))
-    if lag.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
-        text = f"{check.sentence} Moved by {lag.length_um:.0f} um they do go together (position by texture)."
+    if offset.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
+        text = f"{check.sentence} Moved by {offset.length_um:.0f} um they do go together (position by texture)."
         check = check.model_copy(update={"sentence": text})
-    return TextureFound(lag.numbers(compared.first[0], expected_um), (check, lag.check(expected_um)))
-
-
-def _by_face(texture: Textures, side: Side, coated: list[Side]) -> _Compared:
-    """What an image of a face follows: its coating, or thickness and height, and slopes under light from one side."""
-    face = f"topography_{side}"
-    first = [f"coating_{side}"] if side in coated else ["thickness", *([face] if face in texture.maps else [])]
-    if face not in texture.maps:
-        return _Compared(texture, first, 0, "image")
-    return _Compared(texture.with_slopes(face), [*first, f"{face}_x", f"{face}_y"], 2, "image")
+    return TextureFound(offset.numbers(first_maps[0], expected_um), (check, offset.check(expected_um)))
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:
-    """Sides on which a coating is measured in most of a sheet, and thicker than its error."""
+    """Sides on which a coating is measured in most of a sheet, and thicker than 3 standard errors."""
     sides: list[Side] = []
     for side in SIDES:
         name = f"coating_{side}"
-        errors = [sheet[k] for k in (f"{name}_se",) if k in sheet]
-        use, *values = thinned(sheet["valid"], sheet[name], *errors)[1]
-        coat, *errors_of = (v[use & np.isfinite(v)] for v in values)
-        limit = _SEEN * float(np.median(errors_of[0])) if errors_of and errors_of[0].size else 0.0
-        if coat.size and coat.size >= _SEEN_SHARE * np.count_nonzero(use) and float(np.median(coat)) > limit:
+        use, *maps = thinned(sheet["valid"], *(sheet[k] for k in (name, f"{name}_se") if k in sheet))[1]
+        coat, *errors = (m[use & np.isfinite(m)] for m in maps)
+        limit = 3.0 * float(np.median(errors[0])) if errors and errors[0].size else 0.0
+        if coat.size and coat.size >= 0.5 * np.count_nonzero(use) and float(np.median(coat)) > limit:
             sides.append(side)
     return sides

@@ -24,16 +24,11 @@ Kind = Literal["exchanged", "moved", "repeated", "filled", "foreign", "empty", "
 # Largest values on some 80 axes of right volumes, measured and synthetic: .70, 1.51, 1.06, 1.24, .82.
 ALIKE, FILLED, EXCHANGED, FOREIGN, JUMP = 1.0, 2.0, 1.2, 2.0, 0.9
 _SIGMA = 4.0  # standard errors by which a statistic stands out as well: matters where a window is small
-# Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault.
-_SAME_GREYS, _HIGH = (0.3, 0.5), 1.2
 _EMPTY, _FULL = 0.05, 0.5  # of the usual spread of a slice's greys: it shows next to nothing; it shows the body
 _COPY = 0.5  # of the difference of neighbours: that of a slice and its copy with noise of its own
-_BACK, _FAR = 0.25, 64  # rise of ln d1 above its median at a jump that may lead back, by so many slices at most
 _FITS = 1.3  # times the difference of neighbours: a slice fits there
 _RUN = 10  # slices that are filled, or nearly the same, at most
-_LEAST = 8  # slices that are needed
 
-_NAMED = 4  # faults that a sentence names
 _ADVICE = {
     "order": "Check the numbers of the files: sort them, and read the stack again.",
     "repeated": "Take the copies out of the stack, or put the right slices in their place.",
@@ -80,9 +75,9 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     kinds = [f.kind for f in faults]
     unordered = [f for f in faults if f.kind in ("exchanged", "moved")]
     listed = unordered or faults
-    sentences = [_sentence(f, axis) for f in listed[:_NAMED]]
-    if len(listed) > _NAMED:
-        sentences.append(f"{len(listed) - _NAMED} more such places.")
+    sentences = [_sentence(f, axis) for f in listed[:4]]
+    if len(listed) > 4:
+        sentences.append(f"{len(listed) - 4} more such places.")
     if unlisted := len(faults) - len(listed):
         sentences.append(f"{unlisted} other {'fault' if unlisted == 1 else 'faults'} along the same axis.")
     is_grave = unordered or axis == scan.through  # heights that are wrong displace on every slope
@@ -100,8 +95,8 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
 
 
 def _sentence(f: Fault, axis: Axis) -> str:
-    which = f"Slices {f.first}-{f.last}" if f.count > 1 else f"Slice {f.first}"
     several = f.count > 1
+    which = f"{f'Slices {f.first}-{f.last}' if several else f'Slice {f.first}'} along {axis}"
     match f.kind:
         case "exchanged":
             return f"Slices {f.first} and {f.last} along {axis} are exchanged."
@@ -114,13 +109,13 @@ def _sentence(f: Fault, axis: Axis) -> str:
             assert f.other is not None
             # Slices that all repeat one slice have no room for as many others.
             source = f"{f.other}-{f.other + f.count - 1}" if several and f.first - f.other >= f.count else f"{f.other}"
-            return f"{which} along {axis} {'are copies' if several else 'is a copy'} of {source}."
+            return f"{which} {'are copies' if several else 'is a copy'} of {source}."
         case "filled":
-            return f"{which} along {axis} {'are means' if several else 'is the mean'} of the neighbours, not measured."
+            return f"{which} {'are means' if several else 'is the mean'} of the neighbours, not measured."
         case "foreign":
-            return f"{which} along {axis} does not fit between its neighbours."
+            return f"{which} does not fit between its neighbours."
         case "empty":
-            return f"{which} along {axis} {'show' if several else 'shows'} nothing, while the neighbours do."
+            return f"{which} {'show' if several else 'shows'} nothing, while the neighbours do."
         case "jump":
             far = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
             return (
@@ -140,8 +135,15 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     Nothing is found at either end, nor a missing slice where the body hardly changes along the axis, or
     in strong noise.
     """
-    stack = _Stack.of(window, standardised=assembled)
-    if stack is None or np.median(stack.d1) == 0:  # nothing changes along the axis
+    # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
+    spread = np.array([row.std(dtype=np.float64) for row in window.blocks])
+    shows = spread > _EMPTY * float(np.median(spread[spread > 0])) if spread.any() else spread > 0
+    visible = np.flatnonzero(shows)
+    if visible.size < 8:
+        return []
+    a, b = int(visible[0]), int(visible[-1]) + 1
+    stack = _Stack(window, a, b, shows[a:b], spread[a:b], standardised=assembled)
+    if np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
     every = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
     for find in (_foreign, _exchanged, _jumps) if assembled else every:
@@ -150,73 +152,55 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
             stack.good[max(fault.first - 1, 0) : fault.last + 2] = False
         if assembled:  # between sections there are gaps, which are known
             stack.faults = [f for f in stack.faults if f.kind != "jump"]
-    n = window.first + stack.first
+    n = window.first + a
     moved = [replace(f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n)
              for f in stack.faults]  # fmt: skip
     return sorted(moved, key=lambda f: f.first)
 
 
-@dataclass(slots=True)
 class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
-    s: Array  # (slices, blocks)
-    square: Floats
-    product: Floats
-    first: int
-    shows: Bools  # whether a slice shows anything
-    good: Bools  # whether it does, and neither it nor a neighbour has a fault that was found
-    spread: Floats
-    d1: Floats
-    d2: Floats
-    faults: list[Fault]
-
-    @classmethod
-    def of(cls, window: Window, *, standardised: bool) -> _Stack | None:
-        # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
-        spread = np.array([row.std(dtype=np.float64) for row in window.blocks])
-        if not spread.any():
-            return None
-        shows = spread > _EMPTY * float(np.median(spread[spread > 0]))
-        visible = np.flatnonzero(shows)
-        if visible.size < _LEAST:
-            return None
-        a, b = int(visible[0]), int(visible[-1]) + 1
-        s: Array = window.blocks[a:b]
+    def __init__(
+        self, window: Window, first: int, stop: int, shows: Bools, spread: Floats, *, standardised: bool
+    ) -> None:  # fmt: skip
+        self.s: Array = window.blocks[first:stop]  # (slices, blocks)
         if standardised:
-            s = s.astype(np.float64)
-            s = (s - s.mean(axis=1, keepdims=True)) / np.maximum(s.std(axis=1, keepdims=True), 1e-300)
-        return cls(
-            s=s, square=window.square[a : b - 1], product=window.product[a : b - 2], first=a, shows=shows[a:b],
-            good=shows[a:b].copy(), spread=spread[a:b], d1=_differences(s, 1), d2=_differences(s, 2), faults=[],
-        )  # fmt: skip
+            s = self.s.astype(np.float64)
+            self.s = (s - s.mean(axis=1, keepdims=True)) / np.maximum(s.std(axis=1, keepdims=True), 1e-300)
+        self.square, self.product = window.square[first : stop - 1], window.product[first : stop - 2]
+        self.d1, self.d2 = _differences(self.s, 1), _differences(self.s, 2)
+        # Whether a slice shows anything; and neither it nor a neighbour has a fault that was found.
+        self.shows, self.good, self.spread = shows, shows.copy(), spread
+        self.faults: list[Fault] = []
 
     def usual(self, k: int) -> float:
         """Give the usual difference of neighbours around slice ``k``."""
         return float(np.median(self.d1[max(k - 5, 0) : k + 6]))
 
-    def away(self, k: int) -> Floats:
+    def away(self, k: int, first: int = 0, stop: int | None = None) -> Floats:
         """Give the difference of every slice from slice ``k``."""
-        return np.array([_square(_difference(a, self.s[k])) for a in self.s])
+        return np.array([_square(a, self.s[k]) for a in self.s[first:stop]])
 
     def scatter(self, k: Ints) -> Floats:
         """Relative standard error of ``d1`` at ``k``."""
-        fourth = np.array([_square(_difference(self.s[i + 1], self.s[i]) ** 2) for i in k])
+        fourth = np.array([_square(np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) ** 2, 0.0) for i in k])
         return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
+
+    def all_good(self, k: Ints, low: int, high: int) -> Bools:
+        """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
+        return np.logical_and.reduce([self.good[k + i] for i in range(low, high + 1)])
 
 
 def _differences(s: Array, lag: int) -> Floats:
     """Mean squared difference of slices k and k + lag."""
     # Slice by slice: temporary arrays as large as the stack cost more than the sums.
-    return np.array([_square(_difference(a, b)) for a, b in zip(s[lag:], s[:-lag], strict=True)])
+    return np.array([_square(a, b) for a, b in zip(s[lag:], s[:-lag], strict=True)])
 
 
-def _difference(a: Array, b: Array) -> Floats:
-    """Subtract two slices in double precision; they are stored in single."""
-    return np.subtract(a, b, dtype=np.float64)
-
-
-def _square(d: Floats) -> float:
+def _square(a: Array, b: Array | float) -> float:
+    """Mean squared difference of two slices, in double precision; they are stored in single."""
+    d = np.subtract(a, b, dtype=np.float64)
     return float(np.vdot(d, d)) / d.size
 
 
@@ -240,7 +224,7 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
     indices = np.arange(1, t.d1.size)
     ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
     named: set[int] = set()
-    for k in indices[(ratio > FOREIGN) & _all(t.good, indices, -1, 1)].tolist():
+    for k in indices[(ratio > FOREIGN) & t.all_good(indices, -1, 1)].tolist():
         away = t.away(k)
         away[max(k - 2, 0) : k + 3] = np.inf
         other = int(away.argmin())
@@ -282,15 +266,10 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
     hit |= np.isin(k, pairs) | np.isin(k, pairs + 2)
     last = -1
-    for first in k[hit & _all(t.good, k, -1, 2)].tolist():
+    for first in k[hit & t.all_good(k, -1, 2)].tolist():
         if first > last:
             last = first + 1
             yield Fault(kind="exchanged", first=first, last=last)
-
-
-def _all(good: Bools, k: Ints, low: int, high: int) -> Bools:
-    """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
-    return np.logical_and.reduce([good[k + i] for i in range(low, high + 1)])
 
 
 def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
@@ -321,7 +300,7 @@ def _filled(t: _Stack) -> Iterator[Fault]:
     bend = (t.square[:-1] + t.square[1:] - 2 * t.product) / 4
     for a, b in _dips(_log(bend), t.good, 3, FILLED):
         # Otherwise all of them are copies.
-        if float((_difference(t.s[b + 2], t.s[a]) ** 2).mean()) > _COPY * t.usual(a):
+        if float((np.subtract(t.s[b + 2], t.s[a], dtype=np.float64) ** 2).mean()) > _COPY * t.usual(a):
             yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
@@ -329,15 +308,15 @@ def _far_copies(t: _Stack) -> Iterator[Fault]:
     """Blocks of slices that were there before, with noise or compression of their own: a jump leads back to them."""
     log = _log(t.d1)
     for k in range(2, len(t.s) - 1):
+        # A jump may lead back where ln d1 rises above its median; by 64 slices at most.
         back = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
-        if back < _BACK or not t.good[k - 1 : k + 1].all():
+        if back < 0.25 or not t.good[k - 1 : k + 1].all():
             continue
-        low = max(k - _FAR, 0)
-        away = np.array([_square(_difference(a, t.s[k])) for a in t.s[low : k - 1]])
-        source = int(away.argmin()) + low
+        away = t.away(k, max(k - 64, 0), k - 1)
+        source = int(away.argmin()) + max(k - 64, 0)
         usual = min(t.usual(k - 1), t.usual(source))
         if away.min() < _COPY * usual:
-            same = _differences(t.s[source : k + _FAR], k - source) < _COPY * usual
+            same = _differences(t.s[source : k + 64], k - source) < _COPY * usual
             yield Fault(kind="repeated", first=k, last=k + int(np.argmin(np.append(same, False))) - 1, other=source)
 
 
@@ -346,13 +325,13 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
     log = _log(t.d1)
     k = np.arange(1, t.d1.size - 1)
     limit = np.maximum(JUMP, _SIGMA * t.scatter(k))
-    hit = (log[k] - np.maximum(log[k - 1], log[k + 1]) > limit) & _all(t.good, k, -1, 2)
+    rise = log[k] - np.maximum(log[k - 1], log[k + 1])
     faults: list[Fault] = []
-    for index in k[hit]:
-        a, b = (t.s[k].astype(np.float64) for k in (index, index + 1))
-        high = log[index] - max(log[index - 1], log[index + 1]) > _HIGH
-        if t.good[index] and _square(np.sort(a) - np.sort(b)) < _SAME_GREYS[int(high)] * t.d1[index]:
-            faults.append(_jump(t, int(index)))
+    for index in k[(rise > limit) & t.all_good(k, -1, 2)].tolist():
+        # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault.
+        same = 0.5 if rise[index - 1] > 1.2 else 0.3
+        if t.good[index] and _square(np.sort(t.s[index]), np.sort(t.s[index + 1])) < same * t.d1[index]:
+            faults.append(_jump(t, index))
             t.good[faults[-1].first : faults[-1].last + 1] = False
     return faults
 
@@ -368,17 +347,13 @@ def _jump(t: _Stack, k: int) -> Fault:
         usual = np.median(t.d1[max(fits - 4, 0) : fits + 4])
         if fits in (0, t.d1.size) or max(t.d1[fits - 1], t.d1[fits]) > 1.3 * usual:
             return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
-    return Fault(kind="jump", first=k, last=k + 1, steps=_steps(t.s, k, float(t.d1[k])))
-
-
-def _steps(s: Array, k: int, difference: float) -> float:
-    """Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much."""
-    sides = [part.astype(np.float64) for part in (s[max(k - 40, 0) : k + 1], s[k + 1 : k + 42])]
-    before = 0.0
+    # Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much.
+    sides, difference, before = (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]), float(t.d1[k]), 0.0
     for lag in range(1, 21):
         pairs = [_differences(part, lag) for part in sides if len(part) > lag + 2]
         now = float(np.median(np.concatenate(pairs))) if pairs else 0.0
         if now >= difference:
-            return lag - (now - difference) / max(now - before, 1e-300) - 1.0
+            steps = lag - (now - difference) / max(now - before, 1e-300) - 1.0
+            return Fault(kind="jump", first=k, last=k + 1, steps=steps)
         before = now
-    return float("nan")
+    return Fault(kind="jump", first=k, last=k + 1)
