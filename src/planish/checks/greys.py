@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 from itertools import product
 
@@ -17,19 +18,11 @@ from planish.core.typing import Array
 from planish.measure.registry import Greys
 
 SPIKE, SHARE = 3.0, 2e-4  # height of the spike over what the histogram leads to; least share of the voxels
-_BINS = 256  # between the air and the end of the grey scale
-_REST = range(1, 7)  # bins that the histogram is continued from
+_LAST_BIN = 6  # of those that the histogram is continued from
 SHADED = 0.15  # of base - air: change of the base's grey across the sheet
-_NOTABLE = 9.0  # times the standard error of a mean: range of a fitted parabola that chance does not make
-_LEAST_TILES, _LEAST_PLACES = 20, 4  # of all, and different ones along an axis
-
-_FWHM = 2.3548  # of a Gaussian, in standard deviations
 _EDGE, _DEPTH = 32, 8  # voxels along the edge of a block of air; along the axis through the sheet
 _GAP = 6  # voxels between the sheet and a block
-_PLACES = 4  # blocks along either axis of the sheet, on either side
 _LAGS = 12  # voxels
-
-_CUT_SHARE = 0.01  # of an image's pixels at one end of the scale, from which on a correlation suffers
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,18 +44,18 @@ def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     # So near to the layer's own level, a limit moves it.
     is_inside = greys.polarity * (end - level) < greys.noise + 0.02 * abs(level - greys.air)
     crowd = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
+    check = functools.partial(rule.check, value=spike, limit=SPIKE)
     if not (spike > SPIKE and share > SHARE):
-        sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
-    elif not is_inside and share < 0.02:
-        sentence = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({level:.4g})."
-    else:
-        return rule.check(
-            "look", value=spike, limit=SPIKE, figures=(PROPERTIES,) if coat is None else rule.figures,
-            sentence=f"{crowd}, where the scale was cut off, and the {layer} lies at {level:.4g}: its "
-            "contrast is too low, and its face is displaced.",
-            advice="Export the volume with a wider grey window, or as 16 bit.",
-        )  # fmt: skip
-    return rule.check("pass", sentence, value=spike, limit=SPIKE, figures=())
+        text = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
+        return check("pass", text, figures=())
+    if not is_inside and share < 0.02:
+        text = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({level:.4g})."
+        return check("pass", text, figures=())
+    return check(
+        "look", f"{crowd}, where the scale was cut off, and the {layer} lies at {level:.4g}: its contrast is too low, "
+        "and its face is displaced.", figures=(PROPERTIES,) if coat is None else rule.figures,
+        advice="Export the volume with a wider grey window, or as 16 bit.",
+    )  # fmt: skip
 
 
 def denser_coating(greys: Greys) -> float | None:
@@ -86,20 +79,20 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
         return 0.0, 0.0, float("nan")
     end = float(levels.max() if greys.polarity > 0 else levels.min())
     reach = abs(end - greys.air)
-    width = reach / _BINS
+    width = reach / 256
     if whole:  # a bin holds as many steps of the scale as any other
         near = levels[np.abs(levels.astype(np.float64) - end) <= 0.25 * reach]
         step = float(np.diff(near.astype(np.float64)).min()) if near.size > 1 else 1.0
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
     # Away from the end; half a step keeps rounding out of the places of the bins.
     bins = np.floor(greys.polarity * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
-    is_near_end = bins <= _REST[-1]
+    is_near_end = bins <= _LAST_BIN
     weights = None if counts is None else counts[is_near_end]
-    h = np.bincount(bins[is_near_end].astype(np.int64), weights, _REST[-1] + 1).astype(np.float64)
+    h = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(np.float64)
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as the others.
     first = float(h[0] if whole else np.count_nonzero(levels == end))
-    k = np.array(_REST, dtype=np.float64)
-    x = float(np.exp(np.polyfit(k, np.log(h[1:] + 0.5), 1, w=np.sqrt(h[1:] + 0.5))[1]))
+    rest = h[1:] + 0.5
+    x = float(np.exp(np.polyfit(np.arange(1.0, h.size), np.log(rest), 1, w=np.sqrt(rest))[1]))
     return first / (x + 3 * np.sqrt(x) + 1), first / (levels.size if counts is None else int(counts.sum())), end
 
 
@@ -134,7 +127,7 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
     points = core.points.reshape(*core.shape, 3)
     tiles = np.any(np.isfinite(grey).all(axis=2), axis=1)
-    if np.count_nonzero(tiles) < _LEAST_TILES or not contrast > 0:
+    if np.count_nonzero(tiles) < 20 or not contrast > 0:
         return rule.check(
             "unknown", f"The base is seen in {np.count_nonzero(tiles)} tiles only, too few to follow its grey."
         )
@@ -144,11 +137,12 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
         if axis == scan.through:
             continue
         place = np.nanmean(np.where(core.is_base[tiles], points[tiles, :, 0, k], np.nan), axis=1)
-        if np.unique(place).size < _LEAST_PLACES:
+        if np.unique(place).size < 4:
             continue
         fit = np.polynomial.Polynomial.fit(place, level, 2)
         change = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
-        chance = _NOTABLE * float(np.std(level - fit(place))) / contrast / np.sqrt(level.size)
+        # Chance makes no range of a fitted parabola of 9 standard errors of a mean.
+        chance = 9.0 * float(np.std(level - fit(place))) / contrast / np.sqrt(level.size)
         if not along or change - max(SHADED, chance) > share - limit:
             share, limit, along = change, max(SHADED, chance), axis
     return rule.at_most(
@@ -166,11 +160,12 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     A filter that keeps edges, as a median, takes thin layers away all the same. The noise of the air shows it.
     """
     measured = scan.measured
-    names = [k for k in ("coating_top", "coating_bottom") if k in measured and np.isfinite(measured[k].values).any()]
-    if not names:
+    coatings = [measured[k].values for k in ("coating_top", "coating_bottom") if k in measured]
+    thin = min((float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None)
+    if thin is None:
         return None
-    thin = min(float(np.nanmedian(measured[k].values)) for k in names)
-    edge, noise = _FWHM * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
+    # The full width of a Gaussian, from its standard deviation.
+    edge, noise = 2.3548 * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
     width = max(edge, noise) if np.isfinite(noise) else edge
     cause = "An edge is blurred" if width == edge else "The noise is smoothed"
     return rule.at_most(
@@ -190,22 +185,19 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     coordinates = {k: np.asarray(volume.coords[k].values, dtype=np.float64) for k in ("z", "y", "x")}
     heights = coordinates[frame.through]
     faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
-    sizes = coordinates[frame.rows].size, coordinates[frame.cols].size
-    if min(sizes) < _EDGE:
+    along = coordinates[frame.rows], coordinates[frame.cols]
+    if min(k.size for k in along) < _EDGE:
         return float("nan")
-    # Rows and columns of blocks that are spread over the sheet.
-    starts = (np.unique(np.linspace(0, n - _EDGE, _PLACES + 2)[1:-1].astype(int)).tolist() for n in sizes)
+    # Rows and columns of four blocks along either axis that are spread over the sheet.
+    starts = (np.unique(np.linspace(0, k.size - _EDGE, 6)[1:-1].astype(int)).tolist() for k in along)
     lags = np.zeros(_LAGS)
     for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in starts)):
-        inside = [
-            (measured[dim].values >= ends[0]) & (measured[dim].values <= ends[1])
-            for dim, ends in (("y", coordinates[frame.rows][[row.start, row.stop - 1]]),
-                             ("x", coordinates[frame.cols][[col.start, col.stop - 1]]))
-        ]  # fmt: skip
-        faces_here = faces[:, inside[0]][:, :, inside[1]]
-        if not np.isfinite(faces_here).any():
+        ends = along[0][row][[0, -1]], along[1][col][[0, -1]]
+        inside = [(measured[k].values >= a) & (measured[k].values <= b) for k, (a, b) in zip("yx", ends, strict=True)]
+        part_of_faces = faces[:, inside[0]][:, :, inside[1]]
+        if not np.isfinite(part_of_faces).any():
             continue
-        low, high = (np.searchsorted(heights, f(faces_here)) for f in (np.nanmin, np.nanmax))
+        low, high = (np.searchsorted(heights, f(part_of_faces)) for f in (np.nanmin, np.nanmax))
         for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
             if start < 0 or stop > heights.size:
                 continue
@@ -245,9 +237,9 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
             if end_share > SPIKE * near_share and end_share > share:
                 share, tone = end_share, end_tone
     return rule.at_most(
-        share, look=_CUT_SHARE, units="share",
+        share, look=0.01, units="share",  # from which on a correlation suffers
         sentence=f"{100 * share:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
-        if share > _CUT_SHARE else "The image's grey scale does not end within the sheet's greys.",
+        if share > 0.01 else "The image's grey scale does not end within the sheet's greys.",
         advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, "
         "or export it with a wider grey window.",
     )  # fmt: skip

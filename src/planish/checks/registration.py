@@ -13,11 +13,6 @@ from planish.marks.find import REASONS
 from planish.register import FittedTransform
 from planish.results import LayerFacts, LinkedArea, RegistrationFacts
 
-_OF_A_HOLE = 0.1  # share of a hole's diameter within which marks that were found well agree
-_CORE, _WHOLE = 0.35, 0.7  # of a hole's diameter: its middle, where no sheet is; share measured that says there is one
-_TILT_DEG, _SURE = 1.5, 4.0  # of holes burnt from above; and in standard errors
-_LEAST_TILTED = 4
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RegisteredLayer:
@@ -65,7 +60,7 @@ class TextureChecks:
 
 def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
-    limit = max(_OF_A_HOLE * registered.hole_um, registered.pixel_um)
+    limit = max(0.1 * registered.hole_um, registered.pixel_um)  # marks that were found well agree within that
     loo, fit = registered.facts.leave_one_out_rms_um, registered.fit
     if loo is None:
         return rule.check(
@@ -106,14 +101,14 @@ def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
 def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     """Judge whether all holes run along the normal of the sheet; None where too few were found on both sides."""
     holes = registered.facts.tilt
-    if holes is None or holes.tilt_deg is None or holes.offset_count < _LEAST_TILTED:
+    if holes is None or holes.tilt_deg is None or holes.offset_count < 4:
         return None
     angle, offset, error = (
         float(np.linalg.norm(np.array(v, dtype=np.float64)))
         for v in (holes.tilt_deg, holes.offset_um, holes.offset_error_um)
     )
     error *= angle / max(offset, 1e-9) / np.sqrt(2)
-    limit = max(_TILT_DEG, _SURE * error)
+    limit = max(1.5, 4.0 * error)  # of holes burnt from above
     end = " from its normal, all to one side" if angle > limit else " from its normal on average"
     return rule.at_most(
         angle, look=limit, units="deg",
@@ -126,9 +121,10 @@ def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
 def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     """Judge the machine direction that is given twice: as the marks carry it over, and for the image itself."""
     direction = registered.facts.orientation
-    if direction.md_deg_fixed is None or direction.md_deg_fixed_from_moving is None:
+    stated, carried = direction.md_deg_fixed, direction.md_deg_fixed_from_moving
+    if stated is None or carried is None:
         return None
-    off = abs((direction.md_deg_fixed - direction.md_deg_fixed_from_moving + 90.0) % 180.0 - 90.0)
+    off = abs((stated - carried + 90.0) % 180.0 - 90.0)
     return rule.at_most(
         off, look=10.0, units="deg",
         sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by {off:.1f}°.",
@@ -141,8 +137,8 @@ def holes_of_layer(rule: CheckRule, subject: DetectedHoles) -> Check:
     attrs, count = subject.holes.attrs, subject.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
     listed = [f"{rejected[name]} {words}" for name, words in REASONS.items() if rejected.get(name)]
-    sentence = f"{count} {'hole' if count == 1 else 'holes'} found"
-    sentence += f"; seen and not taken: {', '.join(listed)}." if listed else "."
+    seen = f"; seen and not taken: {', '.join(listed)}" if listed else ""
+    sentence = f"{count} {'hole' if count == 1 else 'holes'} found{seen}."
     dropped, openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
     # So many that are not round are no single holes that are half closed.
     many = openings if openings > max(1, 0.25 * (count + openings)) else 0
@@ -175,27 +171,29 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
 
 def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     """Judge the holes of a reference without a partner: the sheet has a hole there, too, or is not measured."""
-    grid, thickness, moved = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
-    alone = moved.isel(mark=np.flatnonzero(np.isfinite(moved["fixed_x"]) & ~np.isfinite(moved["moving_x"])))
+    grid, thickness, marks = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
+    alone = marks.isel(mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])))
     whole: list[str] = []
-    for label, x, y, diameter in zip(
-        *(alone[k].values for k in ("label", "fixed_x", "fixed_y", "fixed_diameter")), strict=True
-    ):  # fmt: skip
-        down, across = grid.y_um - y, grid.x_um - x
-        rows, cols = (np.flatnonzero(np.abs(away) < _CORE * diameter) for away in (down, across))
-        is_inside = np.hypot(down[rows][:, None], across[cols]) < _CORE * diameter
+    places = zip(*(alone[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
+    for label, (x, y, diameter) in zip(alone["label"].values, places, strict=True):
+        # The middle of a hole, where no sheet is.
+        down, across, core = grid.y_um - y, grid.x_um - x, 0.35 * diameter
+        rows, cols = (np.flatnonzero(np.abs(away) < core) for away in (down, across))
+        is_inside = np.hypot(down[rows][:, None], across[cols]) < core
         if not is_inside.any():
             continue
         window = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
-        if np.isfinite(window)[is_inside].mean() > _WHOLE:
+        if np.isfinite(window)[is_inside].mean() > 0.7:
             whole.append(str(label))
     count, layer, reference = alone.sizes["mark"], linked.layer, linked.reference
-    lies = "lies" if len(whole) == 1 else "lie"
+    text = f"{count} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole."
+    if whole:
+        lies = "lies" if len(whole) == 1 else "lie"
+        text = f"{', '.join(whole)} of the {reference} {lies} where the {layer} has no hole."
+    elif count == 0:
+        text = f"Every hole of the {reference} has a partner."
     return rule.at_most(
-        len(whole), look=0,
-        sentence=f"{', '.join(whole)} of the {reference} {lies} where the {layer} has no hole." if whole else
-        f"Every hole of the {reference} has a partner." if count == 0 else
-        f"{count} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole.",
+        len(whole), look=0, sentence=text,
         advice="Either that is no hole, or the two do not lie on each other there. Look at both, and at the order and "
         "spacing of the slices.",
     )  # fmt: skip

@@ -16,11 +16,6 @@ from planish.core.typing import Array, Bools, Floats, Ints, Pair
 from planish.measure.registry import Greys
 
 TILE_UM = 60.0
-_COLUMNS = 7  # along the edge of a tile, at most
-_INNER = (0.2, 0.45)  # of the base on either side, least and most, that is left out, and
-_BLURS = 2.5  # widths of the blur: there it mixes in what lies beside the base
-_DEPTHS = (9, 48)  # fewest and most places across the base
-_TILES = 2500  # at most
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -102,8 +97,9 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     r, c = _tile_columns(good.shape, pitch(measured))
     along = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
     thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
-    margin = float(np.clip(_BLURS * float(measured.attrs["blur_um"]) / max(thickness, along), *_INNER))
-    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), *_DEPTHS))
+    # Within 2.5 widths of the blur it mixes in what lies beside the base.
+    margin = float(np.clip(2.5 * float(measured.attrs["blur_um"]) / max(thickness, along), 0.2, 0.45))
+    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), 9, 48))
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
     points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
@@ -129,14 +125,12 @@ def _base_end(measured: xr.Dataset, side: str) -> Floats:
 
 def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints]:
     """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
-    counts: list[int] = []
-    columns: list[Ints] = []  # (tiles, columns) along one axis
+    columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
     for n, step in zip(shape, pitch_um, strict=True):
         edge = max(round(TILE_UM / step), 1)
-        counts.append(max(n // edge, 1))
-        inside = np.unique(np.linspace(0, edge - 1, min(edge, _COLUMNS)).round().astype(np.intp))
-        columns.append(np.minimum(np.arange(counts[-1])[:, None] * edge + inside, n - 1))
+        inside = np.unique(np.linspace(0, edge - 1, min(edge, 7)).round().astype(np.intp))
+        columns.append(np.minimum(np.arange(max(n // edge, 1))[:, None] * edge + inside, n - 1))
     rows, cols = columns
-    tiles = np.stack(np.meshgrid(*map(np.arange, counts), indexing="ij"), axis=-1).reshape(-1, 2)
-    tiles = tiles[:: max(-(-len(tiles) // _TILES), 1)]
-    return np.repeat(rows[tiles[:, 0]], cols.shape[1], axis=1), np.tile(cols[tiles[:, 1]], rows.shape[1])
+    number = np.arange(len(rows) * len(cols))
+    row, col = np.divmod(number[:: max(-(-number.size // 2500), 1)], len(cols))
+    return np.repeat(rows[row], cols.shape[1], axis=1), np.tile(cols[col], rows.shape[1])

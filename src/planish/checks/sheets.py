@@ -21,12 +21,7 @@ from planish.surface import Corrections
 
 _BRIGHT_SHARE, _DARK_SHARE = 0.10, 0.02  # of the tiles
 _LEAST_VOXELS = 5.0  # 114 um are measured of 80 um with 2 voxels, 130 of 120 um with 3; with 4 it is right
-_LEAST_COLUMNS = 5  # in a tile, and a third of its columns: a few side by side may lie in one pore
-_LEAST_TILES = 10
-
-_HEIGHT, _AREA_UM2 = 5.0, 400.0  # of a particle: MAD, as a standard deviation, over the median around
-_AROUND_UM = 300.0
-_COARSE = 10  # cells across the median
+_COARSE = 10  # cells across the median of what lies around a particle
 _LEAST_MM2 = 0.1  # measured
 
 
@@ -136,12 +131,11 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     greys, core, profiles = scan.greys, scan.core, scan.core_grey
     if not scan.voxels >= _LEAST_VOXELS:
         return rule.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
-    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(_LEAST_COLUMNS, 1 / 3 * core.shape[1])
-    if np.count_nonzero(enough) < _LEAST_TILES:
-        return rule.check(
-            "unknown", f"The base is seen in {np.count_nonzero(enough)} tiles of {TILE_UM:g} um only, too few to tell "
-            "one sheet from two.",
-        )  # fmt: skip
+    # In a tile a few columns side by side may lie in one pore.
+    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
+    if np.count_nonzero(enough) < 10:
+        text = f"The base is seen in {np.count_nonzero(enough)} tiles of {TILE_UM:g} um only, too few to tell one"
+        return rule.check("unknown", f"{text} sheet from two.")
     profiles = profiles[enough]
     count = np.isfinite(profiles).sum(axis=1)
     middle = np.nanmedian(profiles, axis=1)
@@ -184,7 +178,7 @@ def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
 def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
     """Judge the particles on a side, which are measured as coating; None where no coating was measured."""
     name = f"coating_{side}"
-    if name not in scan.measured or not np.isfinite(scan.measured[name].values).any():
+    if name not in scan.measured:
         return None
     coating = scan.measured[name].values
     particles = find_particles(coating.astype(np.float64), pitch(scan.measured))
@@ -217,9 +211,8 @@ def find_particles(coating: Floats, pitch_um: Pair) -> Particles:
         return Particles(np.zeros(coating.shape, bool), 0, 0.0, area)
     above = coating - _median_around(coating, pitch_um)
     scale = 1.4826 * float(np.nanmedian(np.abs(above - np.nanmedian(above))))
-    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > _HEIGHT * max(scale, 1e-6))
-    sizes = np.bincount(labels.ravel(), minlength=n + 1) * cell
-    large = sizes >= _AREA_UM2
+    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > 5.0 * max(scale, 1e-6))
+    large = np.bincount(labels.ravel(), minlength=n + 1) * cell >= 400.0  # um2
     large[0] = False
     number = int(large.sum())
     return Particles(large[labels], number, number / max(area, 1e-9), area)
@@ -227,7 +220,7 @@ def find_particles(coating: Floats, pitch_um: Pair) -> Particles:
 
 def _median_around(coating: Floats, pitch_um: Pair) -> Floats:
     """Median of 300 um around every column, from medians of cells of a tenth."""
-    edges = [max(round(_AROUND_UM / _COARSE / p), 1) for p in pitch_um]
+    edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
     counts = [max(n // e, 1) for n, e in zip(coating.shape, edges, strict=True)]
     part = coating[: counts[0] * edges[0], : counts[1] * edges[1]]
     shape = (counts[0], min(edges[0], coating.shape[0]), counts[1], min(edges[1], coating.shape[1]))

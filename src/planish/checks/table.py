@@ -16,7 +16,6 @@ from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
-from planish.core.facts import Trust
 from planish.core.typing import Array
 from planish.results import (
     ComparisonRow,
@@ -32,7 +31,6 @@ Figure = TypeVar("Figure", CorrelationRow, ComparisonRow, PropertyFacts, Expecte
 
 _ALL = (PROPERTIES, POSITION, CORRELATION)
 _BASE = ("base_thickness", "thickness")
-_COATINGS = ("coating_top", "coating_bottom", *_BASE)
 _THICKNESSES = ("thickness", "coating_top", "coating_bottom", "base_thickness")
 _SIDES = ("coating_top", "coating_bottom", "topography_top", "topography_bottom")
 
@@ -50,7 +48,7 @@ CHECKS = (
     CheckRule("slices along z", ScannedSheet, _ALL, partial(slice_order, axis="z")),
     CheckRule("slices along y", ScannedSheet, _ALL, partial(slice_order, axis="y")),
     CheckRule("slices along x", ScannedSheet, _ALL, partial(slice_order, axis="x")),
-    CheckRule("clipped grey", GreyScan, _COATINGS, greys.clipped_grey),
+    CheckRule("clipped grey", GreyScan, ("coating_top", "coating_bottom", *_BASE), greys.clipped_grey),
     CheckRule("grey of the slices", GreyScan, (PROPERTIES,), greys.steady_grey),
     CheckRule("grey across the sheet", GreyScan, (PROPERTIES,), greys.shading),
     CheckRule("one sheet", GreyScan, (PROPERTIES, POSITION), sheets.one_sheet),
@@ -147,42 +145,42 @@ def apply_checks(results: Results) -> Results:
     checks = results.checks
     if all(check.state in ("pass", "unknown") for check in checks):
         return results
-    rows, names = rows_with_trust(results.correlations, checks), tuple(layer.name for layer in results.layers)
+    rows, names = rows_with_trust(results.correlations, checks), [layer.name for layer in results.layers]
     withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
     return results.model_copy(update={
         "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
         "correlations": rows,
-        "comparison": tuple(_marked(row, _trust_of_pair(names, (row.property,), checks)) for row in results.comparison),
+        "comparison": tuple(
+            _marked(row, checks, names, row.property, POSITION, CORRELATION) for row in results.comparison
+        ),
         "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld),
     })  # fmt: skip
 
 
 def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> tuple[CorrelationRow, ...]:
     """The same correlations, each marked by the checks that concern it."""
-    return tuple(_marked(row, _trust_of_pair((row.a, row.b), (row.a_map, row.b_map), checks)) for row in rows)
-
-
-def _trust_of_pair(layers: tuple[str, ...], maps: tuple[str, ...], checks: Sequence[Check]) -> Trust:
-    """Trust in a correlation of maps of some layers."""
-    return trust_of(checks, layers, (*maps, POSITION, CORRELATION))
+    return tuple(
+        _marked(row, checks, (row.a, row.b), row.a_map, row.b_map, POSITION, CORRELATION) for row in rows
+    )  # fmt: skip
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
     update: dict[str, Any] = {}
     if (sheet := layer.sheet) is not None:
-        properties = {k: _marked(p, trust_of(checks, (layer.name,), (k,))) for k, p in sheet.properties.items()}
+        properties = {k: _marked(p, checks, (layer.name,), k) for k, p in sheet.properties.items()}
         # The sheet's numbers are made of the maps.
         is_withheld = any(p.trust == "withheld" for p in properties.values())
         numbers = None if is_withheld else sheet.numbers
         update["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
     r = layer.registration
     if r is not None and r.expected_error is not None:
-        error = _marked(r.expected_error, trust_of(checks, (layer.name,), (POSITION,)))
+        error = _marked(r.expected_error, checks, (layer.name,), POSITION)
         update["registration"] = r.model_copy(update={"expected_error": error})
     return layer.model_copy(update=update)
 
 
-def _marked(figure: Figure, trust: Trust) -> Figure:
-    """Give a figure its trust, and take its numbers where they are withheld."""
+def _marked(figure: Figure, checks: Sequence[Check], layers: Sequence[str], *figures: str) -> Figure:
+    """Give a figure of some layers its trust, and take its numbers where they are withheld."""
+    trust = trust_of(checks, layers, figures)
     numbers = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}
     return type(figure).model_validate({**dict(figure), **numbers, "trust": trust})

@@ -16,12 +16,10 @@ from planish.flatten import places_when_scaled
 from planish.register import FittedTransform, Pairs, ThroughScale, find_through_scale
 
 _UNCERTAIN = 0.15  # standard error from which on nothing can be said
-_SYSTEMATIC = 0.01  # of a scale from marks: smoothing of the centre surface, which surface is neutral
 _NATURAL = 0.1  # of a scale from thickness: paper that is thinner where it bends
 _BEYOND = 3.0  # errors
 _CLEARLY = 9.2  # variances: one explanation is a hundred times as likely as the other
-_STRAIN = 0.01
-_TILE_UM, _BLOCKS = 80.0, 6
+_BLOCKS = 6
 _ADVICE = (
     "Check the voxel size along {axis} (--voxel-um with --override-size), and that of the image in both directions. "
     "Thicknesses and places are wrong where it is."
@@ -80,7 +78,7 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     square = down**2 + across**2
     wanted = measured["thickness"].values ** 2 * (1 + square)
     wanted = np.where(measured["status"].values == 0, wanted, np.nan)
-    tiles = [max(1, round(_TILE_UM / step)) for step in steps]
+    tiles = [max(1, round(80.0 / step)) for step in steps]
     rows, cols = (np.arange(n) // k for n, k in zip(wanted.shape, tiles, strict=True))
     good = np.isfinite(wanted) & np.isfinite(square)
     number = (rows[:, None] * (cols[-1] + 1) + cols)[good]
@@ -133,7 +131,8 @@ def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
 def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
     axis, stated = _spacing(sheet)
-    error = float(np.hypot(marks.error, _SYSTEMATIC))
+    # The centre surface is smoothed, and which surface is neutral is not known.
+    error = float(np.hypot(marks.error, 0.01))
     is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
     if not is_off and error > _UNCERTAIN:
         if slope.error <= _UNCERTAIN:
@@ -166,7 +165,7 @@ def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     if slope.excludes_one and agree:
         return "fail", f" Thickness against slope asks for the same ({slope})."
     # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts ten to one.
-    clear = marks.over_stretch > (_CLEARLY / 2 if marks.stretch > _STRAIN else _CLEARLY)
+    clear = marks.over_stretch > (_CLEARLY / 2 if marks.stretch > 0.01 else _CLEARLY)
     if clear and marks.without_any > _CLEARLY / 2:
         return "fail", " A stretch of the sheet explains it less well."
     how = "better" if marks.over_stretch < -_CLEARLY else "as well"
