@@ -26,7 +26,7 @@ from planish.analyze.distributions import t_95
 from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known, optional
 from planish.core.numbers import count, fixed, limits_text, number, plain, unit
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
@@ -47,14 +47,12 @@ class Agreement(ResultModel):
     The line of a perfect relation lies between ``slope`` (b on a) and that of a on b.
     """
 
-    n: int | None = Field(default=None, description="Points of which bias and scatter are.")
-    bias: Value = Field(default=NULL, description="Mean of b - a at the larger points.")
-    bias_interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
-    sd: Value = Field(default=NULL, description="Standard deviation of b - a.")
-    sd_interval: Interval = Field(
-        default=NULL, description="In which the standard deviation of the difference lies with 95 %."
-    )
-    limits: Interval = Field(default=NULL, description="Between them lie 95 % of normal differences.")
+    n: int | None = optional("Points of which bias and scatter are.")
+    bias: Value = optional("Mean of b - a at the larger points.")
+    bias_interval: Interval = optional("In which it lies with 95 %.")
+    sd: Value = optional("Standard deviation of b - a.")
+    sd_interval: Interval = optional("In which the standard deviation of the difference lies with 95 %.")
+    limits: Interval = optional("Between them lie 95 % of normal differences.")
     limit_intervals: tuple[Interval, Interval] = Field(
         default=(NULL, NULL), description="In which the lower and the upper limit lie with 95 %."
     )
@@ -71,9 +69,8 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     ----------
     a, b : ndarray, shape (rows, cols)
         In one unit, on one grid; NaN is missing.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
 
     Returns
     -------
@@ -216,17 +213,17 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
 
 
 class _WithPoint(ResultModel):
-    point_um: Value = Field(default=NULL, description="Edge of a point.")
+    point_um: Value = optional("Edge of a point.")
 
 
 class Twice(Agreement, _WithPoint, RingCorrelation):
     """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
 
     units: str = Field(default="1", description="Of the values.")
-    error_ratio: Value = Field(default=NULL, description="Variance of the errors of b over that of a, as it was given.")
-    error_slope: Value = Field(default=NULL, description="Slope of b over a where both have such errors (Deming).")
-    error_intercept: Value = Field(default=NULL, description="Of the line by the ratio of errors.")
-    error_interval: Interval = Field(default=NULL, description="In which that slope lies with 95 %.")
+    error_ratio: Value = optional("Variance of the errors of b over that of a, as it was given.")
+    error_slope: Value = optional("Slope of b over a where both have such errors (Deming).")
+    error_intercept: Value = optional("Of the line by the ratio of errors.")
+    error_interval: Interval = optional("In which that slope lies with 95 %.")
 
 
 def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
@@ -318,10 +315,8 @@ def compare_instruments(
     ----------
     a, b : ndarray, shape (rows, cols)
         In one unit, on one grid; NaN is missing.
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count.
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
     point_um : float, optional
         Bias, limits and lines are of means over squares of this edge; of single pixels where not given. Means over
         larger points agree better.

@@ -62,9 +62,8 @@ def ceiling(
     error_um : float or ndarray
         Error of a place, root mean square of its length, as ``expected_error`` gives it: one, a map of it (rows, cols),
         or any number of values that stand for such a map.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
     point_um : float, optional
         Size of the points that r is of; single pixels where not given.
     reliability : float

@@ -9,11 +9,12 @@ import numpy as np
 import xarray as xr
 from pydantic import Field
 
-from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
+from planish.analyze.agreement import LIMIT
+from planish.analyze.correlation import Correlation, PairAtSizes
 from planish.analyze.differences import holm, paired_difference
 from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
-from planish.core.facts import NULL, Interval, Side, Trust, Value
+from planish.core.facts import Interval, Side, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
 from planish.core.typing import Array, Bools, Floats, Pair
 from planish.measure import PROPERTIES
@@ -23,7 +24,6 @@ from planish.resample import Mesh, resample
 CELLS = 2**16
 """Of a map, by which the independent points of a correlation are counted and its scales are told."""
 
-_LIMITS = 1.96  # standard deviations of differences that hold 95 % of normal ones (Bland and Altman 1986)
 REGISTRATION_VARIANTS = (
     ("projection, no scale", ("projected_u", "projected_v"), "rigid"),
     ("projection, similarity", ("projected_u", "projected_v"), "similarity"),
@@ -51,16 +51,14 @@ class CorrelationRow(_Judged):
     a_map: str = Field(description="Its map.")
     b: str = Field(description="Second layer.")
     b_map: str = Field(description="Its map.")
-    p_of_table: Value = Field(
-        default=NULL, description="p after Holm, put right for the number of rows at this point size."
-    )
+    p_of_table: Value = optional("p after Holm, put right for the number of rows at this point size.")
     same_quantity: bool = Field(
         default=False, description="Whether both maps are of one quantity, so that their difference means something."
     )
-    difference_mean: Value = Field(default=NULL, description="Mean of b less a, for equal quantities.")
-    difference_sd: Value = Field(default=NULL, description="Standard deviation of that difference.")
-    limits: Interval = Field(default=NULL, description="Limits of agreement: where 95 % of the differences lie.")
-    units: str | None = Field(default=None, description="Unit of the difference.")
+    difference_mean: Value = optional("Mean of b less a, for equal quantities.")
+    difference_sd: Value = optional("Standard deviation of that difference.")
+    limits: Interval = optional("Limits of agreement: where 95 % of the differences lie.")
+    units: str | None = optional("Unit of the difference.")
 
 
 class ComparisonRow(_Judged):
@@ -71,8 +69,8 @@ class ComparisonRow(_Judged):
     registration: str = Field(description="How the map was laid on the image.")
     property: str = Field(description="The map.")
     marks_rms_um: float = Field(description="Root mean square of the residuals of the marks.")
-    difference: Value = Field(default=NULL, description="r of the run's own registration minus this r.")
-    difference_interval: Interval = Field(default=NULL, description="In which the difference lies with 95 %.")
+    difference: Value = optional("r of the run's own registration minus this r.")
+    difference_interval: Interval = optional("In which the difference lies with 95 %.")
 
 
 def is_property(data: xr.DataArray) -> bool:
@@ -114,20 +112,18 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     for of_pair, pair in zip(sums, pairs, strict=True):
         sizes = [*of_pair.sizes()]
         for row, pair_sums in sizes if sizes[0][0].n else []:
-            more = _differences(pair_sums, str(layers[0][pair[0]].attrs.get("units", "1"))) if sheets else {}
+            more: dict[str, Any] = {}
+            if sheets:
+                mean, sd = pair_sums.difference
+                more = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
+                more |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd)}
+                more |= {"units": str(layers[0][pair[0]].attrs.get("units", "1"))}
             table.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **more))
     for size in {row.point_um for row in table}:
         of_size = [k for k, row in enumerate(table) if row.point_um == size]
         for k, p_of_table in zip(of_size, holm([table[k].p for k in of_size]), strict=True):
             table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
     yield from table
-
-
-def _differences(sums: PairSums, units: str) -> dict[str, Any]:
-    """Mean and spread of b - a, and the limits of agreement."""
-    mean, sd = sums.difference
-    limits = (mean - _LIMITS * sd, mean + _LIMITS * sd)
-    return {"same_quantity": True, "difference_mean": mean, "difference_sd": sd, "limits": limits, "units": units}
 
 
 def comparison_rows(
@@ -156,19 +152,18 @@ def comparison_rows(
         use = np.logical_and.reduce([use, *(np.isfinite(v) for v in values)])
         for of_variant, shown in zip(sums, values, strict=True):
             of_variant.add(rows.start, np.where(use, shown, np.nan), image)
-    yield from _compared_rows(variants, sums, name=name, point_um=point_um)
-
-
-def _compared_rows(
-    variants: Sequence[tuple[str, float, Mesh | None]], sums: Sequence[PairAtSizes], *, name: str, point_um: float
-) -> Iterator[ComparisonRow]:
-    """Rows of each registration at both sizes, with the change to that of the run, which stands last."""
-    (cells, cell_um), (at_pixel, at_points) = sums[-1].cells(), (row for row, _ in sums[-1].sizes())
-    by_run = (at_pixel.r, cells, cell_um), (at_points.r, sums[-1].points(), (point_um, point_um))
+    cells, cell_um = sums[-1].cells()
+    r_of_run = [row.r for row, _ in sums[-1].sizes()]
+    by_run = (r_of_run[0], cells, cell_um), (r_of_run[1], sums[-1].points(), (point_um, point_um))
     for (title, rms_um, mesh), of_variant in zip(variants, sums, strict=True):
         pairs = of_variant.cells()[0], of_variant.points()
-        for (row, _), pair, reference in zip(of_variant.sizes(), pairs, by_run, strict=True):
-            more = _change(row, pair, *reference) if mesh is not None and row.n else {}
+        for (row, _), pair, (r, reference, pixel_um) in zip(of_variant.sizes(), pairs, by_run, strict=True):
+            more: dict[str, Any] = {}
+            if mesh is not None and row.n:
+                change = paired_difference((pair[0], pair[1]), (reference[0], reference[1]), pixel_um=pixel_um)
+                # The interval is told from cells, which may be larger than the pixels that r is of.
+                low, high = (v + (r - row.r - change.difference) for v in change.interval)
+                more = {"difference": r - row.r, "difference_interval": (low, high)}
             yield ComparisonRow.holding(row, registration=title, property=name, marks_rms_um=rms_um, **more)
 
 

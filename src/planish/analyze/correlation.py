@@ -17,7 +17,7 @@ from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
-from planish.core.facts import NULL, Interval, ResultModel, Value
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 LEAST_CLAIMED = 10.0
@@ -46,18 +46,16 @@ class Correlation(ResultModel):
     n: int = Field(description="Points that are valid in both. Neighbours resemble each other: n is no sample size.")
     r: Value = Field(description="Pearson's correlation.")
     r2: Value = Field(description="Its square.")
-    rho: Value = Field(default=NULL, description="Spearman's rank correlation.")
+    rho: Value = optional("Spearman's rank correlation.")
     slope: Value = Field(description="Least squares of b on a.")
     intercept: Value = Field(description="Of the line of b on a.")
-    slope_x_on_y: Value = Field(default=NULL, description="Least squares of a on b: a per b.")
-    mean_a: Value = Field(default=NULL, description="Mean of a over the points.")
-    mean_b: Value = Field(default=NULL, description="Mean of b over the points.")
-    n_eff: Value = Field(default=NULL, description="Independent points that would test r = 0 as well.")
-    p: Value = Field(
-        default=NULL, description="Of the test of r = 0; none where fewer than 10 independent points say nothing."
-    )
-    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
-    n_eff_interval: Value = Field(default=NULL, description="Independent points that would give this interval.")
+    slope_x_on_y: Value = optional("Least squares of a on b: a per b.")
+    mean_a: Value = optional("Mean of a over the points.")
+    mean_b: Value = optional("Mean of b over the points.")
+    n_eff: Value = optional("Independent points that would test r = 0 as well.")
+    p: Value = optional("Of the test of r = 0; none where fewer than 10 independent points say nothing.")
+    interval: Interval = optional("In which r lies with 95 %.")
+    n_eff_interval: Value = optional("Independent points that would give this interval.")
     warnings: tuple[str, ...] = Field(default=(), description="What to be careful about.")
 
     @property

@@ -133,12 +133,8 @@ def cross_correlogram(
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        On one grid; NaN is missing, in each map by itself.
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count in both.
-    pixel_um : float or (float, float)
-        Along y and x.
+    a, b, mask, pixel_um
+        As of :func:`planish.correlate`.
     reach_um : float
         Largest lag along either axis; at most half of the field is looked at.
 
@@ -148,10 +144,8 @@ def cross_correlogram(
 
     Raises
     ------
-    InputError
-        If the arrays are no two maps of numbers on one grid, or the mask is none of theirs.
-    SizeError
-        If the reach holds no lag of one pixel.
+    InputError, SizeError
+        As :func:`planish.correlate`; if the reach holds no lag of one pixel.
     CannotMeasure
         If fewer than 3 pixels are known in both maps, or a map is constant.
 

@@ -15,8 +15,6 @@ from scipy import fft
 
 from planish.core.typing import Array, Bools, Complexes, Floats, Pair
 
-_FIELD = 0.5  # of the field, along either axis: longer lags have too few pairs of points
-
 
 class Lags:
     """Sums over all pairs of known points at every lag up to half of the field.
@@ -30,7 +28,7 @@ class Lags:
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
-        reach = [int(_FIELD * k) for k in is_valid.shape]
+        reach = [int(0.5 * k) for k in is_valid.shape]  # longer lags have too few pairs of points
         self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)]
         self.lag_um = [fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)]
         self.inside = np.logical_and.outer(*(
@@ -121,6 +119,7 @@ class PairCovariances:
         used = self.used[0] | self.used[1]
         self._together = [lags.covariance(p, used) for p in (*auto, cross)]
         self.variances = tuple(float(p[0, 0]) / lags.n for p in auto)
+        self._put_back = [float(c[0, 0]) - v for c, v in zip((self.xx, self.yy), self.variances, strict=True)]
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
         """Variance of r of two maps with these covariances that are unrelated (Dutilleul 1993).
@@ -131,11 +130,11 @@ class PairCovariances:
         row_x, row_y = self.lags.sums(xx), self.lags.sums(yy)
         sum_x, sum_y = float(row_x.sum()), float(row_y.sum())
         trace = float(np.sum(self.lags.pairs * xx * yy)) - 2.0 / n * float(np.sum(row_x * row_y)) + sum_x * sum_y / n**2
-        of_points = self.variances if variances is None else variances
         # What is put back into the covariances belongs to the variances, too.
-        traces = [n * v + (float(c[0, 0]) - w) * n - s / n
-                  for v, w, c, s in zip(of_points, self.variances, (xx, yy), (sum_x, sum_y), strict=True)]  # fmt: skip
-        product = traces[0] * traces[1]
+        product = math.prod(
+            n * v + p * n - s / n
+            for v, p, s in zip(variances or self.variances, self._put_back, (sum_x, sum_y), strict=True)
+        )
         return trace / product if product > 0 else math.nan
 
     def n_eff(self, n: int, variances: Pair | None = None) -> float:
@@ -166,9 +165,7 @@ class PairCovariances:
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
         """Sums, by lag, of the covariances of what single points add to z."""
-        of_points = self.variances if variances is None else variances
-        put_back = [float(c[0, 0]) - w for c, w in zip((self.xx, self.yy), self.variances, strict=True)]
-        sd = [math.sqrt(v + p) for v, p in zip(of_points, put_back, strict=True)]
+        sd = [math.sqrt(v + p) for v, p in zip(variances or self.variances, self._put_back, strict=True)]
         xx, yy, xy = (c / s for c, s in zip(self._together, (sd[0] ** 2, sd[1] ** 2, sd[0] * sd[1]), strict=True))
         yx = _reversed(xy)
         terms = xx * yy + xy * yx - r * (xx + yy) * (xy + yx) + r * r / 2 * (xx**2 + yy**2 + xy**2 + yx**2)

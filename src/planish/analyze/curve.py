@@ -58,10 +58,8 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | Non
     ----------
     x, y : ndarray, shape (rows, cols)
         On one grid; NaN is missing.
-    pixel_um : float or (float, float)
-        Along y and x.
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
 
     Returns
     -------
@@ -69,8 +67,8 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | Non
 
     Raises
     ------
-    InputError
-        If the arrays are no two maps of numbers on one grid, or the mask is none of theirs.
+    InputError, SizeError
+        As :func:`planish.correlate`.
     CannotMeasure
         If fewer than 3 pixels are known in both, or x is constant.
     """

@@ -14,7 +14,7 @@ from planish.analyze.correlation import Correlation, correlate, valid_pixels
 from planish.analyze.distributions import normal_quantile
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
-from planish.core.facts import NULL, Interval, ResultModel, Value
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
@@ -29,7 +29,7 @@ class SizeRow(ResultModel):
     r: Value = Field(description="Pearson's correlation.")
     n_eff: Value = Field(description="Independent points.")
     interval: Interval = Field(description="In which this r lies with 95 %.")
-    band: Interval = Field(default=NULL, description="In which the r of all sizes lie together with 95 %.")
+    band: Interval = optional("In which the r of all sizes lie together with 95 %.")
 
     @classmethod
     def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:
@@ -61,11 +61,8 @@ def size_curve(
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        On one grid; NaN is missing.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    a, b, mask, pixel_um
+        As of :func:`planish.correlate`.
     sizes_um : sequence of float, optional
         Edges of the points; from the pixel to an eighth of the shorter side where not given.
 

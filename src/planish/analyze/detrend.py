@@ -15,10 +15,6 @@ from planish.analyze.ncc import MaskedNcc
 from planish.core.robust import masked_gaussian
 from planish.core.typing import Bools, Floats, Pair
 
-_SHARED = 0.25  # of the variance of both maps
-_TAPER = 0.4  # of the map, both borders together
-_LEAST = 3  # pixels that fix a plane
-
 
 def without_trend(values: Floats, is_valid: Bools) -> Floats:
     """Take the plane and second-order surface of least squares off a map (rows, cols); 0 where it is not known."""
@@ -44,7 +40,7 @@ def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
     """Say what trends over the field hold of two maps; empty where it is less than a quarter of either."""
     rest = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
     shares = [1.0 - float(m.var()) / float(v[is_valid].var()) for m, v in zip(rest, (x, y), strict=True)]
-    if min(shares) < _SHARED:
+    if min(shares) < 0.25:
         return ""
     spread = math.sqrt(float(rest[0].var()) * float(rest[1].var()))
     r = float(np.mean(rest[0] * rest[1])) / spread if spread > 0 else math.nan
@@ -69,7 +65,7 @@ class PhaseSurrogate:
         # A map that is cut off at its borders is not periodic; without a taper the jump there whitens the spectrum, and
         # the null becomes too narrow.
         # A tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import.
-        borders = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (_TAPER * max(n - 1, 1)) for n in values.shape)
+        borders = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1)) for n in values.shape)
         taper = np.multiply.outer(*(0.5 - 0.5 * np.cos(np.pi * np.minimum(away, 1.0)) for away in borders))
         self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
         self._shape = values.shape
@@ -107,7 +103,7 @@ class Plane:
 
     def taken_off(self, values: Floats) -> Floats:
         """Return values (rows, cols) without their plane; 0 where they are not known."""
-        if self._n < _LEAST:
+        if self._n < 3:
             return np.zeros(values.shape)
         centred = np.where(self._valid, values, 0.0)
         centred = np.where(self._valid, centred - centred.sum() / self._n, 0.0)
@@ -144,7 +140,7 @@ def in_band(values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float |
 def _low(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> Floats:
     sigma = [half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi / p for p in pixel_um]
     total, weight = masked_gaussian(values, valid, sigma)
-    return np.asarray(total / np.maximum(weight, 1e-12), dtype=np.float64)
+    return total / np.maximum(weight, 1e-12)
 
 
 def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float:
@@ -163,8 +159,6 @@ def correlation_length_um(values: Floats, valid: Bools, pixel_um: Pair) -> float
     mean = np.bincount(rings[rings >= 0], weights=r[rings >= 0]) / np.maximum(count, 1)
     below = np.flatnonzero((mean < np.exp(-1.0)) & (count > 0))
     if below.size == 0:
-        return float("inf")
+        return math.inf
     k = int(below[0])
-    if k == 0:
-        return step
-    return float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k])))
+    return float(step * (k - 1 + (mean[k - 1] - np.exp(-1.0)) / (mean[k - 1] - mean[k]))) if k else step

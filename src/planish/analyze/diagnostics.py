@@ -43,7 +43,7 @@ from planish.analyze.variograms import MapVariogram, answer_variograms, say_vari
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Number, ResultModel
+from planish.core.facts import Number, ResultModel, optional
 from planish.core.grid import Grid
 from planish.core.typing import Floats, Pair
 
@@ -58,44 +58,34 @@ class EvidenceFacts(ResultModel):
     declared: bool = Field(description="Whether the study named the map before r was looked at.")
     sizes: tuple[SizeRow, ...] = Field(default=(), description="r over points of growing size.")
     bands: tuple[Band, ...] = Field(default=(), description="Coherence by octaves of wavelength.")
-    resolution_per_um: Number = Field(
-        default=None, description="Waves closer in frequency than this are not distinguished."
+    resolution_per_um: Number = optional("Waves closer in frequency than this are not distinguished.")
+    origins: tuple[float, float, float] | None = optional(
+        "Least, mean and largest r over grids of points that begin elsewhere."
     )
-    origins: tuple[float, float, float] | None = Field(
-        default=None, description="Least, mean and largest r over grids of points that begin elsewhere."
-    )
-    curve: ImageCurve | None = Field(default=None, description="Whether the relation is straight or bent.")
-    kubelka_munk: CoatingCurve | None = Field(default=None, description="Where the study asks for it.")
-    light_spread: LightSpread | None = Field(default=None, description="Where the study states how far light spreads.")
-    density_g_cm3: Number = Field(
-        default=None, description="Of the coating, where the run knows it: it turns thickness into g/m2."
-    )
+    curve: ImageCurve | None = optional("Whether the relation is straight or bent.")
+    kubelka_munk: CoatingCurve | None = optional("Where the study asks for it.")
+    light_spread: LightSpread | None = optional("Where the study states how far light spreads.")
+    density_g_cm3: Number = optional("Of the coating, where the run knows it: it turns thickness into g/m2.")
     thin: tuple[ThinRegion, ...] = Field(default=(), description="The image where the coating is thin.")
-    short_waves: SizeRow | None = Field(default=None, description="Without waves above short_waves_um.")
-    short_waves_um: Number = Field(default=None, description="Longest wave that was left in for short_waves.")
-    ceiling: Number = Field(
-        default=None, description="The r that a perfect relation would show, by misplacement alone."
-    )
-    ceiling_sentence: str | None = Field(default=None, description="The ceiling in words.")
+    short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
+    short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
+    ceiling: Number = optional("The r that a perfect relation would show, by misplacement alone.")
+    ceiling_sentence: str | None = optional("The ceiling in words.")
     reliability: tuple[MapReliability, ...] = Field(
         default=(), description="Of the maps of sheets among the two, at the larger points."
     )
-    ceiling_noise: Number = Field(
-        default=None,
-        description="The r that a perfect relation would show, by the noise of these maps alone: an upper bound.",
+    ceiling_noise: Number = optional(
+        "The r that a perfect relation would show, by the noise of these maps alone: an upper bound."
     )
-    ceiling_both: Number = Field(default=None, description="The same by noise and misplacement together.")
-    second_opinion: SecondOpinion | None = Field(
-        default=None, description="An interval from what single points add to r."
-    )
+    ceiling_both: Number = optional("The same by noise and misplacement together.")
+    second_opinion: SecondOpinion | None = optional("An interval from what single points add to r.")
     variograms: tuple[MapVariogram, ...] = Field(default=(), description="How each map varies with distance.")
-    correlogram: CorrelogramProfiles | None = Field(default=None, description="r at every shift of one map.")
-    twice: Twice | None = Field(default=None, description="Where both maps are of the same quantity.")
-    partial: Partial | None = Field(default=None, description="Where the study names maps that stand beside.")
-    commonality: dict[str, float] | None = Field(
-        None,
-        description="Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
-        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does.",
+    correlogram: CorrelogramProfiles | None = optional("r at every shift of one map.")
+    twice: Twice | None = optional("Where both maps are of the same quantity.")
+    partial: Partial | None = optional("Where the study names maps that stand beside.")
+    commonality: dict[str, float] | None = optional(
+        "Shares of the variance of b that the maps explain alone and only together (joined by ' and '), "
+        "at the larger points; their sum is r2 of all of them. Below 0 where a map hides what another one does."
     )
 
 

@@ -56,9 +56,8 @@ def paired_difference(
     ----------
     first, second : (ndarray, ndarray), shape (rows, cols)
         The pairs (a, b); NaN is missing. Pairs may share a map.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
 
     Returns
     -------

@@ -16,7 +16,7 @@ from scipy import ndimage
 
 from planish.analyze.correlation import valid_pixels
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.facts import Number, ResultModel
+from planish.core.facts import Number, ResultModel, optional
 from planish.core.typing import Array, Bools, Pair, Pixel
 from planish.io.params import ImageParams
 
@@ -34,13 +34,11 @@ class ImageFacts(ResultModel):
     """What the values of an image are that is compared."""
 
     quantity: Literal["relative grey", "reflectance"] = Field(description="What the grey is taken for.")
-    dark_grey: Number = Field(default=None, description="Grey of the dark reference, if it was given.")
-    white_grey: Number = Field(default=None, description="Grey of the white reference, whose reflectance counts as 1.")
-    screen_um: Number = Field(
-        default=None, description="Period of the print screen that was taken off, if it was given."
-    )
-    sigma_um: Number = Field(default=None, description="Standard deviation of the Gaussian that took it off.")
-    reach_um: Number = Field(default=None, description="How far it reaches: so much more around holes is not valid.")
+    dark_grey: Number = optional("Grey of the dark reference, if it was given.")
+    white_grey: Number = optional("Grey of the white reference, whose reflectance counts as 1.")
+    screen_um: Number = optional("Period of the print screen that was taken off, if it was given.")
+    sigma_um: Number = optional("Standard deviation of the Gaussian that took it off.")
+    reach_um: Number = optional("How far it reaches: so much more around holes is not valid.")
 
     @property
     def sentence(self) -> str:
@@ -137,10 +135,8 @@ def without_screen(
 
     Raises
     ------
-    InputError
-        If the image is no array of numbers with two dimensions, or the mask is none of its.
-    SizeError
-        If a size is not above 0, or the Gaussian narrower than 0.75 pixels.
+    InputError, SizeError
+        As :func:`planish.correlate`; if the Gaussian is narrower than 0.75 pixels.
     CannotMeasure
         If no pixel is known.
 

@@ -20,7 +20,7 @@ from scipy import optimize
 from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, AtPoints, Interval, ResultModel, Value, is_known
+from planish.core.facts import AtPoints, Interval, ResultModel, Value, is_known, optional
 from planish.core.light import layer_over
 from planish.core.numbers import number
 from planish.core.typing import Floats, Pair
@@ -142,21 +142,17 @@ class KubelkaMunk(ResultModel):
     """Kubelka and Munk's curve through points; called with x, it gives y."""
 
     ratio: float = Field(description="Absorption over scattering, as it was given.")
-    n: int | None = Field(default=None, description="Points that are valid in both maps.")
-    n_eff: Value = Field(default=NULL, description="Independent points.")
+    n: int | None = optional("Points that are valid in both maps.")
+    n_eff: Value = optional("Independent points.")
     weight: bool = Field(
         default=False, description="Whether the coating is in g/m2, and S in m2/kg; otherwise um and 1/um."
     )
-    scattering: Value = Field(default=NULL, description="Coefficient S of the coating.")
-    scattering_interval: Interval = Field(
-        default=NULL, description="In which S lies with 95 %; none where it has no end."
-    )
-    backing: Value = Field(default=NULL, description="Reflectance below the coating, extrapolated.")
-    backing_interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
-    backing_at_ends: Interval = Field(
-        default=NULL, description="Backing that fits best with each end of the interval of S."
-    )
-    rms: Value = Field(default=NULL, description="Of what the curve leaves of the reflectance.")
+    scattering: Value = optional("Coefficient S of the coating.")
+    scattering_interval: Interval = optional("In which S lies with 95 %; none where it has no end.")
+    backing: Value = optional("Reflectance below the coating, extrapolated.")
+    backing_interval: Interval = optional("In which it lies with 95 %.")
+    backing_at_ends: Interval = optional("Backing that fits best with each end of the interval of S.")
+    rms: Value = optional("Of what the curve leaves of the reflectance.")
 
     def __call__(self, x: ArrayLike) -> Floats:
         """Reflectance of the layer at thicknesses or weights x."""
@@ -171,7 +167,7 @@ class KubelkaMunk(ResultModel):
 class CoatingCurve(KubelkaMunk, AtPoints):
     """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
 
-    silence: str | None = Field(default=None, description="Why there is no curve.")
+    silence: str | None = optional("Why there is no curve.")
 
 
 def fit_kubelka_munk(

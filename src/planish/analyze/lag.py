@@ -18,7 +18,7 @@ from planish.analyze.ncc import MARGIN, find_peak, rival_of, within
 from planish.analyze.texture import Textures
 from planish.core.checks import CORRELATION, POSITION, Check
 from planish.core.errors import SizeError
-from planish.core.facts import NULL, Interval, ResultModel, Value
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Floats, Pair
 
 Silence = Literal["few", "texture", "border", "rival", "light"]
@@ -54,7 +54,7 @@ class LagNumbers(ResultModel):
     length_se_um: Value = Field(description="Standard error of the length.")
     r: Value = Field(description="r at the best lag; it was searched for and measures no relation.")
     r_at_zero: Value = Field(description="r without any lag.")
-    limit_r: Value = Field(default=NULL, description="|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
+    limit_r: Value = optional("|r| that unrelated maps exceed in the search in 1 of 1000 cases.")
     silence: str | None = Field(description="Why the lag is inconclusive: few, texture, border, rival or light.")
     agrees: bool | None = Field(description="Whether the lag agrees with the marks; None where inconclusive.")
     expected_um: Value = Field(description="Expected error of the registration, rms over the map.")
@@ -62,7 +62,7 @@ class LagNumbers(ResultModel):
     pixel_um: Pair = Field(description="Pixel of the maps that were compared, along y and x.")
     n: int = Field(description="Pixels that are known.")
     reach_um: float = Field(description="Largest lag that was searched.")
-    light: Value = Field(default=NULL, description="Share of what is explained that needs the slopes of the surface.")
+    light: Value = optional("Share of what is explained that needs the slopes of the surface.")
     tile_um: Value = Field(description="Side of a tile.")
     tiles: tuple[LagTile, ...] = Field(description="Lags of parts of the map.")
 

@@ -15,7 +15,7 @@ from planish.analyze.correlation import correlate, valid_pixels
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import NULL, Interval, ResultModel, Value, is_known
+from planish.core.facts import Interval, ResultModel, Value, is_known, optional
 from planish.core.numbers import count, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
@@ -28,15 +28,13 @@ class LightSpread(ResultModel):
 
     width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
     point_um: float = Field(description="Edge of a point.")
-    n: int | None = Field(default=None, description="Points that are valid in both maps.")
-    r: Value = Field(default=NULL, description="Correlation.")
-    n_eff: Value = Field(default=NULL, description="Independent points.")
-    interval: Interval = Field(default=NULL, description="In which this r lies with 95 %.")
-    difference: Value = Field(
-        default=NULL, description="This r minus that of the coating as it is, at the same points."
-    )
-    difference_interval: Interval = Field(default=NULL, description="In which the difference lies with 95 %.")
-    silence: str | None = Field(default=None, description="Why there is no such r.")
+    n: int | None = optional("Points that are valid in both maps.")
+    r: Value = optional("Correlation.")
+    n_eff: Value = optional("Independent points.")
+    interval: Interval = optional("In which this r lies with 95 %.")
+    difference: Value = optional("This r minus that of the coating as it is, at the same points.")
+    difference_interval: Interval = optional("In which the difference lies with 95 %.")
+    silence: str | None = optional("Why there is no such r.")
 
 
 def spread_light(

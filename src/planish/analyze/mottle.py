@@ -18,7 +18,7 @@ from planish.analyze.image_values import known_pixels, smooth
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import NULL, OfLayer, ResultModel, Value
+from planish.core.facts import OfLayer, ResultModel, Value, optional
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Pixel
 
@@ -38,15 +38,15 @@ class Mottle(ResultModel):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
     bands: tuple[MottleBand, ...] = Field(default=(), description="From the longest waves to the shortest.")
-    mean: Value = Field(default=NULL, description="Of the image.")
-    n: int | None = Field(default=None, description="Pixels, or means over several, that are known.")
-    measured: str | None = Field(default=None, description="What the values are of.")
+    mean: Value = optional("Of the image.")
+    n: int | None = optional("Pixels, or means over several, that are known.")
+    measured: str | None = optional("What the values are of.")
 
 
 class LayerMottle(Mottle, OfLayer):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
-    silence: str | None = Field(default=None, description="Why there is none.")
+    silence: str | None = optional("Why there is none.")
 
 
 def print_mottle(
@@ -76,10 +76,8 @@ def print_mottle(
 
     Raises
     ------
-    InputError
-        If the image is no array of numbers with two dimensions, or the mask is none of its.
-    SizeError
-        If a size is not above 0, or no octave lies between the shortest and the longest wave.
+    InputError, SizeError
+        As :func:`planish.correlate`; if no octave lies between the shortest and the longest wave.
     CannotMeasure
         If no pixel is known, or the mean is not above 0.
 

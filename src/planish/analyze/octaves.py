@@ -54,9 +54,8 @@ def coherence(
     ----------
     a, b : ndarray, shape (rows, cols)
         On one grid; NaN is missing and counts as the mean.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
     bands : int
         Most bands: octaves from a quarter of the shorter side down, as far as pixels reach.
 

@@ -9,19 +9,19 @@ from enum import StrEnum
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 from pydantic import Field
 from scipy import ndimage
 
-from planish.analyze.correlation import Correlation, correlate, pearson
+from planish.analyze.correlation import correlate, pearson
 from planish.analyze.detrend import PhaseSurrogate, correlation_length_um, in_band, without_plane
-from planish.analyze.differences import Difference, paired_difference
+from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, Interval, ResultModel, Value
+from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.grid import Grid
 from planish.core.transform import Similarity
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.register import Chain, FittedTransform, Refined, RefineOptions, refine
 from planish.register.refinement import Refinement
 
@@ -32,11 +32,6 @@ It must look at a at these pixels only; NaN is missing in what it returns.
 """
 
 _COARSEST_UM = 1000.0  # slower variations are taken off both maps: they make tiles and guards as large as they are
-_SURROGATES = 19
-_SEED = 20090502
-_LEAST_TILES = 4  # of either colour that are reported on
-_LEAST_PIXELS = 100
-_COUNTED = 199  # unrelated maps, from which on a chance is counted
 
 
 class RegistrationBasis(StrEnum):
@@ -56,18 +51,18 @@ class RefinementR(ResultModel):
     """r after a refinement that it was not maximised by, or beside what the search reaches by chance."""
 
     r: Value = Field(description="Pearson's correlation.")
-    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
-    n_eff: Value = Field(default=NULL, description="Independent points.")
-    r_of_marks: Value = Field(default=NULL, description="By the marks alone, over the same pixels.")
-    gain_interval: Interval = Field(default=NULL, description="In which r - r_of_marks lies with 95 %.")
+    interval: Interval = optional("In which r lies with 95 %.")
+    n_eff: Value = optional("Independent points.")
+    r_of_marks: Value = optional("By the marks alone, over the same pixels.")
+    gain_interval: Interval = optional("In which r - r_of_marks lies with 95 %.")
     registration: str = Field(description="What r rests on: cross-fitted, or beside a searched null.")
     sentence: str = Field(description="The same in words.")
-    n: int | None = Field(default=None, description="Pixels that are reported on.")
-    tile_um: Value = Field(default=NULL, description="Side of the tiles of the checkerboard.")
-    guard_um: Value = Field(default=NULL, description="Distance kept from the pixels that were tuned on.")
-    null_95: Value = Field(default=NULL, description="|r| that the search reaches on 95 % of unrelated maps.")
-    p: Value = Field(default=NULL, description="Share of unrelated maps that reach this r.")
-    surrogates: int | None = Field(default=None, description="Unrelated maps that were searched.")
+    n: int | None = optional("Pixels that are reported on.")
+    tile_um: Value = optional("Side of the tiles of the checkerboard.")
+    guard_um: Value = optional("Distance kept from the pixels that were tuned on.")
+    null_95: Value = optional("|r| that the search reaches on 95 % of unrelated maps.")
+    p: Value = optional("Share of unrelated maps that reach this r.")
+    surrogates: int | None = optional("Unrelated maps that were searched.")
 
 
 class CrossFitted(RefinementR):
@@ -91,15 +86,9 @@ class SearchedNull(RefinementR):
 
 
 def cross_fitted(
-    a: Floats,
-    b: Floats,
-    tune: Tune,
-    *,
-    valid: Bools | None = None,
-    pixel_um: Pair,
-    tile_um: float | None = None,
+    a: Floats, b: Floats, tune: Tune, *, valid: Bools | None = None, pixel_um: Pair, tile_um: float | None = None,
     guard_um: float | None = None,
-) -> CrossFitted:
+) -> CrossFitted:  # fmt: skip
     """Tune the registration on every other tile, correlate on the rest, and vice versa.
 
     Parameters
@@ -146,23 +135,17 @@ def cross_fitted(
         halves.append(pearson(a[use], placed[use]))
     row = correlate(first, refined, pixel_um=pixel_um)
     gain = paired_difference((first, marked), (first, refined), pixel_um=pixel_um)
+    low, high = gain.interval
+    limits = "" if math.isnan(row.interval[0]) else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
+    change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
+    if low <= 0 <= high:
+        change = ", which is not distinguishable from it"
     return CrossFitted(
         r=row.r, interval=row.interval, n_eff=row.n_eff, r_of_halves=(halves[0], halves[1]), r_of_marks=gain.r[0],
         gain_interval=gain.interval, n=row.n, share=row.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard,
-        length_um=length, sentence=_sentence_of(row, gain),
+        length_um=length, sentence=f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
+        f"{RegistrationBasis.CROSS_FITTED.sentence}",
     )  # fmt: skip
-
-
-def _sentence_of(row: Correlation, gain: Difference) -> str:
-    """The correlation, what the refinement changed, and how the maps were registered."""
-    limits = "" if math.isnan(row.interval[0]) else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
-    low, high = gain.interval
-    change = "" if math.isnan(low) else (
-        ", which is not distinguishable from it" if low <= 0 <= high
-        else f", from which it differs by {low:.3f} to {high:.3f}"
-    )  # fmt: skip
-    marks = f"the marks alone give {gain.r[0]:.2f} there{change}"
-    return f"r = {row.r:.2f}{limits}; {marks}; {RegistrationBasis.CROSS_FITTED.sentence}"
 
 
 def _checkerboard(
@@ -171,18 +154,22 @@ def _checkerboard(
     """Side of the tiles, and for either colour what is tuned on and what is reported then."""
     shape, sides = is_valid.shape, [6 * guard, 4 * guard] if tile_um is None else [tile_um]
     for side in sides:
-        tile = _tile_numbers(shape, pixel_um, side)
-        looks = [is_valid & ((tile[0] + tile[1]) % 2 == k) for k in (0, 1)]
+        numbers: list[Ints] = []  # of the tile of every row and column; a rest at the border goes half to either side
+        for n, pixel in zip(shape, pixel_um, strict=True):
+            first = 0.5 * (n * pixel - max(int(n * pixel / side), 1) * side)
+            numbers.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side).astype(np.intp))
+        row, col = numbers[0][:, None], numbers[1]
+        looks = [is_valid & ((row + col) % 2 == k) for k in (0, 1)]
         reported = [
             looks[1 - k] & (ndimage.distance_transform_edt(~looks[k], sampling=pixel_um) > guard) for k in (0, 1)
         ]
-        tiles = [np.unique(np.broadcast_to(tile[0] * shape[1] + tile[1], shape)[m]).size for m in reported]
-        if min(tiles) >= _LEAST_TILES and min(map(np.sum, reported)) >= _LEAST_PIXELS:
+        tiles = [np.unique((row * shape[1] + col)[m]).size for m in reported]
+        if min(tiles) >= 4 and min(map(np.sum, reported)) >= 100:
             return side, looks, reported
     raise CannotMeasure(
-        f"Tiles of {sides[-1]:.0f} um with a guard of {guard:.0f} um leave fewer than {_LEAST_TILES} of either "
-        "colour to report on: the map is too small for its texture. Report the marks-only correlation, or the "
-        "refined one with a searched null."
+        f"Tiles of {sides[-1]:.0f} um with a guard of {guard:.0f} um leave fewer than 4 of either colour to report on: "
+        "the map is too small for its texture. Report the marks-only correlation, or the refined one with a searched "
+        "null."
     )
 
 
@@ -212,16 +199,16 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
         raise CannotMeasure(f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better.")
     is_valid = np.isfinite(a) & (True if valid is None else valid)
     flat = without_plane(a, is_valid)
-    rng = np.random.default_rng(_SEED)
+    rng = np.random.default_rng(20090502)
 
     def searched(candidate: Floats) -> float:
-        placed = tune(np.where(is_valid, candidate, np.nan), is_valid)
-        return pearson(np.where(is_valid, candidate, np.nan), placed)
+        shown = np.where(is_valid, candidate, np.nan)
+        return pearson(shown, tune(shown, is_valid))
 
     r = searched(flat)
     null = [abs(searched(draw)) for draw in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)]
     p = (1 + sum(v >= abs(r) for v in null)) / (1 + surrogates)
-    if surrogates < _COUNTED:  # a tail is not known further than half of one over their number squared
+    if surrogates < 199:  # a tail is not known further than half of one over their number squared
         tail = largest_tail(np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12)))
         p = max(tail, 0.5 / len(null) ** 2)
     null_95 = float(np.quantile(null, 0.95, method="higher"))
@@ -230,17 +217,6 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
         sentence=f"r = {r:.2f} after the search, which reaches {null_95:.2f} on unrelated maps (95 %; p = {p:.2g}); "
         f"{RegistrationBasis.SEARCHED_NULL.sentence}",
     )  # fmt: skip
-
-
-def _tile_numbers(
-    shape: tuple[int, ...], pixel_um: Pair, side_um: float
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Number of the tile of every row (rows, 1) and column (cols,); a rest at the border goes half to either side."""
-    numbers: list[NDArray[np.int64]] = []
-    for n, pixel in zip(shape, pixel_um, strict=True):
-        first = 0.5 * (n * pixel - max(int(n * pixel / side_um), 1) * side_um)
-        numbers.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side_um).astype(np.int64))
-    return numbers[0][:, None], numbers[1]
 
 
 class RefinementFacts(ResultModel):
@@ -303,7 +279,7 @@ def refine_link(
     try:
         of_r = cross_fitted(a, b, tune, valid=valid, pixel_um=pixel)
     except CannotMeasure:
-        of_r = searched_null(a, tune, valid=valid, surrogates=_SURROGATES)
+        of_r = searched_null(a, tune, valid=valid, surrogates=19)
     facts = RefinementFacts(
         model=moved.model, metric=moved.metric, property=headline, moved_rms_um=moved.moved_um[0],
         moved_most_um=moved.moved_um[1], share_of_expected_error=moved.share, area=moved.area, strain=moved.strain,

@@ -10,7 +10,7 @@ from pydantic import Field
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.octaves import Waves, half_plane
 from planish.core.errors import CannotMeasure
-from planish.core.facts import ResultModel
+from planish.core.facts import ResultModel, optional
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 
@@ -30,8 +30,8 @@ class RingCorrelation(ResultModel):
     """
 
     rings: tuple[Ring, ...] = Field(default=(), description="From the longest waves to the shortest.")
-    resolution_um: float | None = Field(default=None, description="Shortest wave that both show.")
-    sentence: str | None = Field(default=None, description="The same in words.")
+    resolution_um: float | None = optional("Shortest wave that both show.")
+    sentence: str | None = optional("The same in words.")
 
 
 def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel) -> RingCorrelation:
@@ -41,9 +41,8 @@ def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um:
     ----------
     a, b : ndarray, shape (rows, cols)
         On one grid, with errors of their own: errors that both share count as what they show. NaN is missing.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
 
     Returns
     -------

@@ -25,7 +25,7 @@ from planish.analyze.texture import low_pass
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError, PlanishError, SizeError
-from planish.core.facts import NULL, Interval, ResultModel, Value, is_known
+from planish.core.facts import Interval, ResultModel, Value, is_known, optional
 from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
@@ -38,11 +38,11 @@ class Partial(ResultModel):
 
     given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
     point_um: float = Field(description="Edge of the points.")
-    n: int | None = Field(default=None, description="Points that are valid in all maps.")
-    r: Value = Field(default=NULL, description="Partial correlation.")
-    n_eff: Value = Field(default=NULL, description="Independent points of what is left.")
-    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
-    silence: str | None = Field(default=None, description="Why there is no partial correlation.")
+    n: int | None = optional("Points that are valid in all maps.")
+    r: Value = optional("Partial correlation.")
+    n_eff: Value = optional("Independent points of what is left.")
+    interval: Interval = optional("In which r lies with 95 %.")
+    silence: str | None = optional("Why there is no partial correlation.")
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -24,7 +24,7 @@ from planish.analyze.correlation import (
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Pair, Pixel
 
@@ -37,10 +37,10 @@ class SecondOpinion(ResultModel):
 
     point_um: float = Field(description="Edge of a point.")
     r: Unsaved = Field(default=NULL, exclude=True, description="Pearson's correlation.")
-    interval: Interval = Field(default=NULL, description="In which r lies with 95 %.")
-    standard_error: Value = Field(default=NULL, description="Of Fisher's z.")
-    critical: Value = Field(default=NULL, description="Standard errors to either side.")
-    ratio: Value = Field(default=NULL, description="Standard error over that of the covariances.")
+    interval: Interval = optional("In which r lies with 95 %.")
+    standard_error: Value = optional("Of Fisher's z.")
+    critical: Value = optional("Standard errors to either side.")
+    ratio: Value = optional("Standard error over that of the covariances.")
 
 
 def second_opinion(
@@ -51,9 +51,7 @@ def second_opinion(
 
     Parameters
     ----------
-    a, b : ndarray, shape (rows, cols)
-        On one grid; NaN is missing.
-    mask, pixel_um, point_um
+    a, b, mask, pixel_um, point_um
         As of :func:`planish.correlate`.
 
     Returns

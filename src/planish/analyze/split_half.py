@@ -21,7 +21,7 @@ from planish.analyze.correlation import correlate
 from planish.core.area import area_mean
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import NULL, Interval, OfMap, ResultModel, Value, is_known
+from planish.core.facts import Interval, OfMap, ResultModel, Value, is_known, optional
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.numbers import count, fixed, percent, plain
@@ -43,13 +43,11 @@ class Reliability(ResultModel):
     """Share of the variance of a map that a second measurement would show again, at one size of points."""
 
     point_um: float = Field(description="Edge of a point.")
-    n: int | None = Field(default=None, description="Points that are known in both halves.")
-    halves_r: Value = Field(default=NULL, description="Correlation of both halves.")
-    value: Value = Field(
-        default=NULL, description="Share of the variance of the map that both halves show: an upper bound."
-    )
-    interval: Interval = Field(default=NULL, description="In which it lies with 95 %.")
-    n_eff: Value = Field(default=NULL, description="Independent points.")
+    n: int | None = optional("Points that are known in both halves.")
+    halves_r: Value = optional("Correlation of both halves.")
+    value: Value = optional("Share of the variance of the map that both halves show: an upper bound.")
+    interval: Interval = optional("In which it lies with 95 %.")
+    n_eff: Value = optional("Independent points.")
     shared_errors: SkipJsonSchema[bool] = Field(
         default=True, exclude=True, description="Whether both measurements may share errors."
     )
@@ -66,8 +64,8 @@ class Reliability(ResultModel):
 class MapReliability(Reliability, OfMap):
     """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
 
-    shared: str | None = Field(default=None, description="What both halves share, which makes it an upper bound.")
-    silence: str | None = Field(default=None, description="Why there is none.")
+    shared: str | None = optional("What both halves share, which makes it an upper bound.")
+    silence: str | None = optional("Why there is none.")
 
 
 def split_reliability(

@@ -12,18 +12,12 @@ from scipy import fft, ndimage
 from planish.core.area import AreaMeans
 from planish.core.bands import Rows, band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
-from planish.core.typing import Bools, Floats, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
 _MOST_PIXELS = 300_000
 _SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
 _LEAST_SHARE = 0.7  # of the pixels of the map that is known best; maps with fewer are left out
-_LOCAL_UM = 1000.0  # neighbourhood in which all maps are given the same spread
-_LEAST_LOCAL = 0.3  # of the spread of the whole map
-_MOST = 3.0  # standard deviations: a stain is one event, however dark it is
-_AROUND_UM, _RING_UM = 300.0, 15.0  # around holes, the mean at each distance is taken off
-_LEAST_FINE = 0.5  # of a pixel's neighbourhood has to be known
-_TILE_UM = 250.0  # waves of the band say nothing of each other over this distance
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -205,8 +199,11 @@ def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
     return ndimage.gaussian_filter(values, sigma, mode="constant", truncate=3.0)
 
 
-def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = _TILE_UM) -> Floats:
-    """Sums over square tiles of a map (..., rows, cols); the last ones may be incomplete."""
+def tile_sums(values: Floats, pixel_um: Pair, tile_um: float = 250.0) -> Floats:
+    """Sums over square tiles of a map (..., rows, cols); the last ones may be incomplete.
+
+    Waves of the band say nothing of each other over 250 um.
+    """
     for axis, pixel in ((-2, pixel_um[0]), (-1, pixel_um[1])):
         side = max(round(tile_um / pixel), 1)
         values = np.add.reduceat(values, np.arange(0, values.shape[axis], side), axis=axis)
@@ -218,29 +215,33 @@ class _Band:
 
     def __init__(self, shown: Bools, pixel_um: Pair) -> None:
         self._pixel_um = pixel_um
-        self._local = [max(round(_LOCAL_UM / 2 / p), 1) for p in pixel_um]
-        self._shown, self._fine = shown, self._smooth(shown.astype(np.float64), 0)
+        # The neighbourhood of 1 mm in which all maps are given the same spread.
+        self._local = [max(round(500.0 / p), 1) for p in pixel_um]
+        self._shown, self._fine = shown, low_pass(shown.astype(np.float64), BAND_UM[0], pixel_um)
         # Single missing pixels are bridged.
-        self.is_valid: Bools = self._fine >= _LEAST_FINE
-        self._weights = [np.maximum(self._smooth(self.is_valid.astype(np.float64), k), 1e-9) for k in (1, 2)]
+        self.is_valid: Bools = self._fine >= 0.5
+        weight = self.is_valid.astype(np.float64)
+        self._weights = [
+            np.maximum(m, 1e-9) for m in (low_pass(weight, BAND_UM[1], pixel_um), self._neighbourhood(weight))
+        ]
+        # Around holes, the mean at each distance up to 300 um is taken off.
         distance = ndimage.distance_transform_edt(self.is_valid, sampling=pixel_um)
-        ring = np.minimum(distance, _AROUND_UM) / max(_RING_UM, *pixel_um)
-        self._ring = np.asarray(ring, dtype=np.intp)
+        self._ring: Ints = (np.minimum(distance, 300.0) / max(15.0, *pixel_um)).astype(np.intp)
         self._in_ring = np.maximum(np.bincount(self._ring[self.is_valid]), 1)
 
     def __call__(self, values: Floats) -> Floats:
         is_valid = self.is_valid
-        out = self._smooth(standard(values, self._shown), 0)
+        out = low_pass(standard(values, self._shown), BAND_UM[0], self._pixel_um)
         out = standard(np.divide(out, self._fine, out=out, where=is_valid), is_valid)
-        out = standard(np.where(is_valid, out - self._smooth(out, 1) / self._weights[0], 0.0), is_valid)
-        spread = np.sqrt(np.maximum(self._smooth(out * out, 2) / self._weights[1], _LEAST_LOCAL**2))
-        out = np.where(is_valid, np.clip(out / spread, -_MOST, _MOST), 0.0)
+        slow = low_pass(out, BAND_UM[1], self._pixel_um) / self._weights[0]
+        out = standard(np.where(is_valid, out - slow, 0.0), is_valid)
+        spread = np.sqrt(np.maximum(self._neighbourhood(out * out) / self._weights[1], 0.3**2))
+        # A stain is one event, however dark it is.
+        out = np.where(is_valid, np.clip(out / spread, -3.0, 3.0), 0.0)
         # What holes by one laser program do to their surroundings is no sign of one specimen.
         ring_mean = np.bincount(self._ring[is_valid], weights=out[is_valid]) / self._in_ring
         return standard(np.where(is_valid, out - ring_mean[self._ring], 0.0), is_valid)
 
-    def _smooth(self, values: Floats, k: int) -> Floats:
-        if k < 2:
-            return low_pass(values, BAND_UM[k], self._pixel_um)
+    def _neighbourhood(self, values: Floats) -> Floats:
         twice = ndimage.uniform_filter(values, self._local, mode="constant")
         return ndimage.uniform_filter(twice, self._local, mode="constant")

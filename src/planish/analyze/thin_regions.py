@@ -43,10 +43,8 @@ def region_difference(
     values : ndarray, shape (rows, cols)
         NaN is missing.
     inside : ndarray of bool, shape (rows, cols)
-    mask : ndarray of bool, shape (rows, cols), optional
-        Pixels that count.
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
 
     Returns
     -------

@@ -14,7 +14,7 @@ from scipy import optimize
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import NULL, OfMap, ResultModel, Value, is_known
+from planish.core.facts import OfMap, ResultModel, Value, is_known, optional
 from planish.core.numbers import in_words, number, percent, plain, unit
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
@@ -35,10 +35,10 @@ class VariogramCurve(ResultModel):
     range_um: Value = Field(
         description="Distance at which the covariance has fallen to 1/e; none where it does not, or all is nugget."
     )
-    md_deg: Value = Field(default=NULL, description="Machine direction on the reference, where the run knows it.")
-    range_along_um: Value = Field(default=NULL, description="The range within 22.5 degrees of the machine direction.")
-    range_across_um: Value = Field(default=NULL, description="The same across it.")
-    ratio: Value = Field(default=NULL, description="Range along over range across.")
+    md_deg: Value = optional("Machine direction on the reference, where the run knows it.")
+    range_along_um: Value = optional("The range within 22.5 degrees of the machine direction.")
+    range_across_um: Value = optional("The same across it.")
+    ratio: Value = optional("Range along over range across.")
     distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
 
@@ -100,9 +100,8 @@ def variogram(a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: f
     ----------
     a : ndarray, shape (rows, cols)
         NaN is missing.
-    mask : ndarray of bool, shape (rows, cols), optional
-    pixel_um : float or (float, float)
-        Along y and x.
+    mask, pixel_um
+        As of :func:`planish.correlate`.
     md_deg : float, optional
         Machine direction, deg clockwise on the screen from the x axis.
 
