@@ -230,20 +230,20 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
     """Of two sheets with one quantity: rings of waves over the cells, bias and limits over the larger points."""
     if pair.repeated is None:
         return {}
-    points, point_um, error_ratio, units = pair.repeated, pair.point_um, pair.params.error_ratio, pair.units[0]
+    (a, b), point_um, error_ratio, units = pair.repeated, pair.point_um, pair.params.error_ratio, pair.units[0]
     try:
         rings = ring_correlation(pair.x, pair.y, mask=pair.lags.is_valid, pixel_um=pair.cell_um)
     except PlanishError as error:
         rings = RingCorrelation(sentence=error.text)
     try:
-        agreement = bland_altman(*points, pixel_um=point_um)
+        agreement = bland_altman(a, b, pixel_um=point_um)
     except PlanishError:
         return {"twice": Twice.holding(rings, units=units)}
     line: dict[str, Any] = {"error_ratio": error_ratio}
     if error_ratio is not None:
         with suppress(PlanishError):
-            n_eff = independent_points(*points, pixel_um=point_um).n_eff
-            fit = deming(*points, error_ratio=error_ratio, n_eff=n_eff)
+            n_eff = independent_points(a, b, pixel_um=point_um).n_eff
+            fit = deming(a, b, error_ratio=error_ratio, n_eff=n_eff)
             line |= {"error_slope": fit.slope, "error_intercept": fit.intercept, "error_interval": fit.interval}
     return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line)}
 

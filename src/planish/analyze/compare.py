@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from typing import Any, ClassVar
 
 import numpy as np
@@ -16,7 +16,7 @@ from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
 from planish.core.facts import Interval, Side, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.typing import Array, Bools, Floats, Pair
+from planish.core.typing import Array, Bools
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
@@ -178,17 +178,6 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
         variant = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
         uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
         yield title, variant.rms_um, Mesh.of(variant.transform(uv), least_um=min(pitch(sheet["surfaces"])))
-
-
-def _change(
-    row: Correlation, pair: Sequence[Floats], r: float, reference: Sequence[Floats], pixel_um: Pair
-) -> dict[str, Any]:
-    """R of the run's own registration less that of another one, with its interval."""
-    change = paired_difference((pair[0], pair[1]), (reference[0], reference[1]), pixel_um=pixel_um)
-    # The interval is told from cells, which may be larger than the pixels that r is of.
-    moved = r - row.r - change.difference
-    low, high = (v + moved for v in change.interval)
-    return {"difference": r - row.r, "difference_interval": (low, high)}
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:

@@ -193,11 +193,12 @@ def correlate(
     """
     if pixel_um is None:
         steps = [step_um(a, str(axis)) for axis in a.dims] if isinstance(a, xr.DataArray) else []
-        pixel_um = tuple(step for step in steps if step is not None)
-        if len(pixel_um) != 2:
+        pitch = [step for step in steps if step is not None]
+        if len(pitch) != 2:
             raise SizeError(
                 "The maps have no pixel size: they are no maps with coordinates in um. Give it with --pixel-um."
             )
+        pixel_um = pitch[0], pitch[1]
     pixel = on_one_grid(a, b, mask, pixel_um)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
         raise SizeError(f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a larger one.")

@@ -34,7 +34,7 @@ class SizeRow(ResultModel):
     @classmethod
     def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:
         """Take what a curve shows of a correlation."""
-        return cls(point_um=row.point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, band=band)
+        return cls(**{name: getattr(row, name) for name in cls.model_fields if name != "band"}, band=band)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -109,7 +109,7 @@ class ComparedMaps:
         Those of each sheet.
     md_deg : float or None
         Machine direction on the reference.
-    repeated : (ndarray, ndarray) or None
+    repeated : [ndarray, ndarray] or None
         Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
     """
 
@@ -124,7 +124,7 @@ class ComparedMaps:
     grid: Grid
     columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
     md_deg: float | None = None
-    repeated: tuple[Floats, Floats] | None = None
+    repeated: list[Floats] | None = None
 
     @property
     def point_um(self) -> float:

@@ -58,11 +58,11 @@ class ImageFacts(ResultModel):
 
 def image_facts(params: ImageParams) -> ImageFacts:
     """What the values of an image are."""
-    screen_um, has_screen = params.screen_um, params.screen_um is not None
+    screen_um = params.screen_um
     return ImageFacts(
         quantity="relative grey" if params.dark_grey is None else "reflectance", dark_grey=params.dark_grey,
-        white_grey=params.white_grey, screen_um=screen_um, reach_um=reach_um(params) if has_screen else None,
-        sigma_um=SCREEN_SIGMA * screen_um if has_screen else None,
+        white_grey=params.white_grey, screen_um=screen_um, reach_um=reach_um(params) or None,
+        sigma_um=None if screen_um is None else SCREEN_SIGMA * screen_um,
     )  # fmt: skip
 
 

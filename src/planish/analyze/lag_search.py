@@ -11,8 +11,6 @@ from planish.analyze.ncc import LEAST_PAIRS, Peak, cropped, overlap
 from planish.analyze.texture import tile_sums
 from planish.core.typing import Bools, Complexes, Floats, Pair
 
-_CHANCE = 0.001  # that unrelated textures give a lag; of those that are not alike everywhere, more do
-
 
 class LagSearch:
     """Regression of y (rows, cols) on the maps x (k, rows, cols), all standardised, at every lag within ``wide``.
@@ -117,5 +115,6 @@ def _chi2_limit(k: int, reach: tuple[int, int], root: float) -> float:
     low, high = 2.0 * k + 2.0, 400.0
     for _ in range(60):
         middle = 0.5 * (low + high)
-        low, high = (middle, high) if expected(middle) > _CHANCE else (low, middle)
+        # Unrelated textures give a lag so often; of those that are not alike everywhere, more do.
+        low, high = (middle, high) if expected(middle) > 0.001 else (low, middle)
     return high

@@ -24,7 +24,7 @@ from planish.analyze.correlation import (
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
 from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Pair, Pixel
 
@@ -37,10 +37,10 @@ class SecondOpinion(ResultModel):
 
     point_um: float = Field(description="Edge of a point.")
     r: Unsaved = Field(default=NULL, exclude=True, description="Pearson's correlation.")
-    interval: Interval = optional("In which r lies with 95 %.")
-    standard_error: Value = optional("Of Fisher's z.")
-    critical: Value = optional("Standard errors to either side.")
-    ratio: Value = optional("Standard error over that of the covariances.")
+    interval: Interval = Field(description="In which r lies with 95 %.")
+    standard_error: Value = Field(description="Of Fisher's z.")
+    critical: Value = Field(description="Standard errors to either side.")
+    ratio: Value = Field(description="Standard error over that of the covariances.")
 
 
 def second_opinion(
@@ -84,14 +84,13 @@ def second_opinion(
         a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
         pixel, is_valid = (point_um, point_um), np.isfinite(a)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
-    r = pearson(x[is_valid], y[is_valid])
-    if not row.n_eff >= LEAST_CLAIMED or 1 - r * r < 1e-14:
-        return SecondOpinion(point_um=row.point_um, r=r)
-    reach = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-    error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach)
-    if not error > 0:
-        return SecondOpinion(point_um=row.point_um, r=r, ratio=ratio)
-    critical, z = critical_value(is_valid, pixel), math.atanh(r)
+    r, critical, error, ratio = pearson(x[is_valid], y[is_valid]), math.nan, math.nan, math.nan
+    if row.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
+        reach = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
+        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach)
+        if spatial_error > 0:
+            error, critical = spatial_error, critical_value(is_valid, pixel)
+    z = math.atanh(r) if critical > 0 else math.nan
     return SecondOpinion(
         point_um=row.point_um, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
         standard_error=error, critical=critical, ratio=ratio,

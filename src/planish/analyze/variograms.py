@@ -145,10 +145,10 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
         for direction in (md_deg, md_deg + 90):
             away = np.abs((turned - direction + 90) % 180 - 90)
             ranges.append(_range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared))
-    ranges += [math.nan] * (3 - len(ranges))
+    names = ("range_um", "range_along_um", "range_across_um")
     return Variogram(
-        lags_um=distance, values=sill - covariance, pairs=pairs, nugget=sill - shared, sill=sill, range_um=ranges[0],
-        range_along_um=ranges[1], range_across_um=ranges[2],
+        lags_um=distance, values=sill - covariance, pairs=pairs, nugget=sill - shared, sill=sill,
+        **dict(zip(names, ranges, strict=False)),
     )  # fmt: skip
 
 

@@ -22,9 +22,7 @@ Places = NDArray[np.signedinteger[Any]]
 Sums = tuple[Floats, Floats, NDArray[np.float32]]
 
 BLOCK = 5  # voxels along the edge of a block mean
-_COLUMNS = 90_000  # voxels of a slice that are looked at
 _EDGE = 300  # voxels along the edge of a window, more where it is narrow the other way
-_EVERY = 3  # voxels: of every third one along each axis, the grey is kept for a histogram
 _PIECE = 8e6  # bytes of a piece of a window
 
 
@@ -79,7 +77,10 @@ def read_windows(
     axes: tuple[Axis, ...] = ("z", "y", "x")
     places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}
     points = np.empty((0, 3), np.int32) if points is None else points
-    window_number = _window_numbers(points, places)
+    window_number = np.full(len(points), -1, np.int8)  # of the axis in whose window each point is read; -1 for none
+    for i, place in enumerate(places.values()):
+        low, high = np.array([(place[name].start, place[name].stop) for name in "zyx"], points.dtype).T
+        window_number[((points >= low) & (points < high)).all(axis=1)] = i
     reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
 
     def read(piece: slice) -> list[_Part | None]:
@@ -134,7 +135,7 @@ def _read_part(
         indices = np.flatnonzero(wanted & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
         z, y, x = (points[indices] - [box[name].start for name in "zyx"]).T
         grey = raw[z, y, x].astype(np.float32)
-        sample = raw[::_EVERY, ::_EVERY, ::_EVERY].ravel() if sampled else raw[:0].ravel()
+        sample = (raw[::3, ::3, ::3] if sampled else raw[:0]).ravel()  # for a histogram
         if tail is not None:
             before = tail.shape[k]
             raw = np.concatenate([tail, raw], axis=k)
@@ -160,19 +161,11 @@ def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[sli
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
-def _window_numbers(points: Places, places: dict[Axis, dict[str, slice]]) -> NDArray[np.int8]:
-    """Number of the axis in whose window each point is read; -1 for none."""
-    numbers = np.full(len(points), -1, np.int8)
-    for i, place in enumerate(places.values()):
-        low, high = np.array([(place[name].start, place[name].stop) for name in "zyx"], points.dtype).T
-        numbers[((points >= low) & (points < high)).all(axis=1)] = i
-    return numbers
-
-
 def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet: tuple[int, int]) -> dict[str, slice]:
     """Give the window of an axis as a part of the volume: all slices along it that hold the sheet."""
     around = slice(max(sheet[0] - 4, 0), min(sheet[1] + 5, volume.sizes[through]))
-    widest = _EDGE if axis == through else int(np.clip(_COLUMNS // (around.stop - around.start), 60, 2 * _EDGE))
+    # Some 90 000 voxels of a slice are looked at.
+    widest = _EDGE if axis == through else int(np.clip(90_000 // (around.stop - around.start), 60, 2 * _EDGE))
     place: dict[str, slice] = {}
     for k, n in zip("zyx", volume.shape, strict=True):  # the middle, in whole blocks
         edge = min(widest, n) // BLOCK * BLOCK or n
