@@ -26,7 +26,7 @@ from planish.io.run_folder import acquire_lock, refuse_existing, sweep
 from planish.run.compute import Compute, run_key
 from planish.run.run import is_run, open_results
 from planish.run.save import hash_of_input, run_study
-from planish.run.study import Study, in_study_words, to_dict, with_paths
+from planish.run.study import RUN_TOML, Study, in_study_words, to_dict, with_paths
 from planish.series.gather import as_judged
 from planish.series.plan import Plan, PlannedSpecimen
 
