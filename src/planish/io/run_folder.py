@@ -199,7 +199,9 @@ def refuse_existing(path: Path) -> None:
     """Raise FileError if something stands at ``path`` already, or nothing can have that name."""
     check_name(path)
     if path.exists() or path.is_symlink():
-        raise FileError(f"{path} exists already. Give another name with --out, or remove it first.")
+        raise FileError(
+            f"{path} exists already. Results are never written over: give another name with --out, or remove it first."
+        )
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:
