@@ -181,10 +181,10 @@ def _warn_of_marks(fit: FittedTransform, repeats: Ints) -> Iterator[str]:
     out = np.flatnonzero(fit.robust_weights < 1.0)
     if out.size:
         distances = ", ".join(f"{length:.3g}" for length in np.linalg.norm(fit.residuals_um, axis=1)[out[:8]])
-        subject, verb = ("Marks", "do") if out.size > 1 else ("Mark", "does")
+        subject, do, were, them = ("Marks", "do", "were", "them") if out.size > 1 else ("Mark", "does", "was", "it")
         yield (
-            f"{subject} {listed(out)} (counted from 0) {verb} not agree with the others, off by {distances} um: left "
-            "out. Check the place."
+            f"{subject} {listed(out)} (counted from 0) {do} not agree with the others (off by {distances} um) and "
+            f"{were} left out. Check {them}."
         )
     if repeats.size:
         subject, verb, end = (
