@@ -127,6 +127,9 @@ def test_regions_side_by_side_share_no_pixel_and_overlaps_count_once():
     parts = [Region(name=str(k), polygons=((np.array([middle + 0.5, corners[k - 1], corners[k]]),),)) for k in range(4)]
     counts = sum(Regions(declared=(one,)).inside(grid).astype(int) for one in parts)
     np.testing.assert_array_equal(counts, np.ones(grid.shape))
+    square = Region(name="b", polygons=((np.array([[2.0, 2.0], [5.0, 2.0], [5.0, 5.0], [2.0, 5.0]]),),))
+    inside = np.argwhere(Regions(declared=(square,)).inside(grid))  # of centres on its borders the first ones only
+    assert (inside.min(axis=0).tolist(), inside.max(axis=0).tolist()) == ([2, 2], [4, 4])
     grid = Grid.regular((1300, 10), 1.0)  # several bands
 
     def rows(name, first, last):
