@@ -9,8 +9,8 @@ import pytest
 import xarray as xr
 
 from planish.analyze import PairAtSizes, correlate
+from planish.core.numbers import to_spread
 from planish.report import largest, relation, summary, write_report
-from planish.report.text import beside
 from planish.results import CorrelationRow, Results
 from report.pages import Page
 from report.runs import lag_of, page_of, registration_of
@@ -165,7 +165,7 @@ def test_the_page_states_registrations_and_differences_of_the_same_quantity(page
     rows = [largest(group) for group in summary.by_pair(Results.model_validate(layers()["results"]))]
     assert [row.point_um for row in rows] == [60.0] * 3
     assert rows[0].difference_mean == pytest.approx(OFFSET, abs=0.05)
-    found = beside(rows[0].difference_mean, rows[0].difference_sd)
+    found = to_spread(rows[0].difference_mean, rows[0].difference_sd)
     assert f"coating thickness (top side) of after minus that of before is {found} µm on average" in Page(page).text()
     drawn = ["the difference (upward map minus the map across)" in c for c in captions_of(page)[3:6]]
     assert drawn == [True, True, False]
@@ -180,7 +180,7 @@ def test_difference_and_drawing_have_one_sign_and_a_pair_without_correlation_is_
     a = layers(blank=True)["groups"]["layers/before"]["coating_top"]
     row = CorrelationRow(a="a", a_map="m", b="b", b_map="m", point_um=60.0, n=0, r=None, r2=None, slope=None,
                          intercept=None, same_quantity=True, units="um")  # fmt: skip
-    drawn = relation.draw_pair(a, a, [row], names=("a", "b"))
+    drawn = relation.draw_pair(relation.MapPair(a, a, [row]), names=("a", "b"))
     assert "no correlation" in drawn.svg
     assert "nan" not in drawn.svg
 

@@ -9,8 +9,9 @@ import pytest
 import xarray as xr
 
 from planish.analyze import LagNumbers, RegistrationBasis
+from planish.core.numbers import capital, typeset
 from planish.report import draw, registration, summary
-from planish.report.text import REGISTERED, capital, typeset
+from planish.report.text import REGISTERED
 from planish.results import RegistrationFacts
 from report.pages import Page
 from report.runs import a_run, lag_of, page_of, registration_of

@@ -12,25 +12,19 @@ import pytest
 import xarray as xr
 from PIL import Image
 
+from planish.core.numbers import count, fixed, in_words, length, number, percent, plain, to_spread
 from planish.report import (
     Canvas,
     Scale,
     colours,
     draw,
-    fixed,
     image_uri,
-    in_words,
-    length,
     limits,
     maps,
-    number,
-    percent,
-    plain,
     relation,
     take_slice,
     write_report,
 )
-from planish.report.text import beside, count
 from planish.results import Results
 from report.pages import Page
 from report.runs import PROPERTIES, a_run, page_of
@@ -259,8 +253,8 @@ def test_large_maps_are_averaged_by_area_and_coloured_by_their_values() -> None:
         (number(56782.4), "56\u202f782"),
         (number(-12.04), "−12.0"),
         (fixed(-0.0004, 2), "0.00"),
-        (beside(2.49817, 0.0722), "2.498"),
-        (beside(-12.3, 45.0), "−12"),
+        (to_spread(2.49817, 0.0722), "2.498"),
+        (to_spread(-12.3, 45.0), "−12"),
         (number(3.21e-8, 2), "3.2·10⁻⁸"),
         (number(None), "–"),
         (number(float("nan")), "–"),

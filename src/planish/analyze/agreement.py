@@ -27,7 +27,7 @@ from planish.analyze.rings import RingCorrelation, ring_correlation
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, InputError, PlanishError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, is_known, optional
-from planish.core.numbers import count, fixed, limits_text, number, plain, unit
+from planish.core.numbers import count, fixed, limits_text, number, plain, typeset, unit
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
@@ -251,7 +251,7 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
 def say_twice(twice: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """Down to which wavelength two measurements agree, and how far they differ."""
     if twice.sentence:
-        yield twice.sentence.replace(" um", "\u202fµm")
+        yield typeset(twice.sentence)
     if is_known(twice.bias) and is_known(twice.point_um):
         units = unit(twice.units)
         text = (

@@ -14,7 +14,7 @@ from scipy import optimize
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import OfMap, ResultModel, Value, is_known, optional
+from planish.core.facts import OfMap, Value, is_known, optional
 from planish.core.numbers import in_words, number, percent, plain, unit
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 _LEAST_RINGS = 4  # for a model of three numbers
 
 
-class VariogramCurve(ResultModel):
-    """How a map varies with distance, at some distances."""
+class MapVariogram(OfMap):
+    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
 
     units: str = Field(description="Of the values.")
     cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
@@ -41,10 +41,6 @@ class VariogramCurve(ResultModel):
     ratio: Value = optional("Range along over range across.")
     distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
-
-
-class MapVariogram(VariogramCurve, OfMap):
-    """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -82,12 +78,12 @@ class Variogram:
         ranges = (self.range_along_um, self.range_across_um)
         return ranges[0] / ranges[1] if all(map(math.isfinite, ranges)) else math.nan
 
-    def curve(self, *, units: str, cell_um: Pair, md_deg: float | None) -> VariogramCurve:
+    def curve(self, layer: str, name: str, *, units: str, cell_um: Pair, md_deg: float | None) -> MapVariogram:
         """Return what stands in the results of a run: the values at up to 60 distances, closer for short ones."""
         far = np.unique(np.geomspace(1, self.lags_um.size, 60).round().astype(np.intp)) - 1
-        return VariogramCurve(
-            units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill, range_um=self.range_um,
-            md_deg=math.nan if md_deg is None else md_deg, range_along_um=self.range_along_um,
+        return MapVariogram(
+            layer=layer, map=name, units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill,
+            range_um=self.range_um, md_deg=math.nan if md_deg is None else md_deg, range_along_um=self.range_along_um,
             range_across_um=self.range_across_um, ratio=self.ratio, distances_um=tuple(self.lags_um[far].tolist()),
             values=tuple(self.values[far].tolist()),
         )  # fmt: skip
@@ -205,11 +201,10 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
     curves: list[MapVariogram] = []
     for values, (layer, name), units in zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True):
         try:
-            curve = variogram_of(values, pair.lags, pair.md_deg)
+            whole = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
-        saved = curve.curve(units=units, cell_um=pair.cell_um, md_deg=pair.md_deg)
-        curves.append(MapVariogram.holding(saved, layer=layer, map=name))
+        curves.append(whole.curve(layer, name, units=units, cell_um=pair.cell_um, md_deg=pair.md_deg))
     return {"variograms": tuple(curves)}
 
 

@@ -12,6 +12,7 @@ import click
 
 from planish.cli.console import sentence, table, warn
 from planish.cli.options import PATH, Option, build_params, existing, json_option, options, out_option, verb
+from planish.core.numbers import in_ascii
 from planish.run.compute import Compute
 from planish.series.declared import Declared
 
@@ -263,7 +264,7 @@ def _show(results: SeriesResults) -> None:
         q = quantities[g.quantity]
         interval = _ends(g.interval, q.what) if g.interval else g.reason or "-"
         counts = str(g.sheets), str(g.fields)
-        means.append([words.plain_words(q.title), words.label(g.group), *counts, _number(g.mean, q.what), interval])
+        means.append([in_ascii(q.title), words.label(g.group), *counts, _number(g.mean, q.what), interval])
     if means:
         table("Means over sheets", ("", "group", "sheets", "fields", "mean", "95 %"), means)
     if results.differences:
@@ -274,7 +275,7 @@ def _show(results: SeriesResults) -> None:
             interval = _ends(d.interval, q.what) if d.interval else "-"
             p = "-" if d.p_of_table is None else f"{d.p_of_table:.2g}"
             levels, difference = f"{within}{d.levels[1]} - {d.levels[0]}", _number(d.difference, q.what)
-            lines.append([words.plain_words(q.title), levels, difference, interval, p, words.verdict(d)])
+            lines.append([in_ascii(q.title), levels, difference, interval, p, words.verdict(d)])
         table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), lines)
     for pair in results.instruments:
         bias, limits = _number(pair.bias, "mean"), _ends(pair.limits, "mean") if pair.limits else "-"
@@ -282,7 +283,7 @@ def _show(results: SeriesResults) -> None:
             f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits {limits} "
             f"{pair.unit}. {pair.sentence}".rstrip()
         )
-    sentence(words.plain_words(words.lead(results)))
+    sentence(in_ascii(words.lead(results)))
 
 
 def _number(value: float | None, statistic: str) -> str:

@@ -9,6 +9,7 @@ import click
 
 from planish.cli.console import print_json, table, warn
 from planish.cli.options import PATH, build_params, json_option, options, out_option, verb
+from planish.core.numbers import in_ascii
 from planish.run.compute import Compute
 from planish.synthetic.presets import SpecimenOptions
 
@@ -145,9 +146,9 @@ def _show(certificate: Certificate, grown: Sensitivity | None) -> None:
         head, rows = tables.sensitivity_rows(grown)
         table("What each nuisance alone adds, in squares", head, rows)
         for sentence in tables.sensitivity_sentences(grown):
-            click.echo(tables.plain(sentence))
-    click.echo(tables.plain(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
+            click.echo(in_ascii(sentence))
+    click.echo(in_ascii(f"{tables.verdict(certificate)} {tables.summary(certificate)}"))
     faults = [f"seed {e.seed}: {fault}" for e in certificate.entries for fault in (e.refusal, *e.failed) if fault]
-    faults += [tables.plain(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
+    faults += [in_ascii(tables.limit_sentence(line)) for line in certificate.lines().values() if line.met is False]
     for fault in faults:
         warn(fault)

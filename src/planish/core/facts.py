@@ -60,7 +60,6 @@ Unsaved = SkipJsonSchema[Value]
 NULL: Any = None  # default of a value or interval: null in JSON and its schema, NaN in memory
 
 
-
 def optional(description: str) -> Any:
     """Make a field of a model that may be missing: null in JSON and its schema."""
     return Field(default=None, description=description)

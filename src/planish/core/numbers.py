@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import math
+import re
+
+from planish.core.facts import Pair, is_known
 
 NONE = "–"
 _UNITS = {"um": "µm", "um2": "µm²", "g/m2": "g/m²", "g/cm3": "g/cm³", "1/mm2": "1/mm²", "deg": "°", "1": ""}
 _SPACE = "\u202f"  # narrow, and no line break: between a number and its unit, and between thousands
 _NARROW = 0.02  # width of an interval of r, below which two decimals hide it
+_MICROMETRES, _DEGREES = re.compile(r" um\b"), re.compile(r" deg\b")
+_SIMPLE = {"−": "-", _SPACE: " ", "–": "-", "≤": "<=", "≥": ">=", "µm": "um", "±": "+-", "²": "2"}
+_SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 MOST_DECIMALS = 5
 
 
@@ -28,7 +34,7 @@ def number(value: float | None, digits: int = 3) -> str:
     size = math.floor(math.log10(abs(value)))
     if size < -4:
         mantissa = f"{value / 10.0**size:.{max(digits - 1, 0)}f}"
-        return _signed(f"{mantissa}·10") + _superscript(size)
+        return _signed(f"{mantissa}·10") + str(size).translate(_SUPERSCRIPTS)
     # Rounding may add a digit: 0.9996 to three digits is 1.00.
     rounded = round(value, max(digits - 1 - size, 0))
     size = math.floor(math.log10(abs(rounded))) if rounded else size
@@ -42,12 +48,12 @@ def fixed(value: float | None, decimals: int) -> str:
     return _signed(f"{round(value, decimals) + 0.0:,.{decimals}f}")  # no minus sign on a zero
 
 
-def beside(value: float | None, spread: float | None) -> str:
+def to_spread(value: float | None, spread: float | None) -> str:
     r"""Write a number with the decimals that two significant digits of its spread have.
 
     Examples
     --------
-    >>> beside(2.49817, 0.0722), beside(1234.5, 87.0), beside(1.5, None)
+    >>> to_spread(2.49817, 0.0722), to_spread(1234.5, 87.0), to_spread(1.5, None)
     ('2.498', '1\u202f234', '1.50')
     """
     if not spread or not math.isfinite(spread):
@@ -76,10 +82,45 @@ def plain(value_um: float) -> str:
     return f"{value:.6g}{_SPACE}{name}"
 
 
-def limits_text(limits: tuple[float, float], decimals: int = 2) -> str:
+def length(value_um: float | None, digits: int = 3) -> str:
+    """Write a length in µm, from 1000 µm on in mm."""
+    if value_um is None or not math.isfinite(value_um):
+        return NONE
+    value, name = (value_um / 1000, "mm") if abs(value_um) >= 1000 else (value_um, "µm")
+    return f"{number(value, digits)}{_SPACE}{name}"
+
+
+def with_unit(value: float, units: str) -> str:
+    """Write a limit with its unit, without zeros that say nothing; a share in percent."""
+    if units == "share":
+        value, units = 100 * value, "%"
+    return f"{value:.4g}{_SPACE}{unit(units)}".replace("-", "−").rstrip(_SPACE)
+
+
+def axis_label(title: str, units: str) -> str:
+    """Write a title, such as that of an axis, with its unit."""
+    return f"{title} / {units}" if units else title
+
+
+def interval_text(limits: Pair | None, decimals: int = 2) -> str:
+    """Write both ends of an interval; a dash where there is none."""
+    return " to ".join(fixed(end, decimals) for end in limits) if limits is not None and is_known(limits) else NONE
+
+
+def limits_text(limits: Pair, decimals: int = 2) -> str:
     """Write the ends of a 95 % interval; nothing where there is none."""
-    low, high = (fixed(v, decimals) for v in limits)
-    return f"95 %: {low} to {high}" if NONE not in (low, high) else ""
+    return f"95 %: {interval_text(limits, decimals)}" if is_known(limits) else ""
+
+
+def typeset(text: str) -> str:
+    r"""Write a sentence of the program's, whose units are ASCII, with the report's units.
+
+    Examples
+    --------
+    >>> typeset("lag 2.1 um at 30 deg, maximum 3 um.")
+    'lag 2.1\u202fµm at 30°, maximum 3\u202fµm.'
+    """
+    return _DEGREES.sub("°", _MICROMETRES.sub(f"{_SPACE}µm", text))
 
 
 def in_words(title: str) -> str:
@@ -106,9 +147,20 @@ def decimals_of_r(limits: tuple[float, float] | None) -> int:
     return min(max(2, 1 - math.floor(math.log10(wide))), MOST_DECIMALS) if 0 < wide < _NARROW else 2
 
 
+def in_ascii(text: str) -> str:
+    """Write typeset numbers and units as a terminal or a script takes them."""
+    for sign, simple in _SIMPLE.items():
+        text = text.replace(sign, simple)
+    return text
+
+
+def round_step(value: float, *, above: bool = False) -> float:
+    """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``, or the smallest not below."""
+    power = 10.0 ** math.floor(math.log10(value))
+    if above:
+        return power * next(k for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-9))
+    return power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9))
+
+
 def _signed(text: str) -> str:
     return text.replace(",", _SPACE).replace("-", "−")
-
-
-def _superscript(value: int) -> str:
-    return str(value).translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))

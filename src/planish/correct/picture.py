@@ -16,6 +16,7 @@ from PIL import Image
 
 from planish.core.area import area_mean
 from planish.core.errors import FileError
+from planish.core.numbers import round_step
 from planish.core.robust import percentiles
 from planish.core.transform import Pair
 from planish.core.typing import Floats
@@ -128,9 +129,7 @@ def _draw_slice(axes: Axes, picture: Floats, title: str, width_um: float, colour
     axes.set_title(title, loc="left", fontsize=8, color=_INK, pad=3)
     axes.set_xticks([])
     axes.set_yticks([])
-    # The largest 1, 2 or 5 times a power of ten in a fifth of the width.
-    power = 10.0 ** np.floor(np.log10(0.2 * width_um))
-    length = float(max(k * power for k in (1, 2, 5) if k * power <= 0.2 * width_um))
+    length = round_step(0.2 * width_um)
     across, up = length / width_um, 0.06
     axes.plot([0.02, 0.02 + across], [up, up], color="white", lw=4.5, transform=axes.transAxes, solid_capstyle="butt")
     axes.plot([0.02, 0.02 + across], [up, up], color=_INK, lw=2.5, transform=axes.transAxes, solid_capstyle="butt")

@@ -17,6 +17,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
+from planish.core.numbers import round_step
 from planish.core.typing import Floats
 from planish.design.gcode import DryRun, dry_run, pattern_dxf, stage_program
 from planish.design.params import ImagingParams, StageParams
@@ -100,8 +101,7 @@ class Page:
 
     def scale_bar(self, x_mm: float, y_mm: float, scale: float, *, most: float) -> None:
         """Draw a round length of at most ``most`` millimetres of paper."""
-        power = 10.0 ** np.floor(np.log10(most / scale))
-        length = float(power * max(k for k in (1, 2, 5) if k * power <= most / scale * (1 + 1e-9)))
+        length = round_step(most / scale)
         axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length, 1000 / scale), scale)
         axes.plot([0, 1000 * length], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
         self.text(x_mm + length * scale + 2, y_mm + 1.4, f"{length:g} mm", fontsize=8)

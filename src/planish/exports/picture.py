@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
+from planish.core.numbers import round_step, unit
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
 from planish.report.colours import MISSING, Scale
-from planish.report.text import unit
 
 MOST = 2000
 """Pixels of the longer side of a map in a picture; a larger one is brought to it by means over areas."""
@@ -104,8 +104,7 @@ def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, scale: Scale)
 
 def _scale_bar(figure: Figure, whole: tuple[int, int], width: int, *, um: float) -> None:
     """Draw a round length of at most a quarter of the map below it."""
-    power = 10.0 ** math.floor(math.log10(um / 4))
-    length = power * max(k for k in (1, 2, 5) if k * power <= um / 4 * (1 + 1e-9))
+    length = round_step(um / 4)
     y = 30 / whole[1]
     ends = _LEFT / whole[0], (_LEFT + length / um * width) / whole[0]
     figure.add_artist(Line2D(ends, (y, y), color=_INK, lw=2.4, solid_capstyle="butt"))

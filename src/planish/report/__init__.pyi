@@ -12,9 +12,3 @@ from .series import SmallMap as SmallMap
 from .series import series_page as series_page
 from .series import small_map as small_map
 from .slices import take_slice as take_slice
-from .text import fixed as fixed
-from .text import in_words as in_words
-from .text import length as length
-from .text import number as number
-from .text import percent as percent
-from .text import plain as plain

@@ -12,9 +12,10 @@ from planish.analyze.agreement import Twice
 from planish.analyze.kubelka_munk import CoatingCurve
 from planish.analyze.variograms import squared_unit
 from planish.core.facts import is_known
-from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table
+from planish.core.numbers import NONE, capital, count, in_words, number, plain
+from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table, columns, or_blank
 from planish.report.relation import Points, as_drawn, draw_dots, draw_fit, points_table
-from planish.report.text import HOLES, NONE, REGISTERED, capital, count, in_words, number, plain
+from planish.report.text import HOLES, REGISTERED
 from planish.results import CorrelationRow, EvidenceFacts, LayerMottle
 
 _TOP, _HIGH, _WIDE = 40.0, 235.0, 400.0
@@ -46,24 +47,16 @@ def draw_scale(evidence: EvidenceFacts, *, names: tuple[str, str], without: str 
 
 def _tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
     """Return the curve of sizes and the octaves as columns; what is not known is empty."""
-    sizes, bands = evidence.sizes, evidence.bands
     single = {"size of a point / µm": "point_um", "n": "n", "independent": "n_eff", "r": "r"}
-    curve = {title: or_blank(getattr(row, name) for row in sizes) for title, name in single.items()}
-    for k, end in enumerate(("lower", "upper")):
-        curve[f"{end} 95 % limit"] = or_blank(row.interval[k] for row in sizes)
-    for k, end in enumerate(("lower", "upper")):
-        curve[f"{end} end of the band"] = or_blank(row.band[k] for row in sizes)
-    of_octave = {
+    sizes = dict(columns(evidence.sizes, single))
+    for name, title in (("interval", "95 % limit"), ("band", "end of the band")):
+        for k, end in enumerate(("lower", "upper")):
+            sizes[f"{end} {title}"] = or_blank(getattr(row, name)[k] for row in evidence.sizes)
+    octaves = columns(evidence.bands, {
         "shortest wave / µm": "shortest_um", "longest wave / µm": "longest_um", "squared coherence": "coherence",
         "p of all octaves": "p_of_bands", "phase / °": "phase_deg", "gain": "gain", "independent waves": "modes",
-    }  # fmt: skip
-    octaves = {title: or_blank(getattr(band, name) for band in bands) for title, name in of_octave.items()}
-    return ({"sizes": curve} if sizes else {}) | ({"octaves": octaves} if bands else {})
-
-
-def or_blank(values: Iterable[float | None]) -> list[object]:
-    """Give the numbers of a table; what is not known is empty."""
-    return [value if is_known(value) else "" for value in values]
+    })  # fmt: skip
+    return ({"sizes": sizes} if evidence.sizes else {}) | ({"octaves": octaves} if evidence.bands else {})
 
 
 def _size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
@@ -77,14 +70,11 @@ def _size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
     extent = sizes[0] - 0.05, sizes[-1] + 0.05, low - room, high + room
     axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
-    held = [(size, row.band) for size, row in zip(sizes, rows, strict=True) if is_known(row.band)]
-    _draw_band(axes, [size for size, _ in held], [ends for _, ends in held])
+    _draw_band(axes, sizes, [row.band for row in rows])
     for size, row in zip(sizes, rows, strict=True):
         if is_known(row.interval):
-            axes.line([(size, row.interval[0]), (size, row.interval[1])], colour=POINT, width=1.4)
-    points = [(size, row.r) for size, row in zip(sizes, rows, strict=True)]
-    axes.line(points, colour=ACCENT, width=2.2)
-    axes.dots(points, colour=ACCENT, size=5)
+            axes.curve((size, size), row.interval, colour=POINT, width=1.4)
+    axes.curve(sizes, [row.r for row in rows], colour=ACCENT, width=2.2, dots=5)
     _powers(canvas, axes, "size of a point / µm", "r")
 
 
@@ -98,7 +88,7 @@ def _octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
         if not is_known(band.coherence):
             continue
         shortest, longest = math.log10(band.shortest_um), math.log10(band.longest_um)
-        axes.line([(shortest, band.coherence), (longest, band.coherence)], colour=ACCENT, width=2.2)
+        axes.curve((shortest, longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2)
         middle = (shortest + longest) / 2, band.coherence
         axes.dots([middle], colour=ACCENT, size=8)
         if not band.p_of_bands < 0.05:
@@ -109,10 +99,11 @@ def _octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
 
 
 def _draw_band(axes: Axes, x: Sequence[float], ends: Sequence[tuple[float, float]]) -> None:
-    """Shade what lies between both ends."""
-    if len(x) > 1:
-        first, second = ([*zip(x, of_end, strict=True)] for of_end in zip(*ends, strict=True))
-        axes.area(first + second[::-1], colour=POINT, opacity=0.2)
+    """Shade what lies between both ends, where they are known."""
+    shaded = [(v, low, high) for v, (low, high) in zip(x, ends, strict=True) if is_known((low, high))]
+    if len(shaded) > 1:
+        border = [(v, low) for v, low, _ in shaded] + [(v, high) for v, _, high in shaded[::-1]]
+        axes.area(border, colour=POINT, opacity=0.2)
 
 
 def _powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
@@ -132,9 +123,8 @@ def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], without: 
         axes.across(curve.sill, width=1.2, dash="6 4")
         if is_known(curve.range_um):
             axes.upright(curve.range_um, width=1.2, dash="2 3")
-        nugget = (0.0, curve.nugget)
-        axes.line([nugget, *zip(curve.distances_um, curve.values, strict=True)], colour=ACCENT, width=2.0)
-        axes.dots([nugget], colour=ACCENT, size=6)
+        axes.curve((0.0, *curve.distances_um), (curve.nugget, *curve.values), colour=ACCENT, width=2.0)
+        axes.dots([(0.0, curve.nugget)], colour=ACCENT, size=6)
         canvas.ticks(axes, "distance / µm", f"half mean square difference / {squared_unit(curve, title)}")
         canvas.text(x0, 22, title, bold=True)
     same = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
@@ -180,25 +170,21 @@ def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], w
 
 
 def _lags(axis: str, profile: LagProfile) -> Table:
-    return {
-        f"lag along {axis} / µm": list(profile.lags_um), "r": or_blank(profile.r),
-        "|r| that 1 % exceed at this lag": or_blank(profile.limit),
-        "|r| that 1 % exceed at any lag": or_blank(profile.limit_of_any),
-    }  # fmt: skip
+    headings = f"lag along {axis} / µm", "r", "|r| that 1 % exceed at this lag", "|r| that 1 % exceed at any lag"
+    columns = profile.lags_um, profile.r, profile.limit, profile.limit_of_any
+    return dict(zip(headings, map(or_blank, columns), strict=True))
 
 
 def _profile(canvas: Canvas, x0: float, axis: str, profile: LagProfile) -> None:
     ends = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
     high = min(_ROOM * max(ends, default=1.0), 1.0)
     axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -high, high))
-    held = [(lag, v) for lag, v in zip(profile.lags_um, profile.limit, strict=True) if is_known(v)]
-    _draw_band(axes, [lag for lag, _ in held], [(v, -v) for _, v in held])
+    _draw_band(axes, profile.lags_um, [(v, -v) for v in profile.limit])
     axes.across(0.0)
     axes.upright(0.0)
     for sign in (1, -1):
-        limits = [sign * v if is_known(v) else math.nan for v in profile.limit_of_any]
-        axes.line(list(zip(profile.lags_um, limits, strict=True)), colour=POINT, width=1.2, dash="6 4")
-    axes.line(list(zip(profile.lags_um, profile.r, strict=True)), colour=ACCENT, width=2.2)
+        axes.curve(profile.lags_um, [sign * v for v in profile.limit_of_any], colour=POINT, width=1.2, dash="6 4")
+    axes.curve(profile.lags_um, profile.r, colour=ACCENT, width=2.2)
     canvas.ticks(axes, f"lag along {axis} / µm", "r")
 
 
@@ -210,13 +196,10 @@ def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str
     extent = min(waves) - 0.03, max(waves) + 0.03, low - 0.05, 1.04
     axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, extent)
     axes.across(0.0)
-    thresholds = [(x, ring.threshold) for x, ring in zip(waves, twice.rings, strict=True)]
-    axes.line(thresholds, colour=SOFT, width=1.4, dash="6 4")
+    axes.curve(waves, [ring.threshold for ring in twice.rings], colour=SOFT, width=1.4, dash="6 4")
     if twice.resolution_um:
         axes.upright(math.log10(twice.resolution_um), width=1.2, dash="2 3")
-    points = [(x, ring.correlation) for x, ring in zip(waves, twice.rings, strict=True)]
-    axes.line(points, colour=ACCENT, width=2.0)
-    axes.dots(points, colour=ACCENT, size=4)
+    axes.curve(waves, [ring.correlation for ring in twice.rings], colour=ACCENT, width=2.0, dots=4)
     _powers(canvas, axes, "wavelength / µm", "correlation of both measurements")
     return canvas.picture(
         title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
@@ -227,12 +210,15 @@ def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str
             f"counts as disagreement. Mask: measured in both, without {without}."
         ),
         data={
-            "rings": {
-                "wavelength / µm": [ring.wavelength_um for ring in twice.rings],
-                "correlation": [ring.correlation for ring in twice.rings],
-                "half bit": [ring.threshold for ring in twice.rings],
-                "independent waves": [ring.modes for ring in twice.rings],
-            }
+            "rings": columns(
+                twice.rings,
+                {
+                    "wavelength / µm": "wavelength_um",
+                    "correlation": "correlation",
+                    "half bit": "threshold",
+                    "independent waves": "modes",
+                },
+            )
         },
     )
 

@@ -6,7 +6,7 @@ Text and lines stay sharp on screen and paper; the same numbers give the same by
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
 from typing import NamedTuple
@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from planish.core.area import area_mean
+from planish.core.facts import is_known
+from planish.core.numbers import count, fixed, length, plain, round_step
 from planish.report.colours import MISSING, Array, Scale, image_uri
-from planish.report.text import count, fixed, length, plain
 
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
 Extent = tuple[float, float, float, float]  # left, right, bottom and top in um, or in the units of a plot
@@ -37,6 +38,16 @@ _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 # Something that a figure shows as numbers, for those who plot it again: columns of one length, by their headings
 Table = Mapping[str, Sequence[object]]
+
+
+def columns(rows: Iterable[object], fields: Mapping[str, str]) -> Table:
+    """Return fields of rows as the columns of a table, by their headings; what is not known is empty."""
+    return {heading: or_blank([getattr(row, name) for row in rows]) for heading, name in fields.items()}
+
+
+def or_blank(values: Iterable[float | None]) -> list[object]:
+    """Return the numbers of a column; what is not known is empty."""
+    return [value if is_known(value) else "" for value in values]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -105,6 +116,15 @@ class Axes:
     def line(self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0) -> None:
         """Draw a line through points (n, 2); NaN interrupts it."""
         self._stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity)
+
+    def curve(
+        self, x: Sequence[float], y: Sequence[float], *, colour: str, width: float, dash: str = "", dots: float = 0.0
+    ) -> None:  # fmt: skip
+        """Draw a line through points x, y, and ``dots`` of some pixels on them."""
+        points = np.stack([x, y], axis=1)
+        self.line(points, colour=colour, width=width, dash=dash)
+        if dots:
+            self.dots(points, colour=colour, size=dots)
 
     def across(self, y: float, *, colour: str = SOFT, width: float = 0.8, dash: str = "") -> None:
         """Draw a line over the whole width."""
@@ -374,14 +394,6 @@ def pixel_of(*axes: Array) -> str:
 def n_of(values: Array) -> str:
     """Write how many values of a map are known."""
     return count(int(np.isfinite(values).sum()))
-
-
-def round_step(value: float, *, above: bool = False) -> float:
-    """Return the largest of 1, 2, 5 times a power of ten that is not above ``value``, or the smallest not below."""
-    power = 10.0 ** math.floor(math.log10(value))
-    if above:
-        return power * next(k for k in (1, 2, 5, 10) if k * power >= value * (1 - 1e-9))
-    return power * max(k for k in (1, 2, 5) if k * power <= value * (1 + 1e-9))
 
 
 def multiples(low: float, high: float, step: float) -> Array:

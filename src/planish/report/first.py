@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
 import xarray as xr
 
 from planish.core.facts import is_known
-from planish.report import relation
+from planish.core.numbers import capital, fixed, interval_text, typeset
 from planish.report.colours import Array, colours_of
 from planish.report.draw import BELOW, MARGIN, THIRD, Canvas, Picture, n_of, pixel_of, reduced
 from planish.report.maps import Groups
-from planish.report.relation import Points, largest
-from planish.report.summary import density_of, lead_pair, titles_of
-from planish.report.text import capital, fixed, label_of, title_of, typeset, unit_of, with_article
+from planish.report.relation import MapPair, draw_points, largest
+from planish.report.summary import PairKey, key_of, lead_pair, titles_of
+from planish.report.text import label_of, title_of, with_article
 from planish.results import CorrelationRow, Results
 
 if TYPE_CHECKING:
@@ -24,30 +24,28 @@ if TYPE_CHECKING:
 _WIDE = 0.1  # half of an interval of r from which a larger field is worth its while
 
 
-def draw_first(groups: Groups, points: Points | None) -> list[Picture]:
+def draw_first(groups: Groups, pairs: Mapping[PairKey, MapPair]) -> list[Picture]:
     """Draw the two maps that lead, on one grid and one mask, and their larger points; nothing where they are missing.
 
-    ``points`` are the larger points of the pair. What is withheld is not drawn as a relation.
+    ``pairs`` may hold the larger points of the two. What is withheld is not drawn as a relation.
     """
     rows = lead_pair(groups.results)
-    maps, masks = relation.maps_of(groups.drawn, rows[0]) if rows else ([], [])
-    if len(maps) < 2:
+    drawn = MapPair.of(groups.drawn, rows) if rows else None
+    if drawn is None:
         return []
-    row = largest(rows)
-    use = np.logical_and.reduce([*(np.isfinite(m.values) for m in maps), *(m.values.astype(bool) for m in masks)])
+    row, maps, masks = drawn.coarse, (drawn.a, drawn.b), [mask.values.astype(bool) for mask in drawn.valid]
+    use = np.logical_and.reduce([*(np.isfinite(m.values) for m in maps), *masks])
     shown = [m.copy(data=np.where(use, m.values.astype(np.float64), np.nan)) for m in maps]
     together = np.concatenate([m.values.ravel() for m in shown])
     pictures = [
         _map(m, together if row.same_quantity else m.values, of=name, without=groups.without)
         for m, name in zip(shown, (row.a, row.b), strict=True)
     ]
-    if points is not None and row.trust != "withheld":
+    pair = pairs.get(key_of(row))
+    if pair is not None and row.trust != "withheld":
         names = titles_of(row, groups.titles)
         names = titles_of(row, groups.titles, with_layers=row.same_quantity or names[0] == names[1])
-        pictures.append(relation.draw_points(
-            points, row, names=names, units=(unit_of(maps[0]), unit_of(maps[1])), height=pictures[0].height,
-            density=density_of(groups.results, row),
-        ))  # fmt: skip
+        pictures.append(draw_points(pair, names=names, height=pictures[0].height))
     return pictures
 
 
@@ -100,7 +98,7 @@ def _of_field(rows: Sequence[CorrelationRow]) -> str:
     low, high = row.interval
     if (high - low) / 2 <= _WIDE and row.direction:
         return ""
-    now = f"{fixed(low, 2)} to {fixed(high, 2)}"
+    now = interval_text(row.interval)
     return f"A larger field, or more fields: four times the area would about halve the interval of r (now {now})."
 
 

@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import xarray as xr
 
+from planish.core.numbers import count, length, plain
 from planish.flatten import CurvatureVerdict
 from planish.report import draw
 from planish.report.colours import GEOMETRY, SIGNED, Array, limits
-from planish.report.text import count, length, plain
 
 _ARROWS = 22  # across the longer side
 _POINTS = 600  # of a line of the convergence

@@ -12,22 +12,11 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.numbers import count, in_words, length, number, percent, plain
 from planish.report import draw
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
 from planish.report.registration import ARROW, EDGE, ground_of
-from planish.report.text import (
-    HOLES,
-    count,
-    in_words,
-    label_of,
-    left_out,
-    length,
-    number,
-    percent,
-    plain,
-    title_of,
-    unit_of,
-)
+from planish.report.text import HOLES, label_of, left_out, title_of, unit_of
 from planish.results import LayerFacts, PropertyFacts, Results
 
 _MOST_DRAWN = 2**22  # pixels of a map: more than the widest figure has

@@ -8,11 +8,12 @@ from html import escape
 import numpy as np
 import xarray as xr
 
+from planish.core.numbers import number, typeset
 from planish.report.colours import colours_of, image_uri
 from planish.report.draw import pitch
 from planish.report.maps import Groups
 from planish.report.summary import check_summary, summarise
-from planish.report.text import label_of, number, typeset
+from planish.report.text import label_of
 from planish.results import Results
 
 _WIDE, _HIGH = 300.0, 260.0  # CSS pixels of a small map

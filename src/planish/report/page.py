@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from functools import cache, partial
 from html import escape
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import xarray as xr
@@ -18,11 +18,12 @@ from planish.analyze.diagnostics import PairWords, Section, sentences
 from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole
+from planish.core.numbers import in_words
 from planish.core.tables import table_text
 from planish.report import diagnostics, first, flattening, maps, registration, slices, statement, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
-from planish.report.relation import Points, block_means, draw_pair, largest, maps_of
-from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
+from planish.report.relation import MapPair, draw_pair
+from planish.results import EvidenceFacts, LayerFacts, Results
 
 if TYPE_CHECKING:
     from jinja2 import Template
@@ -34,14 +35,6 @@ _LONGEST = 50  # letters of a title in the name of a file
 _HOLE_UM = (100.0, 300.0)
 _THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
-
-
-class _Pair(NamedTuple):
-    """Two maps on one grid as a figure, with their means over the largest points and the correlation of these."""
-
-    points: Points
-    row: CorrelationRow
-    picture: Picture
 
 
 def write_report(
@@ -112,15 +105,15 @@ def render_report(
         return len(pictures)
 
     sheets = [sheet for layer in results.layers if (sheet := _sheet(data, layer))]
-    pairs, lead = _pairs(data), summary.lead_pair(results)
-    lead_pair = pairs.get(summary.key_of(lead[0])) if lead else None
+    pairs = _pairs(data)
     page = report_template().render(
         results=results, layers=results.layers, reference=results.reference, titles=data.titles, tables=tables,
         summary=summary, statement=statement, text=text, first=first, diagnostics=diagnostics, numbered=numbered,
-        sheets=sheets, leading=first.draw_first(data, lead_pair and lead_pair.points) or
+        sheets=sheets, leading=first.draw_first(data, pairs) or
         [picture for sheet in sheets for picture in sheet["leading"]],
         blocks=[block for layer in results.moving if (block := _block(data, layer, marks.get(layer.name)))],
-        pairs=[pair.picture for pair in pairs.values()], evidence=[_evidence(data, e, pairs) for e in results.evidence],
+        pairs=[_draw_pair(data, pair) for pair in pairs.values()],
+        evidence=[_evidence(data, e, pairs) for e in results.evidence],
     )  # fmt: skip
     return f"{page}\n", pictures
 
@@ -213,27 +206,24 @@ def _registration(
     return [picture for picture in (*pictures, lags) if picture is not None]
 
 
-def _pairs(groups: maps.Groups) -> dict[summary.PairKey, _Pair]:
-    """Draw the pairs of maps that stand for two layers, and all maps of the same quantity, where both are at hand."""
-    results, pairs = groups.results, dict[summary.PairKey, _Pair]()
+def _pairs(groups: maps.Groups) -> dict[summary.PairKey, MapPair]:
+    """Give the pairs of maps that stand for two layers, and all maps of the same quantity, where both are at hand."""
+    results, pairs = groups.results, dict[summary.PairKey, MapPair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
     for rows in summary.by_pair(results):
-        row, (pair, valid) = rows[0], maps_of(groups.linked, rows[0])
-        is_shown = row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}
-        if len(pair) < 2 or not is_shown:
-            continue
-        (a, b), coarse = pair, largest(rows)
-        points = block_means(a, b, point_um=coarse.point_um, valid=valid)
-        names = summary.titles_of(row, groups.titles, with_layers=len(results.layers) > 2 or row.same_quantity)
-        picture = draw_pair(
-            a, b, rows, names=names, valid=valid, without=groups.without, points=points,
-            density=summary.density_of(results, row),
-        )  # fmt: skip
-        pairs[summary.key_of(row)] = _Pair(points, coarse, picture)
+        row, pair = rows[0], MapPair.of(groups.linked, rows, summary.density_of(results, rows[0]))
+        if pair and (row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}):
+            pairs[summary.key_of(row)] = pair
     return pairs
 
 
-def _evidence(groups: maps.Groups, e: EvidenceFacts, pairs: Mapping[summary.PairKey, _Pair]) -> dict[str, Any]:
+def _draw_pair(groups: maps.Groups, pair: MapPair) -> Picture:
+    with_layers = len(groups.results.layers) > 2 or pair.coarse.same_quantity
+    names = summary.titles_of(pair.coarse, groups.titles, with_layers=with_layers)
+    return draw_pair(pair, names=names, without=groups.without)
+
+
+def _evidence(groups: maps.Groups, e: EvidenceFacts, pairs: Mapping[summary.PairKey, MapPair]) -> dict[str, Any]:
     """Draw what stands beside r of the maps that stand for two layers, and say what it means, by section."""
     titles, without, same = groups.titles, groups.without, e.a_map == e.b_map
     names, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
@@ -252,7 +242,7 @@ def _evidence(groups: maps.Groups, e: EvidenceFacts, pairs: Mapping[summary.Pair
         figures["repeated"].append(rings)
     if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:
         figures["light"].append(diagnostics.draw_kubelka_munk(
-            e, e.kubelka_munk, pair.points, pair.row, titles=summary.titles_of(e, titles), without=without
+            e, e.kubelka_munk, pair.points, pair.coarse, titles=summary.titles_of(e, titles), without=without
         ))  # fmt: skip
     point_um = float(groups.results.parameters.get("correlate", {}).get("point_um", "nan"))
     words = PairWords(point_um, names[1], map_titles)
@@ -267,7 +257,7 @@ def _valid(data: xr.Dataset, name: str) -> xr.DataArray:
 
 
 def _named(data: xr.DataArray, layer: LayerFacts) -> str:
-    with_article, title = text.with_article(layer.name), text.in_words(text.title_of(data))
+    with_article, title = text.with_article(layer.name), in_words(text.title_of(data))
     if layer.kind == "image":
         return with_article
     return title if with_article != layer.name else f"{title} of {layer.name}"

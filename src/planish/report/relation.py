@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, TypeVar
 
 import numpy as np
@@ -12,23 +14,12 @@ from numpy.typing import ArrayLike, NDArray
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands, thinned
 from planish.core.facts import is_known
+from planish.core.numbers import axis_label, capital, count, in_words, number, plain, to_spread, unit
 from planish.core.typing import Bools
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
 from planish.report.statement import r_sentence
-from planish.report.text import (
-    HOLES,
-    REGISTERED,
-    axis_label,
-    beside,
-    capital,
-    count,
-    in_words,
-    number,
-    plain,
-    unit,
-    unit_of,
-)
+from planish.report.text import HOLES, REGISTERED, unit_of
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = TypeVar("Row", CorrelationRow, ComparisonRow)
@@ -40,10 +31,39 @@ _TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
 _LEFT, _RIGHT = 85.0, 635.0
 
 
-def maps_of(linked: Mapping[str, xr.Dataset], row: CorrelationRow) -> tuple[list[xr.DataArray], list[xr.DataArray]]:
-    """Return both maps of a correlation and masks of the pixels that count; fewer maps where one is not at hand."""
-    sides = [(linked[layer], name) for layer, name in ((row.a, row.a_map), (row.b, row.b_map)) if layer in linked]
-    return [data[name] for data, name in sides if name in data], [data["valid"] for data, _ in sides if "valid" in data]
+@dataclass(frozen=True)
+class MapPair:
+    """Two maps (y, x) on one grid, their correlations from the pixel to the largest points, and masks of valid pixels.
+
+    ``density`` (g/cm3) turns map a, a thickness, into g/m2 where it is drawn.
+    """
+
+    a: xr.DataArray
+    b: xr.DataArray
+    rows: Sequence[CorrelationRow]
+    valid: Sequence[xr.DataArray] = ()
+    density: float | None = None
+
+    @classmethod
+    def of(
+        cls, linked: Mapping[str, xr.Dataset], rows: Sequence[CorrelationRow], density: float | None = None
+    ) -> MapPair | None:  # fmt: skip
+        """Take both maps of correlations; None where one is not at hand."""
+        row = rows[0]
+        if row.a_map not in linked.get(row.a, ()) or row.b_map not in linked.get(row.b, ()):
+            return None
+        masks = [linked[layer]["valid"] for layer in (row.a, row.b) if "valid" in linked[layer]]
+        return cls(linked[row.a][row.a_map], linked[row.b][row.b_map], rows, masks, density)
+
+    @property
+    def coarse(self) -> CorrelationRow:
+        """Correlation of the larger points."""
+        return largest(self.rows)
+
+    @cached_property
+    def points(self) -> Points:
+        """Means over the larger points."""
+        return block_means(self.a, self.b, point_um=self.coarse.point_um, valid=self.valid)
 
 
 def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Sequence[xr.DataArray] = ()) -> Points:
@@ -69,24 +89,16 @@ def _valid_in_all(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> Bools:
     return np.logical_and.reduce([np.isfinite(a), np.isfinite(b), *(mask.astype(bool) for mask in masks)])
 
 
-def draw_pair(
-    a: xr.DataArray, b: xr.DataArray, rows: Sequence[CorrelationRow], *, names: tuple[str, str],
-    valid: Sequence[xr.DataArray] = (), without: str = HOLES, points: Points | None = None,
-    density: float | None = None,
-) -> Picture:  # fmt: skip
+def draw_pair(pair: MapPair, *, names: tuple[str, str], without: str = HOLES) -> Picture:
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
-    Both are (y, x) on one grid, NaN where they are not valid; ``valid`` are masks of the pixels that count, and
-    ``without`` says in words what they leave out. The rows go from the pixel to the largest points. The difference of
-    two maps of the same quantity is drawn over their mean, with its mean and the limits that hold 95 % of normal
-    differences (Bland and Altman 1986). ``points`` are the larger points where they are at hand; ``density`` (g/cm3)
-    turns map a, a thickness, into g/m2.
+    ``without`` says in words what the masks leave out. The difference of two maps of the same quantity is drawn over
+    their mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
     """
-    every, (p, q, *masks) = thinned(a, b, *valid)
-    is_valid, coarse = _valid_in_all(p, q, masks), largest(rows)
-    points = block_means(a, b, point_um=coarse.point_um, valid=valid) if points is None else points
-    units = unit_of(a), unit_of(b)
-    points, (fine, coarse), units, labels = as_drawn(points, (rows[0], coarse), names, units, density)
+    every, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
+    is_valid, density = _valid_in_all(p, q, masks), pair.density
+    units, ends = (unit_of(pair.a), unit_of(pair.b)), (pair.rows[0], pair.coarse)
+    points, (fine, coarse), units, labels = as_drawn(pair.points, ends, names, units, density)
     pixels = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)
     canvas = Canvas(FULL, 475)
     axes = _density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixels, counted="pixels")
@@ -121,15 +133,10 @@ def draw_pair(
     )
 
 
-def draw_points(
-    points: Points, row: CorrelationRow, *, names: tuple[str, str], units: tuple[str, str], height: float = 320.0,
-    density: float | None = None,
-) -> Picture:  # fmt: skip
-    """Draw the larger points of two maps on a third of the page, with both lines of least squares.
-
-    ``density`` (g/cm3) turns the first, a thickness, into g/m2.
-    """
-    points, (row,), _, labels = as_drawn(points, (row,), names, units, density)
+def draw_points(pair: MapPair, *, names: tuple[str, str], height: float) -> Picture:
+    """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
+    units = unit_of(pair.a), unit_of(pair.b)
+    points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
     canvas, size = Canvas(THIRD, max(height, 300.0)), plain(round(row.point_um, 4))
     axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar=55)
     _draw_lines(axes, row)
@@ -219,7 +226,7 @@ def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units:
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     """Return mean, standard deviation and limits of a difference, all to two digits of the standard deviation."""
-    return tuple(beside(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
+    return tuple(to_spread(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
 
 
 def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar: float = 0.0) -> Axes:

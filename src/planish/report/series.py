@@ -15,11 +15,12 @@ from urllib.parse import quote
 import numpy as np
 import xarray as xr
 
+from planish.core.numbers import NONE, axis_label, plain, round_step
 from planish.core.series_results import SeriesResults, SeriesSpecimen
 from planish.report import series_words as words
 from planish.report import statement, text
-from planish.report.colours import Array, image_uri, limits
-from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, multiples, reduced, round_step
+from planish.report.colours import image_uri, limits
+from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, ShownMap, multiples, reduced
 
 _MOST_COLUMNS = 8  # quantities of the table of specimens, and of figures
 _MOST_ORDERS = 9
@@ -76,7 +77,7 @@ def _line(
     specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
 ) -> dict[str, Any]:
     """Return what the table shows of one specimen: its cells are texts, each with a word of doubt."""
-    cells = [(text.NONE, "")] * len(columns)
+    cells = [(NONE, "")] * len(columns)
     for k in columns if specimen.cells else ():
         cell = specimen.cells[k]
         # A word below a figure that is not used like the others.
@@ -120,28 +121,24 @@ def natural(name: str) -> tuple[tuple[int, int, str], ...]:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class SmallMap:
-    """A map of one specimen, small; without values where there is none, or it cannot be read."""
+    """A map of one specimen, small; None where there is none, or it cannot be read."""
 
     specimen: str
-    values: Array | None
-    width_um: float
-    height_um: float
-    title: str
-    unit: str
+    shown: ShownMap | None = None
+    title: str = ""
+    unit: str = ""
 
 
 def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> SmallMap:
     """Make a small map of a map (rows, cols), of at most so many pixels along its longer side."""
     if data is None:
-        return SmallMap(specimen=specimen, values=None, width_um=0.0, height_um=0.0, title="", unit="")
+        return SmallMap(specimen=specimen)
     y, x = (data[d].values.astype(np.float64) for d in data.dims)
     ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0]))))
     shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
-    values = np.round(shown.values.astype(np.float32), 6)  # a page needs no more
-    return SmallMap(
-        specimen=specimen, values=values.astype(np.float64), width_um=shown.width, height_um=shown.height,
-        title=text.title_of(data), unit=text.unit_of(data),
-    )  # fmt: skip
+    values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
+    shown = ShownMap(values, shown.extent)
+    return SmallMap(specimen=specimen, shown=shown, title=text.title_of(data), unit=text.unit_of(data))
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
@@ -149,23 +146,23 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
 
     ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens without.
     """
-    shown = [(m, m.values) for m in maps if m.values is not None and bool(np.isfinite(m.values).any())]
-    missing = [m.specimen for m in maps if m.specimen not in {m.specimen for m, _ in shown}]
-    if not shown:
+    drawn = {m.specimen: m.shown for m in maps if m.shown is not None and bool(np.isfinite(m.shown.values).any())}
+    missing = [m.specimen for m in maps if m.specimen not in drawn]
+    if not drawn:
         return {"images": [], "missing": missing}
-    scale = limits(np.concatenate([values.ravel() for _, values in shown]))
-    um = max(max(m.width_um, m.height_um) for m, _ in shown) / _WIDE
+    scale = limits(np.concatenate([m.values.ravel() for m in drawn.values()]))
+    um = max(max(m.width, m.height) for m in drawn.values()) / _WIDE
     images = [
-        (m.specimen, image_uri(values, scale), max(m.width_um / um, _LEAST), max(m.height_um / um, _LEAST))
-        for m, values in shown
+        (name, image_uri(m.values, scale), max(m.width / um, _LEAST), max(m.height / um, _LEAST))
+        for name, m in drawn.items()
     ]
     # The colours of all small maps, and a length on them.
-    canvas, first = Canvas(HALF, 62), shown[0][0]
+    canvas, first = Canvas(HALF, 62), next(m for m in maps if m.specimen in drawn)
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, text.axis_label(first.title, first.unit))
+    canvas.text(8, 54, axis_label(first.title, first.unit))
     length = round_step(0.5 * _WIDE * um)
     canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
-    canvas.text(350, 32, text.plain(length), size=SMALL)
+    canvas.text(350, 32, plain(length), size=SMALL)
     bar = canvas.picture(title="Colours and scale of all maps", caption="")
     return {"bar": bar, "images": images, "missing": missing}
 
@@ -209,7 +206,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
     canvas.line([(x0, bottom), (x1, bottom)], colour=SOFT, width=0.8)
     ticks = multiples(low, high, round_step((high - low) / 4))
     canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
-    canvas.text((x0 + x1) / 2, bottom + 38, text.axis_label(words.title(q), words.units(q)), anchor="middle")
+    canvas.text((x0 + x1) / 2, bottom + 38, axis_label(words.title(q), words.units(q)), anchor="middle")
     rows = [(words.label(g.group), s, v) for g, of_group in zip(groups, fields, strict=True) for s, v in of_group]
     means = [f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})" for g in groups]
     return canvas.picture(

@@ -6,10 +6,10 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
+from planish.core.numbers import NONE, axis_label, capital, count, fixed, number, to_spread, typeset, unit
 from planish.core.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
 from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
-from planish.report.text import NONE, axis_label, beside, capital, count, fixed, number, typeset, unit
 
 _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
@@ -70,11 +70,11 @@ def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = Non
         return NONE
     spread = None if limits is None else (limits[1] - limits[0]) / 2
     if q.what == "thin_share":
-        return number(100 * v, 2) if spread is None else beside(100 * v, 100 * spread)
+        return number(100 * v, 2) if spread is None else to_spread(100 * v, 100 * spread)
     if q.what == "r":
         ends = None if spread is None else (v - spread, v + spread)
         return fixed(v, _OF_CLOSE if abs(v) > _CLOSE and spread is None else decimals_of_r(ends))
-    return number(v) if spread is None else beside(v, spread)
+    return number(v) if spread is None else to_spread(v, spread)
 
 
 def units(q: Quantity, *, change: bool = False) -> str:
@@ -154,8 +154,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     of_what, names = typeset(q.title), f"{first} and {second}"
     if d.interval is None:
         return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
-    verdict = {"differ": "differ", "not after Holm": "are not distinguishable after Holm",
-               "not distinguishable": "are not distinguishable"}[d.verdict]  # fmt: skip
+    verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
     change, equivalence = with_units(signed(d, q), q, change=True), ""
     if d.equivalence is not None and d.equivalence.verdict != "unknown":
         margin = f"the declared margin of {margin_text(d.equivalence.margin, q)}"
@@ -163,7 +162,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
                        "larger": f" The difference is larger than {margin}.",
                        "undecided": f" Smaller than {margin} or not: undecided."}[d.equivalence.verdict]  # fmt: skip
     return capital(
-        f"{of}{names} {verdict} in {of_what}: {second} − {first} = {change} "
+        f"{of}{names} {verb} in {of_what}: {second} − {first} = {change} "
         f"(95 %: {with_units(interval(d.interval, q), q, change=True)}; {sampled(d)}).{equivalence}"
     )
 
@@ -183,10 +182,8 @@ def sampled(d: DifferenceFacts) -> str:
 
 def verdict(d: DifferenceFacts) -> str:
     """The verdict on a difference, short."""
-    return {
-        "differ": "differ", "not after Holm": "not distinguishable after Holm",
-        "not distinguishable": "not distinguishable", "unknown": d.reason or "no figure counts",
-    }[d.verdict]  # fmt: skip
+    words = {"not after Holm": "not distinguishable after Holm", "unknown": d.reason or "no figure counts"}
+    return words.get(d.verdict, d.verdict)
 
 
 def left_out(names: Sequence[str]) -> str:
@@ -264,8 +261,3 @@ def declared(results: SeriesResults) -> list[tuple[str, str]]:
         ("Doubtful figures", "take part" if options.get("doubtful") else "take part in nothing"),
         ("Sheets", "named in the table" if results.sheets_given else "not all named: see the cautions"),
     ]  # fmt: skip
-
-
-def plain_words(sentence: str) -> str:
-    """Write a sentence for a terminal: units in ASCII, usual blanks and minus signs."""
-    return sentence.replace("\u202f", " ").replace("µm", "um").replace("−", "-").replace("±", "+-").replace("²", "2")

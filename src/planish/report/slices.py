@@ -9,9 +9,9 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.numbers import count, length, number, plain
 from planish.report.colours import GREYS, Array, Scale, limits
 from planish.report.draw import FULL, SMALL, SOFT, Axes, Canvas, Picture, pitch, pixel_of, reduced
-from planish.report.text import count, length, number, plain
 
 # Colours that do not need red and green to be distinguished, and stand out from grey.
 LINES = (

@@ -5,8 +5,7 @@ from __future__ import annotations
 import math
 
 from planish.core.facts import is_known
-from planish.core.numbers import MOST_DECIMALS, decimals_of_r
-from planish.report.text import NONE, count, fixed, number
+from planish.core.numbers import MOST_DECIMALS, NONE, count, decimals_of_r, fixed, interval_text, number
 from planish.results import ComparisonRow, CorrelationRow
 
 Row = CorrelationRow | ComparisonRow
@@ -32,16 +31,9 @@ def r2_text(row: Row | None) -> str:
     return NONE if row is None else fixed(row.r2, decimals(row))
 
 
-def limits_text(limits: tuple[float, float] | None, digits: int = 2) -> str:
-    """Write an interval; a dash where there is none."""
-    if limits is None or not is_known(limits):
-        return NONE
-    return " to ".join(fixed(end, digits) for end in limits)
-
-
 def r2_interval_text(row: Row | None) -> str:
     """Write the interval of r²."""
-    return NONE if row is None else limits_text(r2_limits(row), decimals(row))
+    return NONE if row is None else interval_text(r2_limits(row), decimals(row))
 
 
 def r_text(row: Row | None) -> str:
@@ -51,7 +43,7 @@ def r_text(row: Row | None) -> str:
 
 def r_interval_text(row: Row | None) -> str:
     """Write the interval of r."""
-    return NONE if row is None else limits_text(row.interval, decimals_of_r(row.interval))
+    return NONE if row is None else interval_text(row.interval, decimals_of_r(row.interval))
 
 
 def r_sentence(row: Row) -> str:

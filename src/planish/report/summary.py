@@ -9,23 +9,10 @@ from typing import Literal, NamedTuple
 from planish.analyze import LagNumbers
 from planish.core.checks import State
 from planish.core.facts import Trust, is_known
+from planish.core.numbers import NONE, capital, count, fixed, in_words, length, number, percent, plain, typeset, unit
 from planish.report.relation import largest, written_difference
 from planish.report.statement import r2_interval_text, r2_text, r_interval_text, r_text
-from planish.report.text import (
-    NONE,
-    REGISTERED,
-    capital,
-    count,
-    fixed,
-    in_words,
-    length,
-    number,
-    percent,
-    plain,
-    typeset,
-    unit,
-    with_article,
-)
+from planish.report.text import REGISTERED, with_article
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 
 Titles = Mapping[tuple[str, str], str]  # layer and map -> title of the map
@@ -93,8 +80,8 @@ def titles_of(pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_laye
 
 def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
     """Return the titles of both maps of a pair as they stand in a sentence."""
-    first, second = titles_of(pair, titles)
-    return in_words(first), in_words(second)
+    first, second = map(in_words, titles_of(pair, titles))
+    return first, second
 
 
 def by_pair(results: Results) -> list[list[CorrelationRow]]:

@@ -6,11 +6,11 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple, cast
 
 from planish.core.facts import is_known
+from planish.core.numbers import NONE, capital, fixed, in_words, interval_text, number, plain, unit
 from planish.core.status import Status
 from planish.report.relation import largest, written_difference
-from planish.report.statement import limits_text, r_text
+from planish.report.statement import r_text
 from planish.report.summary import Titles, by_pair, headline_pair, titles_of
-from planish.report.text import NONE, capital, fixed, in_words, number, plain, unit
 from planish.results import ComparisonRow, CorrelationRow, Results, SurfaceFacts
 
 
@@ -51,7 +51,7 @@ def comparison(results: Results) -> list[PairLine]:
         # How much larger r is with the run's own registration, at the largest points.
         row, change = largest(rows), NONE
         if is_known(row.difference):
-            change = f"{fixed(row.difference, 3)}\n{limits_text(row.difference_interval, 3)}"
+            change = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
         marks, best = number(rows[0].marks_rms_um, 3), name.startswith("flattened")
         lines.append(PairLine(capital(name), rows, before=(marks,), best=best, after=(change,)))
     return lines
@@ -75,7 +75,7 @@ def comparison_sentence(results: Results) -> str:
         return f"{text}; whether they differ cannot be told."
     low, high = best.difference_interval
     verdict = "not distinguishable" if low <= 0 <= high else "distinguishable"
-    text += f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {limits_text((low, high), 3)})."
+    text += f": {verdict}; r changes by {fixed(best.difference, 3)} (95 %: {interval_text((low, high), 3)})."
     # Slopes brighten one side of a thick place, and a shift can raise r.
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
     if lag is not None and lag.light >= _SIDE_LIGHT:

@@ -11,9 +11,10 @@ import numpy as np
 from planish import __version__
 from planish.core.files import write_whole
 from planish.core.grid import pitch
+from planish.core.numbers import length, number, plain
 from planish.report.colours import ERROR, GREYS, SIGNED, Array, Scale, limits
 from planish.report.draw import ACCENT, FAINT, HALF, INK, SOFT, Canvas, Picture, draw_map
-from planish.report.text import length, number, plain, template
+from planish.report.text import template
 from planish.synthetic.presets import NUISANCES, PRESETS
 from planish.validate import table as tables
 from planish.validate.certify import Certificate, Sensitivity

@@ -8,7 +8,7 @@ from itertools import groupby
 from typing import Any
 
 from planish import __version__
-from planish.report.text import fixed, length, number, percent, unit
+from planish.core.numbers import fixed, in_ascii, length, number, percent, unit
 from planish.synthetic.presets import NUISANCES
 from planish.validate.certify import Certificate, LedgerLine, NuisanceRow, Sensitivity
 from planish.validate.scenario import FIGURES, STAGES, Figure, Values
@@ -50,16 +50,9 @@ def terminal_rows(certificate: Certificate) -> list[tuple[str, ...]]:
     for stage, group in by_stage(certificate):
         rows.append((stage, *[""] * (len(COLUMNS) - 1)))
         for line in group:
-            title, *middle, state = map(plain, cells(line))
+            title, *middle, state = map(in_ascii, cells(line))
             rows.append((f"  {title}", *middle, state.upper() if line.met is False else state))
     return rows
-
-
-def plain(text: str) -> str:
-    """Write typeset numbers as a terminal or a script takes them."""
-    for sign, simple in (("−", "-"), ("\u202f", " "), ("–", "-"), ("≤", "<="), ("≥", ">="), ("µm", "um")):
-        text = text.replace(sign, simple)
-    return text
 
 
 def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[str, ...]]]:
@@ -75,7 +68,7 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
     rows.append(("all together", *write(table.loud), ""))
     rows.append(("sum / all", *(number(table.ratio[s], 2) for s in table.keys), ""))
     head = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
-    return head, [tuple(plain(cell) for cell in row) for row in rows]
+    return head, [tuple(in_ascii(cell) for cell in row) for row in rows]
 
 
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
