@@ -15,9 +15,7 @@ from planish.core.errors import CannotMeasure, SizeError
 from planish.core.typing import Bools, Floats, Ints, Pair
 
 BAND_UM = (15.0, 250.0)  # shorter waves are noise, longer ones light, print and too few to count
-_MOST_PIXELS = 300_000
 _SPLIT_UM = math.sqrt(BAND_UM[0] * BAND_UM[1])
-_LEAST_SHARE = 0.7  # of the pixels of the map that is known best; maps with fewer are left out
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -112,13 +110,14 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures
             f"The pixel of {max(pixel_um):g} um is too large for the texture below {BAND_UM[1]:g} um. An image with "
             f"pixels of {BAND_UM[1] / 4:g} um or less is needed."
         )
-    factor = math.ceil(math.sqrt(valid.size / _MOST_PIXELS))
+    factor = math.ceil(math.sqrt(valid.size / 300_000))
     shown = {k: _means(m, valid, factor) for k, m in maps.items()}
     if factor > 1:
         pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
     count = {k: int(np.count_nonzero(np.isfinite(m))) for k, m in shown.items()}
     most = max(count.values(), default=0)
-    shown = {k: m for k, m in shown.items() if count[k] >= max(_LEAST_SHARE * most, 1)}
+    # Of the pixels of the map that is known best; maps with fewer are left out.
+    shown = {k: m for k, m in shown.items() if count[k] >= max(0.7 * most, 1)}
     if not shown:
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
     band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um)

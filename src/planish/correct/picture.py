@@ -25,8 +25,6 @@ from planish.correct.volume import Corrected
 
 _WIDTH, _DPI = 10.4, 135
 _BEFORE, _AFTER, _INK = "#c28a5a", "#1f4e79", "#22292f"
-_LEAST = 30  # voxels of a point of the profile
-_WIDEST_PX = 1200
 _STYLE: dict[str, Any] = {"font.family": "DejaVu Sans", "font.size": 8.5, "text.parse_math": False}
 
 
@@ -91,7 +89,7 @@ def _middle_slices(after: xr.DataArray, before: xr.DataArray, turning: Turning) 
     """Middle slice across the axis, before, after and their difference, at most so fine as the figure."""
     where = {turning.axis: turning.shape[0] // 2}
     planes = [np.asarray(v.isel(where).transpose(*turning.plane).values, np.float64) for v in (before, after)]
-    step = max(1.0, max(planes[0].shape) / _WIDEST_PX)
+    step = max(1.0, max(planes[0].shape) / 1200)
     a, b = (area_mean(v, (step, step)) if step > 1 else v for v in planes)
     return a, b, a - b
 
@@ -103,7 +101,7 @@ def _draw_profiles(axes: Axes, corrected: Corrected, sums: list[Sums], air: floa
         # Mean grey (material, bin) above air, as if every depth were as frequent at every radius; NaN for few voxels.
         count, total = stage.count.sum(axis=(0, 1)), stage.total.sum(axis=(0, 1))
         level = stage.level[:, 1] / np.maximum(stage.level[:, 0], 1)
-        above = np.where(count >= _LEAST, total / np.maximum(count, 1), np.nan)
+        above = np.where(count >= 30, total / np.maximum(count, 1), np.nan)  # voxels of a point of the profile
         for m, means in enumerate((level[:, None] + above) / UNIT):
             grey = air + contrast * means
             axes.plot(radius, grey, color=colour, lw=0.9, label=name if m == 0 else None)

@@ -19,7 +19,6 @@ from planish.exports.formats import ExportParams
 MOST_5 = 2**31 - 2**20
 """Bytes that the maps of a file of version 5 may take together."""
 
-_USUAL_5 = 200_000_000  # bytes up to which version 5 is taken where none is chosen: all of it is held in memory
 _CHUNK = 512  # pixels along the edge of a chunk: as high as a band, so that each is written once
 _HEAD = 512  # bytes before an HDF5 file of MATLAB
 _TEXT = 116  # bytes of free text in front of both versions; the date that stands there usually is left out
@@ -70,7 +69,8 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
             f"The maps take {size / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out --mat-version, "
             "choose fewer maps with --map, or give a folder for a file each."
         )
-    return params.mat_version or ("5" if size <= _USUAL_5 else "7.3")
+    # Version 5 is held in memory whole.
+    return params.mat_version or ("5" if size <= 200_000_000 else "7.3")
 
 
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:

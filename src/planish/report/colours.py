@@ -33,8 +33,6 @@ _ANCHORS = {
     GREYS: "000000 ffffff",
 }
 _SHADES = 255  # and one more for missing values
-_ENOUGH = 2_000_000  # values for a percentile
-_LARGE = 250_000  # pixels from which an image is stored as JPEG
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,7 +61,7 @@ def limits(
     """
     data = np.asarray(values, dtype=np.float64).ravel()
     data = data[np.isfinite(data)]
-    data = data[:: max(1, data.size // _ENOUGH)]
+    data = data[:: max(1, data.size // 2_000_000)]  # values for a percentile
     if data.size == 0:
         return Scale(0.0, 1.0, colours)
     if symmetric:
@@ -97,7 +95,8 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
 
     palette = np.vstack([colours_in_steps(scale.colours), np.array(list(bytes.fromhex(missing[1:])), dtype=np.uint8)])
     shades = scale.shades(values)
-    kind, data = ("PNG" if shades.size <= _LARGE else "JPEG"), io.BytesIO()
+    # Of many pixels, a JPEG is a fraction of a PNG.
+    kind, data = ("PNG" if shades.size <= 250_000 else "JPEG"), io.BytesIO()
     if kind == "PNG":
         image = Image.fromarray(shades)
         image.putpalette(palette.tobytes())

@@ -30,9 +30,7 @@ ACCENT, POINT = "#b3402a", "#2f6690"
 SMALL, BIG = 11.0, 12.0  # font sizes
 
 _FONTS = "font-family=\"'Source Sans 3','Segoe UI','Helvetica Neue','Liberation Sans',Arial,sans-serif\""
-_DENSITY = 1.35  # pixels of an image in one CSS pixel
 _TOP = 8.0  # above a map: half a line, for a number at the end of the colour bar
-_HIGHEST = 480.0  # of a map on half a page
 _LOWEST_BAR = 130.0  # of a colour bar beside a map that is lower than that
 
 
@@ -340,7 +338,7 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Sho
     """
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
-    finest = max(data.shape[1] * steps[1] / (width * _DENSITY), 1e-12)
+    finest = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)  # pixels of an image in one CSS pixel
     factor = (max(1.0, finest / abs(steps[0])), max(1.0, finest / steps[1]))
     if max(factor) > 1:
         data = area_mean(data, factor)
@@ -354,7 +352,7 @@ def draw_map(
 ) -> tuple[Canvas, Axes]:
     """Draw a map (y, x) on half a page, or as wide as given, with its scale bar and, where labelled, its colour bar."""
     shown = reduced(values, y, x, width=width - MARGIN - BESIDE)
-    box = shown.fit(width - MARGIN - BESIDE, _HIGHEST if width <= HALF else 640.0)
+    box = shown.fit(width - MARGIN - BESIDE, 480.0 if width <= HALF else 640.0)
     canvas = Canvas(width, panel_height(box, label) + _TOP + BELOW + 26)
     return canvas, canvas.panel(0.0, 0.0, shown, box, scale=scale, label=label)
 

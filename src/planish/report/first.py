@@ -21,8 +21,6 @@ from planish.results import CorrelationRow, Results
 if TYPE_CHECKING:
     from planish.core.checks import Check
 
-_WIDE = 0.1  # half of an interval of r from which a larger field is worth its while
-
 
 def draw_first(groups: Groups, pairs: Mapping[PairKey, MapPair]) -> list[Picture]:
     """Draw the two maps that lead, on one grid and one mask, and their larger points; nothing where they are missing.
@@ -96,7 +94,8 @@ def _of_field(rows: Sequence[CorrelationRow]) -> str:
     if not is_known(row.interval):
         return "A larger field, or more fields: there are too few independent points for an interval of r."
     low, high = row.interval
-    if (high - low) / 2 <= _WIDE and row.direction:
+    # With a wider interval of r, a larger field is worth its while.
+    if (high - low) / 2 <= 0.1 and row.direction:
         return ""
     now = interval_text(row.interval)
     return f"A larger field, or more fields: four times the area would about halve the interval of r (now {now})."

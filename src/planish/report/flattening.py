@@ -10,9 +10,6 @@ from planish.flatten import CurvatureVerdict
 from planish.report import draw
 from planish.report.colours import GEOMETRY, SIGNED, Array, limits
 
-_ARROWS = 22  # across the longer side
-_POINTS = 600  # of a line of the convergence
-
 
 def draw_flattening(
     surfaces: xr.Dataset, flat: xr.Dataset, strain: xr.Dataset, curvature: CurvatureVerdict
@@ -60,7 +57,7 @@ def _draw_displacement(flat: xr.Dataset) -> draw.Picture:
     moved = np.hypot(*moves)
     scale = limits(moved, GEOMETRY, percent=0.1, low=0.0)
     canvas, axes = draw.draw_map(moved, y, x, scale=scale, label="displacement / µm")
-    stride = max(1, round(max(moved.shape) / _ARROWS))
+    stride = max(1, round(max(moved.shape) / 22))  # arrows across the longer side
     # The same columns from either side: those of the mirrored view count from its other end.
     rows, cols = (np.arange(stride // 2, n, stride) for n in moved.shape)
     cols = x.size - 1 - cols if flat.attrs.get("mirrored_view", 0) else cols
@@ -123,7 +120,7 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
     axes = canvas.axes(78, 15, draw.HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low, high))
     for size in sizes:
         here = np.flatnonzero((nodes == size) & moved)
-        points = np.stack([here + 1.0, logs[here]], axis=1)[:: max(1, here.size // _POINTS)]
+        points = np.stack([here + 1.0, logs[here]], axis=1)[:: max(1, here.size // 600)]
         colour = draw.ACCENT if size == sizes[-1] else draw.SOFT
         axes.line(points, colour=colour, width=1.6)
         if nodes.size <= 200:

@@ -19,10 +19,7 @@ from planish.report.registration import ARROW, EDGE, ground_of
 from planish.report.text import HOLES, label_of, left_out, title_of, unit_of
 from planish.results import LayerFacts, PropertyFacts, Results
 
-_MOST_DRAWN = 2**22  # pixels of a map: more than the widest figure has
 _BESIDE = 162.0  # pixels to the right of a map for the distribution, the colour bar and its numbers
-_BINS = 80
-_HARDLY = 1e-3  # of the valid pixels: with fewer below the limit, the outlines would show next to nothing
 _THINNEST = 5.0  # per cent
 _SMALLEST = 12  # pixels of a region that is outlined
 
@@ -66,7 +63,8 @@ class Groups:
         maps = self.data.get(name)
         for k in numbers_from(1):
             smaller = self.data.get(f"overviews/{name}/{k}")
-            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= _MOST_DRAWN:
+            # More pixels than the widest figure has.
+            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= 2**22:
                 break
             maps = smaller
         return maps
@@ -169,7 +167,7 @@ def draw_side_by_side(
 def _distribution(canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts) -> draw.Table:
     """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
-    counts, edges = np.histogram(values, bins=_BINS, range=(low, high))
+    counts, edges = np.histogram(values, bins=80, range=(low, high))
     most = max(int(counts.max()), 1)
     axes = canvas.axes(*box, (0, 1.25 * most, low, high))
     outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
@@ -197,7 +195,7 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str
     canvas, axes = ground.draw(draw.FULL)
     share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
     limit, note = thin_um, f"Outlined: {in_words(title)} below {plain(thin_um)}, {percent(share)} of the valid pixels."
-    if share < _HARDLY:
+    if share < 1e-3:  # the outlines would show next to nothing
         limit = float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
         few = "No valid pixel is" if share == 0 else f"Only {percent(share)} of the valid pixels are"
         note = (

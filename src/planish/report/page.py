@@ -32,8 +32,6 @@ FIGURES = "figures"
 """Folder of the figures in a run, or beside a page."""
 
 _LONGEST = 50  # letters of a title in the name of a file
-_HOLE_UM = (100.0, 300.0)
-_THIN_UM = 5.0
 _SHEET_PARTS = ("surfaces", "flat", "strain", "maps", "slices")
 
 
@@ -158,7 +156,7 @@ def _block(groups: maps.Groups, layer: LayerFacts, marks: xr.Dataset | None) -> 
     outlined = base.kind == "image" and layer.kind == "sheet"
     if outlined:
         valid = data["valid"] & reference["valid"] if "valid" in reference else data["valid"]
-        thin_um = float(results.parameters.get("correlate", {}).get("thin_um", _THIN_UM))
+        thin_um = float(results.parameters.get("correlate", {}).get("thin_um", 5.0))
         with_image = data.assign(image=other, valid=valid)
         shown = maps.draw_outlines(with_image, name=layer.headline, thin_um=thin_um, without=groups.without)
     else:
@@ -183,7 +181,7 @@ def _registration(
     """
     r, base, two = layer.registration, results.reference, len(results.layers) == 2
     assert r is not None
-    hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", _HOLE_UM)) / 2)
+    hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
     window = data["valid"].values.astype(bool) if "valid" in data and base.kind == "image" else None
     edge = next(data[name] for name in ("u", "image", "thickness", *data.data_vars) if name in data)
     ground = registration.ground_of(

@@ -20,7 +20,6 @@ from planish.results import RegistrationFacts
 ARROW, EDGE = "#ff5238", "#39c5ff"
 _MARK, _SILENT = "#ffb000", "#7d8790"
 _AXIS = 78.0  # pixels of the corner that shows an axis
-_STEPS = 5  # lines between the smallest and the largest expected error
 _BLANK = 64  # pixels across a ground that shows nothing
 
 
@@ -152,7 +151,7 @@ def draw_expected_error(
         return None
     least, mean, most = float(errors.min()), float(errors.mean()), float(errors.max())
     scale = limits(errors, GEOMETRY, percent=0.1)
-    levels, step = draw.levels_between(least, most, steps=_STEPS)
+    levels, step = draw.levels_between(least, most, steps=5)
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
     canvas, axes = draw.draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)

@@ -26,7 +26,6 @@ Row = TypeVar("Row", CorrelationRow, ComparisonRow)
 Points = tuple[Array, Array]  # values of two maps at the same larger points
 
 _BINS, _LEAST_BINS = 110, 24
-_MANY = 5000  # points from which their density is drawn instead of each of them
 _TOP, _HIGH, _WIDE = 62.0, 355.0, 400.0  # pixels of one pair of axes
 _LEFT, _RIGHT = 85.0, 635.0
 
@@ -231,7 +230,7 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
 
 def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar: float = 0.0) -> Axes:
     """Draw larger points one by one; where they are many and there is room for a colour ``bar``, their density."""
-    if bar and points[0].size > _MANY:
+    if bar and points[0].size > 5000:
         return _density(canvas, (*box[:2], box[2] - bar, box[3]), points, counted="points")
     axes, many = canvas.axes(*box, (*_limits(points[0], 0.0), *_limits(points[1], 0.0))), points[0].size > 2000
     axes.dots(np.stack(points, axis=1), colour=POINT, size=3 if many else 4.6, opacity=0.5 if many else 0.7)

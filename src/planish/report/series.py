@@ -22,9 +22,6 @@ from planish.report import statement, text
 from planish.report.colours import image_uri, limits
 from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, ShownMap, multiples, reduced
 
-_MOST_COLUMNS = 8  # quantities of the table of specimens, and of figures
-_MOST_ORDERS = 9
-_OUT = ("refused", "damaged", "withheld", "open")
 _SOURCES = (
     ("Intervals over sheets", "Student's t over the means of sheets; two papers after Welch (1947), Biometrika 34, 28, "
      "doi:10.1093/biomet/34.1-2.28; the same sheets before and after by the differences of single sheets."),
@@ -61,13 +58,13 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     str
         The same input gives the same text.
     """
-    columns = list(range(min(len(results.quantities), _MOST_COLUMNS)))
+    columns = list(range(min(len(results.quantities), 8)))  # quantities of the table of specimens, and of figures
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
     page = text.template("planish.report", "series.html.j2").render(
         results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
         columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
         orders=_orders(results, factors), pictures=[picture for k in columns if (picture := draw_groups(results, k))],
-        tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state in _OUT],
+        tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state != "whole"],
         linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
     )  # fmt: skip
     return f"{page}\n"
@@ -105,7 +102,7 @@ def _orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, l
     orders = [("as listed", list(range(len(specimens))))]
     for name, of_order in keys:
         numbers = sorted(range(len(specimens)), key=of_order.__getitem__)
-        if len(orders) < _MOST_ORDERS and all(numbers != listed for _, listed in orders):
+        if len(orders) < 9 and all(numbers != listed for _, listed in orders):
             orders.append((name, numbers))
     return orders
 

@@ -24,7 +24,6 @@ LINES = (
 _MARKED = "#ff3b30"
 _WINDOW_UM = 400.0
 _FLATTEST = 9.0  # width over height of the longest stretch that is still drawn whole
-_POINTS = 1400  # of a line
 
 Window = tuple[float, float, float, float]  # left, right, lowest and highest um
 
@@ -100,7 +99,7 @@ def _draw(
     cols = (cut.x >= left - 1e-6) & (cut.x <= right + 1e-6)
     rows = (cut.heights >= low - 1e-6) & (cut.heights <= high + 1e-6)
     axes.image(reduced(cut.grey[np.ix_(rows, cols)], cut.heights[rows], cut.x[cols], width=wide), scale)
-    every = slice(None, None, max(1, cut.x.size // _POINTS))
+    every = slice(None, None, max(1, cut.x.size // 1400))  # points of a line
     for name, _, colour, dash in LINES:
         line = np.stack([cut.x, cut.lines[name]], axis=1)
         if name == "centre":

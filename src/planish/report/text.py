@@ -31,7 +31,8 @@ def template(package: str, name: str) -> Template:
     names = ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit")
     filters: dict[str, Any] = {name: getattr(numbers, name) for name in names}
     filters |= {"length_um": numbers.length, "limit": numbers.with_unit}
-    environment.filters.update(filters, is_known=is_known, with_article=with_article)
+    filters |= {"is_known": is_known, "with_article": with_article}
+    environment.filters.update(filters)
     return environment.get_template(name)
 
 

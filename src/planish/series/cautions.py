@@ -11,7 +11,6 @@ from planish.series.gather import Gathered
 NEST = ("sheet", "field")  # factors that are the sample
 
 _MOST_NAMES = 6
-_UNLIKE = 1.05  # ratio of supports, from which on standard deviations are of different things
 
 
 def cautions_of(
@@ -30,7 +29,8 @@ def cautions_of(
         numbers = ", ".join(f"{n} {words[str(kind)]}" for kind, n in kinds.items())
         yield f"The runs are of different kinds ({numbers}): only figures that are of the same maps meet."
     sizes = [um for specimen in counted if (um := gathered.runs[specimen.name].column_um) is not None]
-    if sizes and max(sizes) > _UNLIKE * min(sizes) and any(q.what in ("sd", "thin_share") for q in quantities):
+    # Standard deviations of unlike supports are of different things.
+    if sizes and max(sizes) > 1.05 * min(sizes) and any(q.what in ("sd", "thin_share") for q in quantities):
         yield (
             f"Columns are {min(sizes):.3g} to {max(sizes):.3g} um wide. Standard deviations and thin shares depend on "
             "that: compare those of one width only."

@@ -11,8 +11,6 @@ from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
 from planish.run.run import is_run
 from planish.run.study import relative_path
 
-_MOST_NAMES = 5
-
 
 def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -> tuple[Member, ...]:
     """Make members of runs.
@@ -117,7 +115,7 @@ def _factors(sheet: CsvTable, table: Path | None, folders: Sequence[Path]) -> li
         cells = {name: sheet.text(rows[0], name) for name in sheet.header if name not in ("run", "name", "")}
         factors.append({name: cell for name, cell in cells.items() if cell})
     if idle := [row for row in sheet.rows if row.line not in used]:
-        shown = ", ".join(sheet.text(row, "run") or sheet.text(row, "name") or "empty" for row in idle[:_MOST_NAMES])
+        shown = ", ".join(sheet.text(row, "run") or sheet.text(row, "name") or "empty" for row in idle[:5])
         raise InputError(
             f"{sheet.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: {shown}. "
             "Give these runs, too, or take the rows out."

@@ -24,7 +24,6 @@ _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 _JUDGED = {"mean": "trust", "r": "pair_trust", "expected_error": "registration_trust"}
 
 _TRUST = {"ok": 0, "doubtful": 1, "withheld": 2}
-_LARGEST = 2_000_000_000
 
 
 def open_study(path: str | Path) -> xr.Dataset:
@@ -65,7 +64,7 @@ def open_study(path: str | Path) -> xr.Dataset:
             "--out' made."
         )
     results = SeriesResults.read(folder / RESULTS)
-    text = read_bytes(folder / VALUES, what="table of a series", most=_LARGEST).decode("utf-8", errors="replace")
+    text = read_bytes(folder / VALUES, what="table of a series", most=2_000_000_000).decode("utf-8", errors="replace")
     needed = ("specimen", "layer", "map", "other_layer", "other_map", "at_um", "quantity", "value", "unit", "low",
               "high", "trust")  # fmt: skip
     table = parse_table(text, VALUES, needed=needed, error=FileError)

@@ -38,8 +38,6 @@ _OF_A_SPECIMEN = (
     "specimen", "state", "kind", "counts_as_sheet", "light", "checks_fail", "checks_look", "marks_used",
     "leave_one_out_um", "expected_error_um",
 )  # fmt: skip
-_MANY = 250  # specimens, from which on their maps are drawn with fewer pixels: the page has to stay below 10 MB
-_PIXELS = 150.0  # along the longer side
 
 
 def write_series(
@@ -103,7 +101,8 @@ def write_series(
 def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
     """The map that leads of every specimen that has it, one read after the other; without values where none can be."""
     maps: list[SmallMap] = []
-    pixels = _PIXELS * min(1.0, math.sqrt(_MANY / max(len(results.specimens), 1)))
+    # The maps of more than 250 specimens have fewer pixels: the page has to stay below 10 MB.
+    pixels = 150.0 * min(1.0, math.sqrt(250 / max(len(results.specimens), 1)))  # along the longer side
     for specimen in results.specimens if results.quantities else ():
         folder, lead = specimen.member.folder(home), results.quantities[0]
         if specimen.kind is None or folder is None or specimen.cells[0].why_not == "not measured":

@@ -14,8 +14,6 @@ from planish.series.declared import Declared
 from planish.series.gather import FigureRow, RunSummary
 
 _STATISTICS: tuple[What, ...] = ("mean", "sd", "thin_share")
-_ALIKE = 1e-3  # of a length: point sizes that are one
-_MOST_SCATTERED = 4.0  # independent points, from which on the scatter of Fisher's z is known
 
 # Layers and maps of a correlation, the sheet first: layer, map, other layer, other map
 Pair = tuple[str, str, str, str]
@@ -168,7 +166,8 @@ def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -
     why = _why_not(r, with_doubtful=with_doubtful)
     if not why and not _alike(at_um, q.at_um):
         why = f"points of {at_um:g} um, others of {q.at_um:g} um"
-    if not why and (scatter is None or scatter <= _MOST_SCATTERED or abs(r.value or 0.0) >= 1):
+    # With more than 4 independent points the scatter of Fisher's z is known.
+    if not why and (scatter is None or scatter <= 4.0 or abs(r.value or 0.0) >= 1):
         why = "too few independent points"
     return Cell(
         value=r.value, low=r.low, high=r.high, n_eff=n_eff, n_eff_interval=scatter, trust=r.trust, counts=not why,
@@ -187,4 +186,4 @@ def _why_not(row: FigureRow, *, with_doubtful: bool) -> str:
 
 
 def _alike(a: float | None, b: float | None) -> bool:
-    return a is not None and b is not None and abs(a - b) <= _ALIKE * max(abs(a), abs(b))
+    return a is not None and b is not None and abs(a - b) <= 1e-3 * max(abs(a), abs(b))

@@ -202,8 +202,6 @@ def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[
 
 # Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
 _FLOOR = {"um": 0.05, "%": 0.05, "deg": 0.05, "1": 0.008}
-_NOTICED = 0.25  # growth, in baselines, below which no stage is said to suffer
-_WORTH = 0.5  # of the baseline: what all together have to add for their sum to be worth naming
 _CARRIED = 0.5  # share of the largest growth with which an error is taken to have come in at an earlier stage
 _AGREES = 1.5  # factor between the sum of squares and the whole
 
@@ -309,7 +307,8 @@ def make_row(
     base = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
     growth = {stage: error / base[stage] for stage, error in added.items() if error is not None}
     most = max(growth.values(), default=0.0)
-    hit = (stage for stage, factor in growth.items() if most >= _NOTICED and factor >= _CARRIED * most)
+    # With less growth, in baselines, no stage is said to suffer.
+    hit = (stage for stage, factor in growth.items() if most >= 0.25 and factor >= _CARRIED * most)
     return NuisanceRow(nuisance=name, added=added, growth=growth, suffers=next(hit, None), refusal=refusal)
 
 
@@ -324,7 +323,8 @@ def _ratio(
     """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
     whole = added_error(loud[stage], quiet[stage])
     summed = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
-    least = max(_FLOOR[FIGURES[keys[stage]].unit], _WORTH * quiet[stage])
+    # Where all together add less, their sum is not worth naming.
+    least = max(_FLOOR[FIGURES[keys[stage]].unit], 0.5 * quiet[stage])
     if whole is None or max(whole, summed) < least:
         return None
     return summed / whole if whole > 0 else float("inf")

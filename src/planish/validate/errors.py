@@ -35,9 +35,6 @@ from planish.validate.truth import (
     true_thickness,
 )
 
-_EDGE_UM = 100.0  # length whose error is the strain: well over the scatter of single columns
-_WIDE_UM = 20.0  # of a difference that gives a normal where neighbouring sections scatter against each other
-
 
 def section_errors(comparison: Comparison) -> Values:
     """Measure the distances of aligned sections from their true places, about the best straight line.
@@ -97,7 +94,8 @@ def centre_errors(comparison: Comparison) -> Values:
     """Height of the found centre surface over the true one, and the angle between their normals in degrees."""
     u, v, s = np.moveaxis(np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0)
     centre = comparison.surfaces["centre"].values
-    reach = [max(1, round(_WIDE_UM / p)) if "sections" in comparison.groups else 1 for p in pitch(comparison.surfaces)]
+    # Neighbouring sections scatter against each other: their normals are of a wider difference.
+    reach = [max(1, round(20.0 / p)) if "sections" in comparison.groups else 1 for p in pitch(comparison.surfaces)]
     sides: list[Floats] = []
     for axis, (n, r) in enumerate(zip(centre.shape, reach, strict=True)):
         ends: list[Floats] = []
@@ -150,7 +148,7 @@ def flattening_errors(comparison: Comparison) -> Values:
     away = np.hypot(*(off - off.mean(axis=0)).T)
     strains: list[Floats] = []
     for axis, step in enumerate(comparison.pitch_um):
-        n = max(1, round(_EDGE_UM / step))
+        n = max(1, round(100.0 / step))  # well over the scatter of single columns
         along = (np.moveaxis(places, axis, 0) for places in (flat, true))
         of_flat, of_true = (np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in along)
         with np.errstate(invalid="ignore", divide="ignore"):
@@ -165,9 +163,6 @@ def flattening_errors(comparison: Comparison) -> Values:
     }
 
 
-_SAME_HOLE_UM = 60.0  # a third of a hole: nearer than that it is the same one
-_MOST_COLUMNS = 1_500_000  # whose material is found one by one for the resampling
-_LEAST_THIN = 0.002  # of the valid pixels: with fewer, the thin region is some specks
 _PARTS = 4  # points on the stretch of an outline within one cell: so close that the nearest one is as good as the line
 _RING = np.stack([np.cos(np.arange(8) * np.pi / 4), np.sin(np.arange(8) * np.pi / 4)], axis=1)
 
@@ -183,7 +178,8 @@ def pixel_errors(comparison: Comparison) -> Values:
         thin_um = comparison.run.study.correlate.thin_um
         is_valid = np.isfinite(linked) & np.isfinite(true)
         count = int(np.count_nonzero(is_valid))
-        if count and np.count_nonzero(true[is_valid] < thin_um) >= _LEAST_THIN * count:
+        # With fewer of the valid pixels, the thin region is some specks.
+        if count and np.count_nonzero(true[is_valid] < thin_um) >= 0.002 * count:
             values["thin_dice"] = dice(linked < thin_um, (true < thin_um) & is_valid)
             values["thin_lag"] = outline_lag(
                 linked, np.where(is_valid, true, np.nan), thin_um, pitch(comparison.linked)
@@ -252,7 +248,7 @@ def _side_errors(holes_uv: Floats, true: Floats, inside: Bools, side: str) -> Va
     if not len(true):
         return {f"false_{side}": float(len(holes_uv))}
     away = np.linalg.norm(holes_uv[:, None] - true[None], axis=-1)
-    right = away.min(axis=1) < _SAME_HOLE_UM
+    right = away.min(axis=1) < 60.0  # a third of a hole: nearer than that it is the same one
     hit = np.zeros(len(true), dtype=bool)
     hit[away.argmin(axis=1)[right]] = True
     errors = away.min(axis=1)[right]
@@ -306,7 +302,7 @@ def resampling_errors(comparison: Comparison) -> Values:
     surfaces, flat, linked = (comparison.groups[name] for name in ("surfaces", "flat", "linked"))
     name = "coating_top" if np.isfinite(linked["coating_top"].values).any() else "thickness"
     height, width = surfaces["centre"].shape
-    most = min(height, max(2, _MOST_COLUMNS // width))
+    most = min(height, max(2, 1_500_000 // width))
     rows, cols = np.arange(most) + (height - most) // 2, np.arange(width)
     centre = np.asarray(surfaces["centre"].values[rows], dtype=np.float64)
     u, v, _ = np.moveaxis(comparison.material_at(comparison.places(centre, rows, cols)), -1, 0)

@@ -15,7 +15,6 @@ from planish.validate.scenario import FIGURES, STAGES, Figure, Values
 
 NONE = "-"
 STATES = {None: "", True: "met", False: "missed"}
-_SIZES = ("mesh_width", "mesh_height", "mesh_aspect")
 COLUMNS = ("", "unit", "mean", "sd", "worst", "limit", "")
 _SHORT = {
     "sections": "poses", "surfaces": "surface", "thickness": "thick", "flattening": "flat", "registration": "register",
@@ -133,7 +132,9 @@ def verdict(certificate: Certificate) -> str:
     lines = certificate.lines()
     means = {name: line.mean for name, line in lines.items() if line.mean is not None}
     if certificate.scenario.kind == "mesh":
-        worst = [abs(lines[name].worst or 0.0) for name in _SIZES if name in means]
+        worst = [
+            abs(lines[name].worst or 0.0) for name in ("mesh_width", "mesh_height", "mesh_aspect") if name in means
+        ]
         if not worst:
             return "The mesh came to no rest."
         return (

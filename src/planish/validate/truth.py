@@ -24,8 +24,6 @@ Index = NDArray[np.intp]
 FACES = ("top", "interface_top", "interface_bottom", "bottom")
 # Thickness -> its outer and inner face
 THICKNESSES = {"coating_top": (0, 1), "base_thickness": (1, 2), "thickness": (0, 3)}
-_MOST_COLUMNS = 400_000  # more columns do not make a percentile any surer
-_FINEST_UM = 4.0  # of a pixel that counts as a point: the sheet holds little below
 
 FITTED = 400  # places that a similarity is fitted to: more make it no better, and their square is held in memory
 
@@ -56,7 +54,7 @@ class Comparison:
     def columns(self) -> tuple[Index, Index]:
         """Rows and columns of the chosen columns."""
         rows, cols = self.surfaces["status"].shape
-        step = max(1, int(np.ceil(np.sqrt(rows * cols / _MOST_COLUMNS))))
+        step = max(1, int(np.ceil(np.sqrt(rows * cols / 400_000))))  # more columns do not make a percentile any surer
         return np.arange(0, rows, step), np.arange(0, cols, step)
 
     @cached_property
@@ -156,7 +154,7 @@ class Comparison:
         """
         truth, sides = self.specimen.truth, list[Floats]()
         for step in pitch(truth):
-            n = max(1, round(step / _FINEST_UM))
+            n = max(1, round(step / 4.0))  # of a pixel that counts as a point: the sheet holds little below
             sides.append(step * ((np.arange(n) + 0.5) / n - 0.5))
         around = np.stack(np.meshgrid(*sides[::-1]), axis=-1).reshape(-1, 2)
         middle = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
