@@ -156,7 +156,7 @@ def test_five_of_six_and_an_affine_sheet_are_followed():
     seen[3] += (-60.0, 51.0)
     fit = fit_transform(points, seen, model="auto")
     assert fit.robust_weights.tolist() == [1, 1, 1, 0, 1, 1]
-    said = r"5 of 6 marks agree to [23]\.\d um; d is (78|79|80) um off and was left out\."
+    said = r"5 of 6 marks agree to [23]\.\d um \(leave-one-out, rms\); d is (78|79|80) um off and was left out\."
     assert re.fullmatch(said, fit.agreement(tuple("abcdef")))
     truth = Affine(linear=((1.01, 0.003), (0.0, 0.99)))
     points, where = marks(14), marks(200, 6)

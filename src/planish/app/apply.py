@@ -11,11 +11,12 @@ from typing import Any
 import numpy as np
 import xarray as xr
 
-from planish.app.changes import End, Mark, changed_corrections
+from planish.app.changes import Mark, changed_corrections
 from planish.app.picture import PLANES
-from planish.app.session import Session, ends_of, places_of
+from planish.app.session import Session, dataset_of
 from planish.core.files import free_path
-from planish.marks.exchange import MarkPlaces, make_marks, marks_text
+from planish.marks.exchange import marks_bytes
+from planish.marks.exchange.model import join_holes, with_holes
 from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
 from planish.run.cached_maps import noted_study
@@ -43,7 +44,7 @@ def order_of(session: Session, staged: Path) -> tuple[Study, dict[str, str]]:
         if marks == first.marks[name]:
             continue
         file = "marks.json" if alone else f"marks-{name}.json"
-        files[file] = marks_text(all_marks(marks, holes[name], usual_um=usual_um))
+        files[file] = marks_bytes(all_marks(marks, holes[name], usual_um=usual_um), "json")[""].decode()
         path = str(staged / file)
         if alone:
             study = changed(study, registration=changed(study.registration, marks=path))
@@ -84,10 +85,7 @@ def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:
     name = next((layer.name for layer in study.layers if layer.image is not None), "image")
     image = LayerParams(name=name, image=session.image_params)
     holes = session.holes(sheet.name)
-    m, n = (holes[side].sizes["mark"] for side in PLANES)
-    rows = {"moving": [*range(m), *[-1] * n], "fixed": [*[-1] * m, *range(n)]}
-    labels = [f"{side} {k + 1}" for side, count in zip(PLANES, (m, n), strict=True) for k in range(count)]
-    marks = make_marks(labels, {side: MarkPlaces.of_holes(holes[side], np.array(rows[side])) for side in PLANES})
+    marks = join_holes(holes["moving"], holes["fixed"]).assign_attrs(layers={})
     return study.model_copy(update={"layers": (sheet, image)}), {sheet.name: marks}
 
 
@@ -114,33 +112,10 @@ def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> 
     -------
     Dataset (mark)
     """
-    ends = {side: [getattr(mark, side) for mark in marks] for side in PLANES}
-    labels, used = [mark.label for mark in marks], [mark.used for mark in marks]
-    free: dict[str, list[End]] = {}
+    joined = dataset_of(marks, about=before.attrs.get("layers", {}))
+    labels = [mark.label for mark in marks]
     for side in PLANES:
-        holes = [end for end in ends_of(before, side) if end is not None]
-        hole_of = _holes_around(ends[side], holes)
-        for k, (end, number) in enumerate(zip(ends[side], hole_of, strict=True)):
-            if end is not None:
-                hole_um = None if number is None else holes[number].diameter
-                ends[side][k] = end.model_copy(update={"diameter": end.diameter or hole_um or usual_um})
-        free[side] = [hole for k, hole in enumerate(holes) if k not in hole_of]
-    for side, unmarked in free.items():
-        in_use = {*labels}
+        joined, in_use = with_holes(joined, before, side, usual_um=usual_um), {*labels}
         names = (name for k in itertools.count(1) if (name := f"{side} {k}") not in in_use)
-        labels = [*labels, *itertools.islice(names, len(unmarked))]
-        used += [True] * len(unmarked)
-        for other in PLANES:
-            ends[other] += unmarked if other == side else [None] * len(unmarked)
-    places = {side: places_of(ends[side]) for side in PLANES}
-    return make_marks(labels, places, used=used, about=before.attrs.get("layers", {}))
-
-
-def _holes_around(ends: Sequence[End | None], holes: Sequence[End]) -> list[int | None]:
-    """Give the number of the nearest hole in which each end lies; None where it lies in none."""
-    if not holes:
-        return [None] * len(ends)
-    points_um = np.array([(np.nan, np.nan) if end is None else end.xy for end in ends]).reshape(-1, 1, 2)
-    distances = np.linalg.norm(points_um - np.array([hole.xy for hole in holes]), axis=2)
-    distances[~(distances < 0.5 * np.array([hole.diameter or np.nan for hole in holes]))] = np.inf
-    return [int(row.argmin()) if np.isfinite(row).any() else None for row in distances]
+        labels += itertools.islice(names, joined.sizes["mark"] - len(labels))
+    return joined.assign(label=("mark", np.array(labels, dtype=np.str_)))

@@ -15,16 +15,12 @@ from pydantic import BaseModel, ConfigDict, Field
 from planish.app.changes import ChangeError, Import, checked_label
 from planish.app.fits import Fitted
 from planish.app.picture import PLANES, Plane, layer_run
-from planish.app.session import Session, pairs_of, places_of
-from planish.core.errors import MarkError
+from planish.app.session import Session, dataset_of, pairs_of
 from planish.io.run_folder import read_group
-from planish.marks.exchange import LayerPixels, make_marks, pair_of_layers, read_any, write_any
+from planish.marks.exchange import FORMATS, LayerPixels, marks_bytes, pair_of_layers, read_any
 from planish.marks.exchange.formats import TARGETS
-from planish.run.layers import Layer
 from planish.run.registration import volume_to_map
 from planish.run.run import MAPS
-
-_ENDS = {"json": ".json", "slicer": ".mrk.json", "elastix": ".txt", "matlab": ".mat"}
 
 
 class MarkFile(BaseModel):
@@ -38,8 +34,8 @@ class MarkFile(BaseModel):
     @property
     def suffix(self) -> str:
         """Suffix of its name that says the format; nothing else of the name is used."""
-        suffixes = ".mrk.json", ".json", ".csv", ".txt", ".pts", ".mat"
-        return next((suffix for suffix in suffixes if self.name.lower().endswith(suffix)), ".csv")
+        name, suffixes = self.name.lower(), [suffix for form in FORMATS.values() for suffix in form.suffixes]
+        return max(filter(name.endswith, suffixes), key=len, default=".csv")
 
     def content(self) -> bytes:
         """Its bytes; ChangeError where there are none."""
@@ -75,7 +71,9 @@ def imported(session: Session, layer: str, first: MarkFile, second: MarkFile | N
         marks = read_any(*paths, **{plane: _pixels(session, layer, plane) for plane in PLANES})
     moving, fixed = pair_of_layers(marks, name=first.name)
     if moving == "volume":
-        marks, moving = volume_to_map(marks, _sheet(session, layer)), "moving"
+        store, is_sheet = layer_run(session.folder, layer) / MAPS, session.results.layer(layer).sheet is not None
+        groups = {group: read_group(store, group) for group in ("surfaces", "flat") if is_sheet}
+        marks, moving = volume_to_map(marks, layer, groups), "moving"
     pairs = pairs_of(marks, moving, fixed, label=lambda name: checked_label(str(name)))
     return Import(layer=layer, marks=pairs)
 
@@ -95,23 +93,19 @@ def exported(session: Session, layer: str, to: str, fitted: Fitted) -> tuple[str
     marks, row_of = session.state.of(layer), {mark.id: k for k, mark in enumerate(fitted.pairs)}
     rows = np.array([row_of.get(mark.id, len(row_of)) for mark in marks], dtype=np.intp)
     errors_um = {"residual": fitted.residual_um, "leave_one_out": fitted.leave_one_out_um}
-    content = make_marks(
-        [mark.label for mark in marks],
-        {plane: places_of([getattr(mark, plane) for mark in marks]) for plane in PLANES},
-        used=[mark.used for mark in marks],
+    content = dataset_of(
+        marks,
         about={plane: _pixels(session, layer, plane).about() for plane in PLANES},
         results={name: np.append(um, np.nan)[rows] for name, um in errors_um.items()},  # what the shown fit leaves
     )
-    with tempfile.TemporaryDirectory(prefix="planish-") as folder:
-        path = Path(folder) / f"marks{_ENDS.get(to, '.csv')}"
-        paths = write_any(content, path, to=to)
-        if len(paths) == 1:
-            return paths[0].name, paths[0].read_bytes()
-        packed = io.BytesIO()
-        with zipfile.ZipFile(packed, "w") as archive:
-            for written in paths:
-                archive.writestr(written.name, written.read_bytes())
-        return "marks.zip", packed.getvalue()
+    suffix, parts = next(iter(FORMATS[to].suffixes), ".csv"), marks_bytes(content, to)
+    if len(parts) == 1:
+        return f"marks{suffix}", parts[""]
+    packed = io.BytesIO()
+    with zipfile.ZipFile(packed, "w") as archive:
+        for end, part in parts.items():
+            archive.writestr(f"marks{end}{suffix}", part)
+    return "marks.zip", packed.getvalue()
 
 
 def _pixels(session: Session, layer: str, plane: Plane) -> LayerPixels:
@@ -121,13 +115,3 @@ def _pixels(session: Session, layer: str, plane: Plane) -> LayerPixels:
         return LayerPixels()
     grid = on_plane[0].grid
     return LayerPixels(pixel_um=grid.pixel_um, origin_um=grid.origin_um, shape=grid.shape)
-
-
-def _sheet(session: Session, layer: str) -> Layer:
-    """A sheet with what takes places in its volume to its map."""
-    facts = session.results.layer(layer)
-    if facts.sheet is None:
-        raise MarkError(f"The marks have places in a volume, and {layer} is an image. Give marks with places in both.")
-    params = next(params for params in session.study.layers if params.name == layer)
-    groups = {name: read_group(layer_run(session.folder, layer) / MAPS, name) for name in ("surfaces", "flat")}
-    return Layer(params=params, source=facts.source, groups=groups, facts=facts.sheet)

@@ -10,18 +10,20 @@ from math import comb
 from typing import Any
 
 import numpy as np
-import xarray as xr
 from numpy.typing import NDArray
 from scipy import stats
 
 from planish.app.changes import Mark
-from planish.app.picture import PLANES, Answer, Plane, finite_or_none
+from planish.app.picture import PLANES, WHERE, Answer, Plane, finite_or_none
+from planish.app.session import dataset_of
 from planish.core.errors import PlanishError
+from planish.core.text import and_join_few
 from planish.core.transform import Similarity
 from planish.core.typing import Bools, Floats
-from planish.register import FittedTransform, RegistrationParams, fit_transform, register_marks
-
-Complexes = NDArray[np.complex128]
+from planish.register import FittedTransform, RegistrationParams, fit_transform
+from planish.register.pairs import Complexes, as_complex
+from planish.run.registration import fit_marks
+from planish.run.study import changed
 
 LEAST = 5
 """Of fewer marks none can be told from the others."""
@@ -55,8 +57,7 @@ def find_outliers(moving: Floats, fixed: Floats, mirrored: bool, *, tolerance_um
     is_outlier = np.zeros(n, dtype=np.bool_)
     if n < LEAST:
         return is_outlier
-    z = (-moving[:, 0] if mirrored else moving[:, 0]) + 1j * moving[:, 1]
-    w = fixed[:, 0] + 1j * fixed[:, 1]
+    z, w = as_complex(moving, mirrored), as_complex(fixed, False)
     inliers = _best_inliers(z, w, n - n // 3)
     for _ in range(n):
         # How far each mark lies off a fit to the inliers, over its own error in units of theirs; their variance.
@@ -115,8 +116,6 @@ def _residuals(z: Complexes, w: Complexes, inliers: NDArray[np.intp]) -> Complex
 QUICK = ("rigid", "similarity", "affine", "projective")
 """Models that are fitted within a click."""
 
-_COVARIANCES = ("cov_xx", "cov_xy", "cov_yy")
-
 
 class FitWarning(Answer):
     """Something to be careful about: of one mark, or of all."""
@@ -163,8 +162,8 @@ class Fitted:
         out = np.flatnonzero(self.outliers)
         if out.size and np.isfinite(self.leave_one_out_um[out]).all():  # else there is no fit, and the error says why
             far = np.argsort(-self.leave_one_out_um[out], kind="stable")
-            names = _enumerated([self.pairs[k].label for k in out[far]])
-            off = _enumerated([f"{self.leave_one_out_um[k]:.0f}" for k in out[far]])
+            names = and_join_few([self.pairs[k].label for k in out[far]])
+            off = and_join_few([f"{self.leave_one_out_um[k]:.0f}" for k in out[far]])
             stand, they_are, them = ("stand", "they are", "them") if out.size > 1 else ("stands", "it is", "it")
             return (
                 f"{names} {stand} out: {off} um off the others. Check where {they_are} set, or take {them} out of use."
@@ -234,7 +233,7 @@ def fitted(
     )  # fmt: skip
     try:
         if model == "auto" and not quick:
-            fit = _fit_as_applied([m for m in rows if m.used], mirrored, params)
+            fit = fit_marks(dataset_of(rows), params=changed(params, model="auto"), mirrored=mirrored)
         else:
             kind = model if not quick or model in QUICK else "similarity"
             fit = _least_squares(moving[used], fixed[used], kind, mirrored, inspect=not quick)
@@ -267,19 +266,6 @@ def _points(marks: Sequence[Mark], plane: Plane) -> Floats:
     return np.array([getattr(mark, plane).xy for mark in marks], dtype=np.float64).reshape(-1, 2)
 
 
-def _fit_as_applied(rows: Sequence[Mark], mirrored: bool | None, params: RegistrationParams) -> FittedTransform:
-    """The fit that a run makes of given marks, with covariances where those of all are known."""
-    holes: list[xr.Dataset] = []
-    for plane, side in zip(PLANES, ("bottom" if mirrored else "top", "top"), strict=True):
-        ends, names = [getattr(mark, plane) for mark in rows], ["x", "y"]
-        if all(getattr(end, name) is not None for end in ends for name in _COVARIANCES):
-            names += _COVARIANCES
-        columns = {name: ("mark", np.array([getattr(e, name) for e in ends], dtype=np.float64)) for name in names}
-        holes.append(xr.Dataset(columns, attrs={"seen_from": side}))
-    pairs = np.stack([np.arange(len(rows))] * 2, axis=1)
-    return register_marks(*holes, params=params.model_copy(update={"model": "auto"}), pairs=pairs).fit
-
-
 def _least_squares(moving: Floats, fixed: Floats, model: str, mirrored: bool | None, **how: Any) -> FittedTransform:
     """Least squares, in which no mark is left out."""
     how = {"robust": False, "lowest": "similarity", "inspect": False} | how
@@ -302,7 +288,7 @@ def _from_few_pairs(moving: Floats, fixed: Floats, mirrored: bool | None) -> tup
 def _at_one_place(rows: Sequence[Mark]) -> list[FitWarning]:
     """Marks in use at the place of another one."""
     warnings: list[FitWarning] = []
-    for plane, where in (("moving", "on the volume side"), ("fixed", "in the image")):
+    for plane, where in WHERE.items():
         first: dict[tuple[float, float], Mark] = {}
         for mark in (m for m in rows if m.used):
             other = first.setdefault(getattr(mark, plane).xy, mark)
@@ -334,8 +320,3 @@ def _refusal(error: PlanishError, rows: Sequence[Mark], used: Bools) -> str:
         label = next(mark.label for mark in rows if mark.id == twice[0].id)
         return f"{label}: {twice[0].text} Move or delete one of them."
     return error.text if used.any() else ""
-
-
-def _enumerated(words: list[str]) -> str:
-    words = words if len(words) < 10 else [*words[:8], f"{len(words) - 8} more"]
-    return " and ".join([", ".join(words[:-1]), words[-1]]) if len(words) > 1 else words[0]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import logging
 import threading
 import time
+from dataclasses import asdict
 from typing import Any
 
 from planish.app.changes import Mark
@@ -96,12 +97,8 @@ class Live:
         marks_fit = self.fit(layer)
         row_of = {mark.id: k for k, mark in enumerate(marks_fit.pairs)}
         fit, transform = marks_fit.fit, None
-        if fit is not None:  # the closest similarity, by which the page lays one picture onto the other
-            t = fit.transform
-            transform = {
-                "scale": t.scale, "rotation_rad": t.rotation_rad, "shift_um": list(t.shift_um),
-                "mirrored": bool(t.mirrored),
-            }  # fmt: skip
+        if fit is not None:  # by which the page lays one picture onto the other
+            transform = asdict(fit.transform.similarity)
         return {
             "version": version, "layer": layer, "model": state.model,
             "marks": [self._row(mark, marks_fit, row_of.get(mark.id)) for mark in state.of(layer)],

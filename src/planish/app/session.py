@@ -35,7 +35,7 @@ from planish.core.typing import Floats
 from planish.io import fingerprint, read_image
 from planish.io.params import ImageParams
 from planish.io.run_folder import read_group
-from planish.marks.exchange import MarkPlaces
+from planish.marks.exchange import MarkPlaces, holes_of, make_marks, model
 from planish.marks.exchange.model import EXTRAS
 from planish.marks.regions import read_regions
 from planish.results import Results
@@ -186,12 +186,7 @@ class Session:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""
         if layer not in self.registrations:
             return self._detected_holes
-        marks, holes = self.registrations[layer].marks, dict[Plane, xr.Dataset]()
-        for plane in PLANES:
-            names = {f"{plane}_{key}": key for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
-            rows = np.flatnonzero(np.isfinite(marks[f"{plane}_x"].values))
-            holes[plane] = marks[[*names]].rename(names).isel(mark=rows)
-        return holes
+        return {plane: holes_of(self.registrations[layer].marks, plane) for plane in PLANES}
 
     @cached_property
     def _detected_holes(self) -> dict[Plane, xr.Dataset]:
@@ -334,14 +329,11 @@ def _image_params(run: Path, image: ImageParams | None, results: Results) -> Ima
 
 def ends_of(marks: xr.Dataset, plane: str) -> list[End | None]:
     """Give the ends of a file's marks in a plane, with all that is known of them."""
-    names = {key: f"{plane}_{key}" for key in ("x", "y", *EXTRAS) if f"{plane}_{key}" in marks}
-    columns = {key: np.asarray(marks[name].values, dtype=np.float64) for key, name in names.items()}
-    sources = marks[f"{plane}_source"].values if f"{plane}_source" in marks else None
-    ends: list[End | None] = []
-    for k in range(marks.sizes["mark"]):
-        fields: dict[str, Any] = {key: float(v[k]) for key, v in columns.items() if np.isfinite(v[k])}
-        source = "imported" if sources is None else str(sources[k])
-        ends.append(End(**fields, source=source) if {"x", "y"} <= fields.keys() else None)  # pyright: ignore
+    places, ends = model.places_of(marks, plane), list[End | None]()
+    for k, (place, source) in enumerate(zip(places.um.tolist(), places.source, strict=True)):
+        fields: dict[str, Any] = dict(zip("xy", place, strict=False)) | {"source": source}
+        fields |= {name: float(v) for name, column in places.extras.items() if np.isfinite(v := column[k])}
+        ends.append(End(**fields) if np.isfinite(place).all() else None)
     return ends
 
 
@@ -357,17 +349,21 @@ def pairs_of(
     )
 
 
-def places_of(ends: Sequence[End | None]) -> MarkPlaces:
-    """Ends as files of marks have them."""
+def dataset_of(marks: Sequence[Mark], **more: Any) -> xr.Dataset:
+    """Give marks of a session as files have them; ``more`` is for `make_marks`."""
 
-    def column(name: str) -> Floats:
-        return np.array([getattr(end, name, None) for end in ends], dtype=np.float64)  # NaN where it is None
+    def column(plane: Plane, name: str) -> Floats:
+        return np.array([getattr(getattr(mark, plane), name, None) for mark in marks], dtype=np.float64)
 
-    return MarkPlaces(
-        um=np.stack([column("x"), column("y")], axis=1),
-        source=["imported" if end is None else end.source for end in ends],
-        extras={name: column(name) for name in EXTRAS},
-    )
+    places = {
+        plane: MarkPlaces(
+            um=np.stack([column(plane, "x"), column(plane, "y")], axis=1),
+            source=[getattr(getattr(mark, plane), "source", "imported") for mark in marks],
+            extras={name: column(plane, name) for name in EXTRAS},
+        )
+        for plane in PLANES
+    }
+    return make_marks([mark.label for mark in marks], places, used=[mark.used for mark in marks], **more)
 
 
 def _ring(points: Any) -> tuple[tuple[float, float], ...]:

@@ -6,15 +6,14 @@ import numpy as np
 import xarray as xr
 
 from planish.app.changes import ChangeError, End, Mark, Move
-from planish.app.picture import PLANES, Plane
-from planish.app.session import Session
+from planish.app.picture import PLANES, WHERE, Plane
+from planish.app.session import Session, ends_of
 from planish.core.grid import Grid
-from planish.marks.exchange.model import EXTRAS
+from planish.marks.exchange import marks_of_holes
 from planish.run import find_holes
 
 REACH = 0.75
 """Share of a hole's diameter within which a mark is taken for one of it."""
-_WHERE = {"moving": "on the volume side", "fixed": "in the image"}
 
 
 def snapped(session: Session, layer: str, mark: Mark) -> Move:
@@ -28,7 +27,7 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
     marked: dict[Plane, End] = {plane: end for plane in PLANES if (end := getattr(mark, plane))}
     ends = {plane: hole for plane, end in marked.items() if (hole := hole_at(session, layer, plane, end.xy))}
     if not ends:
-        where = " or ".join(_WHERE[plane] for plane in marked)
+        where = " or ".join(WHERE[plane] for plane in marked)
         low, high = session.study.holes.hole_um
         raise ChangeError(
             f"No hole of {low:g} to {high:g} um was found around {mark.label} {where}. Move the mark closer to the "
@@ -39,26 +38,25 @@ def snapped(session: Session, layer: str, mark: Mark) -> Move:
 
 def not_snapped(mark: Mark, move: Move) -> str:
     """Name the end that lies in no hole, where the other one does."""
-    missing = [_WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
+    missing = [WHERE[p] for p in PLANES if getattr(mark, p) is not None and getattr(move, p) is None]
     return f"{mark.label} was not snapped {missing[0]}: no hole was found there." if missing else ""
 
 
 def hole_at(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> End | None:
     """The hole around a point, with what is known of it; None where there is none."""
-    return _nearest_hole(session.holes(layer)[plane], point_um) or _nearest_hole(
-        _search_holes(session, layer, plane, point_um), point_um
+    return _nearest_hole(session.holes(layer)[plane], plane, point_um) or _nearest_hole(
+        _search_holes(session, layer, plane, point_um), plane, point_um
     )
 
 
-def _nearest_hole(holes: xr.Dataset | None, point_um: tuple[float, float]) -> End | None:
+def _nearest_hole(holes: xr.Dataset | None, plane: Plane, point_um: tuple[float, float]) -> End | None:
     if holes is None or not holes.sizes["mark"] or "diameter" not in holes:
         return None
     away = np.hypot(holes["x"].values - point_um[0], holes["y"].values - point_um[1])
     k = int(np.nanargmin(away))
     if not away[k] <= REACH * float(holes["diameter"].values[k]):
         return None
-    extras = {name: float(v) for name in EXTRAS if name in holes and np.isfinite(v := holes[name].values[k])}
-    return End(x=float(holes["x"].values[k]), y=float(holes["y"].values[k]), source="detected", **extras)
+    return ends_of(marks_of_holes(holes.isel(mark=[k]), layer=plane), plane)[0]
 
 
 def _search_holes(session: Session, layer: str, plane: Plane, point_um: tuple[float, float]) -> xr.Dataset | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from difflib import get_close_matches
 from unicodedata import category
 
@@ -23,6 +23,11 @@ def and_join(words: Iterable[str]) -> str:
     """Words in a list: ``a, b and c``."""
     *most, last = words
     return f"{', '.join(most)} and {last}" if most else last
+
+
+def and_join_few(words: Sequence[str]) -> str:
+    """Words in a list: ``a, b and c``; the first eight of ten or more."""
+    return and_join([*words[:8], f"{len(words) - 8} more"] if len(words) > 9 else words)
 
 
 def likely(name: str, words: Iterable[str]) -> str:

@@ -33,6 +33,11 @@ class Similarity:
     shift_um: Pair = (0.0, 0.0)
     mirrored: bool = False
 
+    @property
+    def similarity(self) -> Similarity:
+        """The transformation itself."""
+        return self
+
     def matrix(self) -> Floats:
         """Return the 2 x 2 linear part."""
         cos, sin = np.cos(self.rotation_rad), np.sin(self.rotation_rad)

@@ -1,6 +1,6 @@
 from .fit import fit_transform as fit_transform
 from .holes import DesignedHoles as DesignedHoles
-from .holes import HoleRegistration as HoleRegistration
+from .holes import fit_pairs as fit_pairs
 from .holes import need_holes as need_holes
 from .holes import register_marks as register_marks
 from .match import Matched as Matched

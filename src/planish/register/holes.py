@@ -9,7 +9,7 @@ import numpy as np
 
 from planish.core.errors import CannotRegister, MarkError
 from planish.core.facts import Side
-from planish.core.typing import Floats, Ints, Pair
+from planish.core.typing import Floats, Pair
 from planish.register.fit import fit_transform
 from planish.register.match import Matched, match_by_design, match_marks
 from planish.register.params import RegistrationParams
@@ -28,102 +28,98 @@ class DesignedHoles:
     labels: tuple[str, ...]
 
 
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class HoleRegistration:
-    """The transformation between two layers, and the holes that support it.
-
-    Attributes
-    ----------
-    fit : FittedTransform
-        Moving to fixed.
-    pairs : ndarray of int, shape (k, 2)
-        Row of each mark in the holes of the moving and of the fixed layer.
-    labels : tuple of str
-        Of the pairs; empty for given pairs.
-    sentence : str
-        How many holes match; empty for given pairs.
-    second_best : int or None
-        Marks that agree in the second-best match; None for given pairs.
-    design : str or None
-        About the design, where one was used.
-    """
-
-    fit: FittedTransform
-    pairs: Ints
-    labels: tuple[str, ...] = ()
-    sentence: str = ""
-    second_best: int | None = None
-    design: str | None = None
-
-
 def register_marks(
     moving: xr.Dataset,
     fixed: xr.Dataset,
     *,
     params: RegistrationParams,
     pattern: DesignedHoles | None = None,
-    pairs: Ints | None = None,
     hole_um: Pair = (100.0, 300.0),
-) -> HoleRegistration:
+) -> tuple[FittedTransform, Matched]:
     """Match the holes of two layers and fit the transformation from one to the other.
 
     Parameters
     ----------
-    moving, fixed : Dataset (mark)
-        ``x``, ``y`` and, where known, the covariance ``cov_xx``, ``cov_xy``, ``cov_yy`` of the holes' centres, in um.
-        The attributes ``layer`` and ``seen_from`` say what a layer is called in messages and which side of the sheet
-        it shows, the top where it is missing; layers that show opposite sides see each other mirrored.
+    moving, fixed, hole_um
+        As for :func:`planish.register_marks`.
     params : RegistrationParams
-        Tolerances, mirror images and model; ``marks`` and ``design`` are for whoever reads the files.
+        ``marks`` and ``design`` are for whoever reads the files.
     pattern : DesignedHoles, optional
         Identifies the holes by their position in the pattern.
-    pairs : ndarray of int, shape (k, 2), optional
-        Rows of the moving and of the fixed holes that are known to belong together; nothing is matched then.
-    hole_um : (float, float)
-        Diameters that were looked for, for messages.
 
     Returns
     -------
-    HoleRegistration
-        Each pair is weighted by the covariances of its two holes where both are known.
+    FittedTransform, Matched
+        The fit, and the rows of the holes that belong together.
 
     Raises
     ------
     CannotRegister
         If there are too few holes, they do not match, or they fit at a scale that the calibrations exclude.
     MarkError
-        If fewer than 3 pairs are given, they cannot be used, or ``seen_from`` is no side.
+        If the pairs cannot be used, or ``seen_from`` is no side.
     """
     sides = (moving, fixed)
-    a, b = (np.stack([h["x"].values, h["y"].values], axis=1).astype(np.float64) for h in sides)
     names = (str(moving.attrs.get("layer", "moving layer")), str(fixed.attrs.get("layer", "fixed layer")))
     seen_from = [str(h.attrs.get("seen_from", "top")) for h in sides]
     for name, side in zip(names, seen_from, strict=True):
         if side not in get_args(Side):
             raise MarkError(f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'.")
+    for holes, name in zip(sides, names, strict=True):
+        need_holes(holes, hole_um, name=name)
     facing = seen_from[0] != seen_from[1]
-    identity: dict[str, Any] = {}
-    if pairs is None:
-        for holes, name in zip(sides, names, strict=True):
-            need_holes(holes, hole_um, name=name)
-        matched, identity = _match(a * (-1.0, 1.0) if facing else a, b, names, params, pattern)
-        pairs, mirrored = matched.pairs, matched.mirrored != facing
+    a, b = map(_places, sides)
+    options: dict[str, Any] = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
+    places = a * (-1.0, 1.0) if facing else a, b
+    if pattern is None:
+        matched = match_marks(*places, names=names, **options)
     else:
-        mirrored = None if params.mirror else facing
-        if len(pairs) < 3:
-            raise MarkError(
-                f"{len(pairs)} control points given, a similarity needs 3 to state its error. Add more, far apart."
+        matched = match_by_design(
+            *places, pattern.places_um, labels=pattern.labels, name=pattern.name, names=names, **options
+        )
+        if (count := len(matched.pairs)) < 3:
+            raise CannotRegister(
+                f"Only {count} designed holes are found in both the {names[0]} and the {names[1]}; 3 are needed. "
+                "Image a larger common field."
             )
-    marks = a[pairs[:, 0]], b[pairs[:, 1]]
+    pairs = (holes.isel(mark=rows) for holes, rows in zip(sides, matched.pairs.T, strict=True))
+    return fit_pairs(*pairs, params=params, mirrored=matched.mirrored != facing), matched
+
+
+def fit_pairs(
+    moving: xr.Dataset, fixed: xr.Dataset, *, params: RegistrationParams, mirrored: bool | None
+) -> FittedTransform:
+    """Fit the transformation between marks that belong together, row by row.
+
+    Parameters
+    ----------
+    moving, fixed : Dataset (mark)
+        ``x``, ``y`` and, where known, the covariance ``cov_xx``, ``cov_xy``, ``cov_yy`` of the marks' centres, in um:
+        each pair is weighted by those of its two marks where all are known.
+    params : RegistrationParams
+        Model and tolerance of the scale.
+    mirrored : bool or None
+        Whether the layers see each other mirrored; None for whichever fits better.
+
+    Raises
+    ------
+    CannotRegister
+        If the marks fit at a scale that the calibrations exclude.
+    MarkError
+        If fewer than 3 pairs are given, or they cannot be used.
+    """
+    sides, names = (moving, fixed), ("cov_xx", "cov_xy", "cov_yy")
+    a, b = map(_places, sides)
+    if len(a) < 3:
+        raise MarkError(f"{len(a)} control points given, a similarity needs 3 to state its error. Add more, far apart.")
     weights = None
-    if all("cov_xx" in h for h in sides):
-        turn = fit_transform(*marks, mirrored=mirrored, robust=False).transform.matrix()
-        spread = [
-            np.stack([h[f"cov_{k}"].values[rows] for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2)
-            for h, rows in zip(sides, pairs.T, strict=True)
-        ]
-        weights = turn @ spread[0] @ turn.T + spread[1]
-    fit = fit_transform(*marks, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
+    if all(name in h and np.isfinite(h[name].values).all() for h in sides for name in names):
+        turn = fit_transform(a, b, mirrored=mirrored, robust=False).transform.matrix()
+        of_moving, of_fixed = (
+            np.stack([h[f"cov_{k}"].values for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2) for h in sides
+        )
+        weights = turn @ of_moving @ turn.T + of_fixed
+    fit = fit_transform(a, b, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
     scale, most = fit.transform.scale, params.scale_tolerance
     if abs(scale - 1) > most:
         raise CannotRegister(
@@ -131,30 +127,11 @@ def register_marks(
             f"{100 * most:.2g} % are allowed. Check --voxel-um, --pixel-um and the marks; if a calibration is that "
             "uncertain, allow more with --scale-tolerance."
         )
-    return HoleRegistration(fit=fit, pairs=pairs, **identity)
+    return fit
 
 
-def _match(
-    moving: Floats, fixed: Floats, names: tuple[str, str], params: RegistrationParams, pattern: DesignedHoles | None
-) -> tuple[Matched, dict[str, Any]]:
-    """Match holes by the pattern that was burnt, or by their arrangement alone; give the fields of a registration."""
-    options: dict[str, Any] = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
-    design = None
-    if pattern is None:
-        matched = match_marks(moving, fixed, names=names, **options)
-        labels = tuple(f"hole {k + 1}" for k in range(len(matched.pairs)))
-    else:
-        matched = match_by_design(moving, fixed, pattern.places_um, labels=pattern.labels, names=names, **options)
-        labels = matched.labels
-        from_behind = ", viewed from behind or drawn with its y axis upwards" if matched.behind else ""
-        design = f"Holes identified by the pattern {pattern.name} of {len(pattern.labels)} holes{from_behind}."
-        if len(labels) < 3:
-            raise CannotRegister(
-                f"Only {len(labels)} designed holes are found in both the {names[0]} and the {names[1]}; 3 are needed. "
-                "Image a larger common field."
-            )
-    identity = {"labels": labels, "design": design, "sentence": matched.sentence, "second_best": matched.second_best}
-    return matched, identity
+def _places(holes: xr.Dataset) -> Floats:
+    return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64)
 
 
 def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> None:

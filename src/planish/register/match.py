@@ -26,6 +26,7 @@ from planish.register.similarity import SimilarityModel
 _MARGIN = 3.0
 _HINT = "give the pattern that was burnt (--design) or pairs (--marks)"
 _PAIRS_HINT = "give the pairs with --marks"
+_FROM_BEHIND = ", viewed from behind or drawn with its y axis upwards"
 _WRONG_SIDE = (
     "one is probably viewed from the wrong side. Check --image-side, --top and --through; if the slices are numbered "
     "against the usual sense, pass --mirror."
@@ -50,9 +51,9 @@ class Matched:
     sentence : str
         Counts, rotation, scale and residual.
     labels : tuple of str
-        With a design: name of the hole of each row of ``pairs``.
-    behind : bool
-        With a design: whether it had to be turned over to match the fixed side.
+        Of the rows of ``pairs``: names of the holes in the design, or ``hole 1``, ``hole 2`` ...
+    design : str or None
+        The design in a sentence, and whether it had to be turned over to match the fixed side.
     """
 
     pairs: Ints
@@ -60,8 +61,8 @@ class Matched:
     mirrored: bool
     second_best: int
     sentence: str
-    labels: tuple[str, ...] = ()
-    behind: bool = False
+    labels: tuple[str, ...]
+    design: str | None = None
 
 
 def match_marks(
@@ -159,7 +160,7 @@ def match_marks(
         sentence += " Three marks only: all match and their distances differ, but one false mark would not be noticed."
     return Matched(
         pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best,
-        sentence=sentence,
+        sentence=sentence, labels=tuple(f"hole {k + 1}" for k in range(count)),
     )  # fmt: skip
 
 
@@ -182,6 +183,7 @@ def match_by_design(
     design: ArrayLike,
     *,
     labels: Sequence[str] | None = None,
+    name: str = "given",
     scale_tolerance: float = 0.03,
     tolerance_um: float = 25.0,
     mirror: bool = False,
@@ -197,6 +199,8 @@ def match_by_design(
         Designed positions of all holes, of either hand: both sides may show the sheet from behind.
     labels : sequence of str, optional
         Names of the holes; their numbers from 1 otherwise.
+    name : str
+        What the design is called.
     scale_tolerance, tolerance_um, names
         As in :func:`match_marks`.
     mirror : bool
@@ -215,19 +219,22 @@ def match_by_design(
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
-    named = [(moving, f"marks of the {names[0]}"), (fixed, f"marks of the {names[1]}"), (design, "designed holes")]
-    *sides, holes = (_usable_points(marks, name, _PAIRS_HINT) for marks, name in named)
+    sides = [
+        _usable_points(marks, f"marks of the {layer}", _PAIRS_HINT)
+        for marks, layer in zip((moving, fixed), names, strict=True)
+    ]
+    holes = _usable_points(design, "designed holes", _PAIRS_HINT)
     labels = tuple(str(k + 1) for k in range(len(holes))) if labels is None else tuple(labels)
     if len(labels) != len(holes):
         raise MarkError(f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each.")
-    hands = (False, True)
     choices = [
-        {hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,)) for hand in hands} for side in sides
+        {hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,)) for hand in (False, True)}
+        for side in sides
     ]
     (first, second), is_ambiguous = _choose_hands(choices, names, mirror)
     (to_first, sentence), (to_second, second_sentence) = (
-        _fit_on_design(choice, side, holes, scale_tolerance, name)
-        for choice, side, name in zip((first, second), sides, names, strict=True)
+        _fit_on_design(choice, side, holes, scale_tolerance, layer)
+        for choice, side, layer in zip((first, second), sides, names, strict=True)
     )
     sentence += f" {second_sentence}"
     if is_ambiguous:
@@ -235,10 +242,7 @@ def match_by_design(
             f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be identified. Leave the "
             f"design out, or {_PAIRS_HINT}."
         )
-    shared, *rows = np.intersect1d(first.pairs[:, 0], second.pairs[:, 0], assume_unique=True, return_indices=True)
-    pairs = np.stack([first.pairs[rows[0], 1], second.pairs[rows[1], 1]], axis=1)
-    order = np.argsort(pairs[:, 0])
-    pairs = np.ascontiguousarray(pairs[order])
+    pairs, shared = _join_on_design(first, second)
     mirrored = first.mirrored != second.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
     if len(pairs) >= 4:
@@ -249,10 +253,19 @@ def match_by_design(
         transform = _fit_similarity(to_first(holes), to_second(holes), mirrored)[0]
         basis = "through the design, since fewer than 4 are on both sides"
     return Matched(
-        pairs=pairs, labels=tuple(labels[k] for k in shared[order]), transform=transform, mirrored=mirrored,
-        second_best=max(first.second_best, second.second_best), behind=second.mirrored,
+        pairs=pairs, labels=tuple(labels[k] for k in shared), transform=transform, mirrored=mirrored,
+        second_best=max(first.second_best, second.second_best),
+        design=f"Holes identified by the pattern {name} of {len(holes)} holes{_FROM_BEHIND * second.mirrored}.",
         sentence=f"{sentence} {len(pairs)} holes are on both sides ({_described(transform)}, {basis}).",
     )  # fmt: skip
+
+
+def _join_on_design(first: BestMatch, second: BestMatch) -> tuple[Ints, Ints]:
+    """Pair the marks of two sides at the designed holes that both have, sorted by the first; and number these holes."""
+    shared, a, b = np.intersect1d(first.pairs[:, 0], second.pairs[:, 0], assume_unique=True, return_indices=True)
+    pairs = np.stack([first.pairs[a, 1], second.pairs[b, 1]], axis=1)
+    order = np.argsort(pairs[:, 0])
+    return np.ascontiguousarray(pairs[order]), shared[order]
 
 
 def _choose_hands(

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from planish.core.errors import CannotRegister, MarkError
-from planish.core.text import and_join
+from planish.core.text import and_join_few
 from planish.core.transform import Similarity, Transform, nearest_similarity
 from planish.core.typing import Floats
 from planish.register.bent import LocalStrain, strain_of
@@ -118,11 +118,11 @@ class FittedTransform:
         """
         out, used = np.flatnonzero(self.robust_weights == 0), np.count_nonzero(self.weights > 0)
         rms = self.leave_one_out_rms_um
-        number = f"{used} of {used + out.size}" if out.size else f"{used}"
-        sentence = f"{number} marks agree" + (f" to {rms:.2g} um" if np.isfinite(rms) else "")
+        sentence = f"{used} of {used + out.size}" if out.size else f"{used}"
+        sentence += f" marks agree to {rms:.1f} um (leave-one-out, rms)" if np.isfinite(rms) else " marks were used"
         if out.size:
-            names = _and([str(labels[int(k)]) for k in out])
-            distances = _and([f"{distance:.2g}" for distance in np.linalg.norm(self.residuals_um[out], axis=1)])
+            names = and_join_few([str(labels[int(k)]) for k in out])
+            distances = and_join_few([f"{distance:.0f}" for distance in np.hypot(*self.residuals_um[out].T)])
             verb, auxiliary = ("are", "were") if out.size > 1 else ("is", "was")
             sentence += f"; {names} {verb} {distances} um off and {auxiliary} left out"
         return sentence + "."
@@ -262,7 +262,7 @@ class Chain:
         """The closest similarity at the middle of the first link's marks."""
         first = self.fits[0]
         if len(self.fits) == 1:
-            return first.transform if isinstance(first.transform, Similarity) else first.transform.similarity
+            return first.transform.similarity
         middle = first.moving.mean(axis=0)
         return nearest_similarity(self.jacobian(middle), middle, self(middle))
 
@@ -272,18 +272,10 @@ class Chain:
         return sum(fit.mirrored for fit in self.fits) % 2 == 1
 
     def expected_error_um(self, points: ArrayLike) -> Floats:
-        """Expected distance between the composed and the true image of each point.
+        """Expected distance, rms, between the composed and the true image of points ``(..., 2)`` of the first map.
 
-        Parameters
-        ----------
-        points : array-like, shape (..., 2), in um
-            Places in the first map.
-
-        Returns
-        -------
-        ndarray, shape (...), in um of the last map
-            Root mean square error: the errors of the links are independent, and each is carried on by the links after
-            it, with the mean square of their stretch.
+        In um of the last map: the errors of the links are independent, and each is carried on by the links after it,
+        with the mean square of their stretch.
         """
         places = np.asarray(points, dtype=np.float64)
         square = np.zeros(places.shape[:-1])
@@ -292,11 +284,6 @@ class Chain:
             square = square * stretch + fit.expected_error_um(places) ** 2
             places = fit(places)
         return np.sqrt(square)
-
-
-def _and(words: list[str]) -> str:
-    """Words in a list: a, b and c; the first eight of many."""
-    return and_join([*words[:8], f"{len(words) - 8} more"] if len(words) > 9 else words)
 
 
 FORMAT = "planish registration 1"

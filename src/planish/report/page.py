@@ -20,6 +20,7 @@ from planish.core.facts import is_known
 from planish.core.files import write_whole
 from planish.core.numbers import in_words
 from planish.core.tables import table_text
+from planish.marks.exchange.model import points_of
 from planish.report import diagnostics, first, flattening, maps, registration, slices, statement, summary, tables, text
 from planish.report.draw import FULL, HALF, Picture
 from planish.report.relation import MapPair, draw_pair
@@ -189,7 +190,7 @@ def _registration(
     )
     pictures: list[Picture | None] = []
     if marks is not None:
-        blank = registration.blank_ground(registration.points(marks, "fixed"), of=r.to)
+        blank = registration.blank_ground(points_of(marks, "fixed"), of=r.to)
         pictures.append(registration.draw_registration(
             r, ground if r.to == base.name else blank, marks, hole_um=hole_um, source=layer.name,
             width=FULL if two else HALF,

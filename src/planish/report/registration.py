@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from planish.analyze import LagNumbers
 from planish.core.facts import is_known
 from planish.core.numbers import capital, count, in_words, length, plain
+from planish.marks.exchange.model import points_of
 from planish.report import draw
 from planish.report.colours import GEOMETRY, GREYS, Array, Scale, limits
 from planish.report.text import title_of, with_article
@@ -99,11 +100,11 @@ def draw_registration(
     canvas, axes = ground.draw(width)
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
-    fixed = points(marks, "fixed")
+    fixed = points_of(marks, "fixed")
     _draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == draw.FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
     factor = _arrows(
-        canvas, axes, fixed, -points(marks, "residual"), share=0.09, most=0.12, label="{} of residual",
+        canvas, axes, fixed, -points_of(marks, "residual"), share=0.09, most=0.12, label="{} of residual",
         width=3.0 if width == draw.FULL else 2.2,
     )  # fmt: skip
     words = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
@@ -155,7 +156,7 @@ def draw_expected_error(
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
     canvas, axes = draw.draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
-    places = points(marks, "fixed") if marks is not None else np.empty((0, 2))
+    places = points_of(marks, "fixed") if marks is not None else np.empty((0, 2))
     axes.contours(levels, labels=True, avoid=places)
     _draw_marks(axes, places, hole_um=hole_um, size=14 if width == draw.FULL else 11)
     lines = f"Contour lines every {length(step, 1)}. " if levels.size else ""
@@ -213,11 +214,6 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     rows = np.array([(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64).reshape(-1, 4)
     distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
     return rows[distinct, :2], rows[distinct, 2:], rows[~distinct, :2]
-
-
-def points(marks: xr.Dataset, name: str) -> Array:
-    """Return places or differences of marks, ``(n, 2)`` as (x, y) in um."""
-    return np.stack([marks[f"{name}_{axis}"].values.astype(np.float64) for axis in ("x", "y")], axis=1)
 
 
 def _draw_axis(canvas: draw.Canvas, axes: draw.Axes, degrees: float, fixed: Array) -> None:

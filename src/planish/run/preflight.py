@@ -6,12 +6,12 @@ from pathlib import Path
 
 from planish.core.errors import InputError, ResourceError
 from planish.core.memory import enough_gb
+from planish.design import read_pattern
 from planish.io.info import LINK_BYTES, PIXEL_BYTES
 from planish.io.picture import pixels_of
 from planish.marks.regions import read_regions
 from planish.measure import PROPERTIES, check_maps, possible_maps
 from planish.run.compute import Compute
-from planish.run.registration import read_design
 from planish.run.sheet import asked_corrections
 from planish.run.study import Study
 
@@ -63,7 +63,8 @@ def check_request(study: Study, compute: Compute, *, held: bool = False) -> None
                 )
     _check_beside(study)
     _check_light(study)
-    read_design(study.registration)
+    if study.registration.design is not None:
+        read_pattern(study.registration.design)
     if study.correlate.regions is not None:
         read_regions(study.correlate.regions)
     for layer in study.layers:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -15,16 +16,17 @@ from planish.core.facts import HoleTiltFacts
 from planish.core.frame import Frame
 from planish.core.grid import values_at
 from planish.core.options import params_of
-from planish.core.typing import Bools, Floats
-from planish.design import Pattern, read_pattern
+from planish.core.typing import Floats
+from planish.design import read_pattern
 from planish.marks import hole_tilt
-from planish.marks.exchange import LayerPixels, MarkPlaces, make_marks, pair_of_layers, read_any, write_any
-from planish.marks.exchange.model import RESULTS
+from planish.marks.exchange import LayerPixels, holes_of, marks_of_holes, pair_of_layers, read_any, write_any
+from planish.marks.exchange.model import RESULTS, join_holes, paired, points_of, with_holes
 from planish.register import (
     Chain,
     DesignedHoles,
     FittedTransform,
     RegistrationParams,
+    fit_pairs,
     need_holes,
     registration_from_json,
     registration_to_json,
@@ -77,14 +79,7 @@ class Registration:
 
     def agreement(self) -> str:
         """How many marks agree to what, and which were left out, in a sentence."""
-        fit, labels = self.fit, self.marks["label"].values[paired(self.marks)]
-        used = fit.robust_weights > 0
-        loo, text = fit.leave_one_out_rms_um, f"{int(used.sum())} of {used.size}" if not used.all() else f"{used.size}"
-        text += f" marks agree to {loo:.1f} um (leave-one-out, rms)." if np.isfinite(loo) else " marks were used."
-        off = [f"{labels[k]} is {np.hypot(*fit.residuals_um[k]):.0f} um off" for k in np.flatnonzero(~used)]
-        if off:
-            text = f"{text.removesuffix('.')}; {', '.join(off)} and {'was' if len(off) == 1 else 'were'} left out."
-        return text
+        return self.fit.agreement(self.marks["label"].values[paired(self.marks)].tolist())
 
     def pairs(self) -> xr.Dataset:
         """The marks that the fit uses: positions, residuals and weights, a row each."""
@@ -121,7 +116,7 @@ class Registration:
         registration = cls(fit=registration_from_json(saved), marks=marks, source="json")
         mask, fit = paired(marks), registration.fit
         for side, fitted in (("moving", fit.moving), ("fixed", fit.fixed)):
-            if not np.array_equal(_places(marks, side)[mask], fitted):
+            if not np.array_equal(points_of(marks, side)[mask], fitted):
                 raise MarkError(
                     f"The marks in {Path(path).name} were changed after the registration was fitted to them. Register "
                     "them again: planish register, or planish link --marks."
@@ -167,35 +162,15 @@ def register_marks(
         check_dataset(holes, "x", "y", what="holes", maker="pl.find_holes(...)", call=call)
     r = params_of(RegistrationParams, params, "pl.register_marks")
     designed = None
-    if (pattern := read_design(r)) is not None:
+    if r.design is not None:
+        pattern = read_pattern(r.design)
         designed = DesignedHoles(name=pattern.name, places_um=pattern.imaged_um, labels=tuple(pattern.labels))
-    match = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
-    # The pairs first, then the holes of the moving and of the fixed layer alone.
-    names, layers, about = [*match.labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
-    single = [np.setdiff1d(np.arange(h.sizes["mark"]), match.pairs[:, k]) for k, h in enumerate((moving, fixed))]
-    for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
-        rows = [match.pairs[:, k], *(rest if j == k else np.full(rest.size, -1) for j, rest in enumerate(single))]
-        layers[side] = MarkPlaces.of_holes(holes, np.concatenate(rows), holes.attrs.get("source", "detected"))
-        attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
-        about[side] = {key: word for key, word in attrs.items() if word is not None}
-        names += [f"{side} {number + 1}" for number in single[k]]
-    marks = _with_residuals(make_marks(names, layers, about=about), match.fit)
+    fit, match = match_and_fit(moving, fixed, params=r, pattern=designed, hole_um=hole_um)
+    marks = _with_residuals(join_holes(moving, fixed, match.pairs, match.labels), fit)
     return Registration(
-        fit=match.fit, marks=marks, sentence=match.sentence, second_best=match.second_best, design=match.design,
+        fit=fit, marks=marks, sentence=match.sentence, second_best=match.second_best, design=match.design,
         tilt=hole_tilt(moving),
     )  # fmt: skip
-
-
-def _places(marks: xr.Dataset, side: str, axes: str = "xy") -> Floats:
-    """Places (mark, 2 or 3) of all marks in a layer, in um."""
-    return np.stack([marks[f"{side}_{axis}"].values for axis in axes], axis=1)
-
-
-def paired(marks: xr.Dataset) -> Bools:
-    """Marks that are in use and lie in both layers."""
-    moving = "volume" if "volume_x" in marks else "moving"  # places in a volume become places on the map of its sheet
-    places = marks[f"{moving}_x"].values + marks["fixed_x"].values
-    return np.asarray(marks["used"].values, dtype=bool) & np.isfinite(places)
 
 
 def _with_residuals(marks: xr.Dataset, fit: FittedTransform) -> xr.Dataset:
@@ -222,17 +197,23 @@ def register_layers(layer: Layer, to: Layer, holes: LayerHoles, study: Study) ->
     path = layer.params.marks or params.marks
     if path is None:
         return register_marks(holes.of(layer, to), holes.of(to, layer), params=params, hole_um=holes.params.hole_um)
-    marks = read_given(path, layer, to)
-    used = paired(marks)
-    seen_from = {"moving": "bottom" if layer.side != to.side else "top", "fixed": "top"}
-    placed = [_marked(marks, side, used).assign_attrs(seen_from=seen) for side, seen in seen_from.items()]
-    fit = match_and_fit(*placed, params=params, pairs=np.stack([np.flatnonzero(used)] * 2, axis=1)).fit
+    marks = volume_to_map(read_given(path, layer, to), layer.name, layer.groups)
+    fit = fit_marks(marks, params=params, mirrored=None if params.mirror else layer.side != to.side)
     for side, a, b in (("moving", layer, to), ("fixed", to, layer)):
         is_placed = np.isfinite(marks[f"{side}_x"].values)
         if f"{side}_diameter" not in marks or not np.isfinite(marks[f"{side}_diameter"].values[is_placed]).all():
-            marks = _with_diameters(marks, side, holes.of(a, b), float(np.mean(holes.params.hole_um)))
+            places = marks_of_holes(holes.of(a, b)[["x", "y", "diameter"]], layer=side)
+            labels = np.array([f"{side} {k + 1}" for k in range(places.sizes["mark"])], dtype=np.str_)
+            places = places.assign(label=("mark", labels))
+            marks = with_holes(marks, places, side, usual_um=float(np.mean(holes.params.hole_um)))
     source = str(marks.attrs.get("read_from", {}).get("format", "file"))
     return Registration(fit=fit, marks=_with_residuals(marks, fit), source=source)
+
+
+def fit_marks(marks: xr.Dataset, *, params: RegistrationParams, mirrored: bool | None) -> FittedTransform:
+    """Fit the marks that are in use and lie in both layers, as a run fits marks that it is given."""
+    pairs = marks.isel(mark=np.flatnonzero(paired(marks)))
+    return fit_pairs(holes_of(pairs, "moving"), holes_of(pairs, "fixed"), params=params, mirrored=mirrored)
 
 
 def check_marks(layer: Layer | str, to: Layer | str, holes: LayerHoles, path: str | None) -> None:
@@ -241,21 +222,15 @@ def check_marks(layer: Layer | str, to: Layer | str, holes: LayerHoles, path: st
     ``layer`` and ``to`` are names where they are volumes that were not read yet; ``path`` is the file of their marks.
     """
     if path is not None:
-        _read_pairs(path, layer, to)
+        read_given(path, layer, to)
         return
     for image in (layer, to):
         if not isinstance(image, str) and image.kind == "image":
             need_holes(holes.of(image, image), holes.params.hole_um)
 
 
-def read_given(path: str, moving: Layer, fixed: Layer) -> xr.Dataset:
-    """Read marks from a file of any known format and put them into the planes of two layers."""
-    marks = _read_pairs(path, moving, fixed)
-    return volume_to_map(marks, moving) if "volume_x" in marks else marks
-
-
-def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset:
-    """Read three pairs or more."""
+def read_given(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Dataset:
+    """Read marks from a file of any known format: three pairs or more."""
     pixels = [
         LayerPixels()
         if isinstance(layer, str) or layer.image is None
@@ -272,16 +247,18 @@ def _read_pairs(path: str, moving: Layer | str, fixed: Layer | str) -> xr.Datase
     return marks
 
 
-def volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
-    """Marks that were set in the volume, on the flat map of its sheet."""
-    if layer.kind == "image":
+def volume_to_map(marks: xr.Dataset, name: str, groups: Mapping[str, xr.Dataset]) -> xr.Dataset:
+    """Marks on the flat map of a layer, those too that were set in its volume; without ``groups`` it is an image."""
+    if "volume_x" not in marks:
+        return marks
+    if not groups:
         raise MarkError(
-            f"The marks have places in a volume, and {layer.name} is an image. Give marks with places in both images "
+            f"The marks have places in a volume, and {name} is an image. Give marks with places in both images "
             "(moving_x_um, moving_y_um), or the volume."
         )
-    frame = Frame.of(layer.groups["surfaces"])
-    points = _places(marks, "volume", frame.cols + frame.rows)
-    uv = values_at(layer.groups["flat"], ("u", "v"), points)
+    frame = Frame.of(groups["surfaces"])
+    points = points_of(marks, "volume")[:, ["xyz".index(axis) for axis in (frame.cols, frame.rows)]]
+    uv = values_at(groups["flat"], ("u", "v"), points)
     off_sheet = np.isfinite(points).all(axis=1) & ~np.isfinite(uv).all(axis=1)
     if off_sheet.any():
         raise MarkError(
@@ -291,47 +268,3 @@ def volume_to_map(marks: xr.Dataset, layer: Layer) -> xr.Dataset:
     moved = marks.drop_vars("volume_z")
     moved = moved.rename({n: str(n).replace("volume_", "moving_") for n in moved if str(n).startswith("volume_")})
     return moved.assign(moving_x=("mark", uv[:, 0]), moving_y=("mark", uv[:, 1]))
-
-
-def _marked(marks: xr.Dataset, side: str, used: Bools) -> xr.Dataset:
-    """Marks of one layer as holes; with covariances where those of all pairs are known."""
-    spread = [f"cov_{k}" for k in ("xx", "xy", "yy")]
-    if not all(f"{side}_{k}" in marks and np.isfinite(marks[f"{side}_{k}"].values[used]).all() for k in spread):
-        spread = []
-    return xr.Dataset({name: ("mark", marks[f"{side}_{name}"].values) for name in ("x", "y", *spread)})
-
-
-def _with_diameters(marks: xr.Dataset, side: str, holes: xr.Dataset, usual_um: float) -> xr.Dataset:
-    """Give the marks of a layer the diameters of the holes that they lie in, and add the holes without a mark."""
-    places, centres = _places(marks, side), np.stack([holes["x"].values, holes["y"].values], axis=1)
-    size = holes["diameter"].values.astype(np.float64)
-    diameter = np.where(np.isfinite(places[:, 0]), usual_um, np.nan)
-    distance = np.linalg.norm(places[:, None] - centres, axis=2)
-    inside = distance < 0.5 * size
-    if len(centres):
-        nearest = np.argmin(np.where(inside, distance, np.inf), axis=1)
-        diameter = np.where(inside.any(axis=1), size[nearest], diameter)
-    free = ~inside.any(axis=0)
-    marks = marks.assign({f"{side}_diameter": ("mark", diameter, {"units": "um"})})
-    if not free.any():
-        return marks
-    numbers = np.flatnonzero(free)
-    columns = {
-        f"{side}_x": centres[free, 0],
-        f"{side}_y": centres[free, 1],
-        f"{side}_diameter": size[free],
-        "used": np.ones(numbers.size, dtype=bool),
-        "label": np.array([f"{side} {k + 1}" for k in numbers]),
-        f"{side}_source": np.array(["detected"] * numbers.size),
-    }
-    extra = xr.Dataset({name: ("mark", column) for name, column in columns.items()})
-    joined = xr.concat([marks, extra], dim="mark", data_vars="all", join="outer", combine_attrs="override")
-    for name in joined.data_vars:
-        if str(name).endswith("_source"):
-            joined[name] = joined[name].fillna("imported").astype(str)
-    return joined.assign(used=joined["used"].astype(bool), label=joined["label"].astype(str))
-
-
-def read_design(params: RegistrationParams) -> Pattern | None:
-    """Read the pattern that was burnt; None where none is given."""
-    return None if params.design is None else read_pattern(params.design)

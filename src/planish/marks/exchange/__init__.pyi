@@ -1,4 +1,4 @@
-from .convert import marks_text as marks_text
+from .convert import marks_bytes as marks_bytes
 from .convert import read_any as read_any
 from .convert import write_any as write_any
 from .formats import FORMATS as FORMATS

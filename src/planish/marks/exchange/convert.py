@@ -149,15 +149,7 @@ def write_any(
     and ``matlab`` hold the pairs in use.
     """
     place, name = Path(path), to or target_of(path)
-    form = FORMATS[name]
-    check_marks(marks, "The marks")
-    if unit is not None and not form.free_unit:
-        free = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
-        raise SizeError(f"A file for {form.title} has its own unit; only those for {free} are written in --out-unit.")
-    points: dict[str, Floats] = {}
-    if form.unit is not None:
-        marks, points = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
-    parts: dict[str, bytes] = module_of(name).write(marks, points)
+    parts = marks_bytes(marks, name, moving=moving, fixed=fixed, unit=unit, swap=swap)
     files = {
         place.with_name(f"{place.stem}{end}{place.suffix}") if end else place: content for end, content in parts.items()
     }
@@ -169,10 +161,19 @@ def write_any(
     return list(files)
 
 
-def marks_text(marks: xr.Dataset) -> str:
-    """Write marks as planish's own JSON, as :func:`write_any` does; MarkError where they cannot be read back."""
+def marks_bytes(
+    marks: xr.Dataset, to: str, *, moving: LayerPixels = _NOTHING, fixed: LayerPixels = _NOTHING,
+    unit: Unit | None = None, swap: bool = False,
+) -> dict[str, bytes]:  # fmt: skip
+    """Give what `write_any` writes, by what it puts before the suffix of the name."""
+    form, points = FORMATS[to], dict[str, Floats]()
     check_marks(marks, "The marks")
-    return module_of("json").write(marks, {})[""].decode()
+    if unit is not None and not form.free_unit:
+        free = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
+        raise SizeError(f"A file for {form.title} has its own unit; only those for {free} are written in --out-unit.")
+    if form.unit is not None:
+        marks, points = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
+    return module_of(to).write(marks, points)
 
 
 def _recognised(content: Content) -> str:

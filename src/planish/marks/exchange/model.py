@@ -147,6 +147,11 @@ def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
     return np.all([np.isfinite(points_of(marks, layer)).all(axis=1) for layer in layers], axis=0)
 
 
+def paired(marks: xr.Dataset) -> Bools:
+    """Return which marks are in use and lie in both layers."""
+    return used_of(marks) & in_layers(marks, ["volume" if "volume_x" in marks else "moving", "fixed"])
+
+
 def labels_of(marks: xr.Dataset) -> list[str]:
     """Return the names of the marks; their numbers where they have none."""
     labels = marks["label"].values if "label" in marks else np.arange(1, marks.sizes.get("mark", 0) + 1)
@@ -174,6 +179,25 @@ def marks_of_holes(holes: xr.Dataset, *, layer: str, about: Mapping[str, Any] | 
     return make_marks(names, {layer: MarkPlaces.of_holes(holes, rows)}, about={layer: about or {}})
 
 
+def join_holes(
+    moving: xr.Dataset, fixed: xr.Dataset, pairs: Ints | None = None, labels: Sequence[str] = ()
+) -> xr.Dataset:
+    """Make marks of the holes of two layers: the pairs, with labels, then the holes of either layer alone.
+
+    ``pairs`` (k, 2) are rows of the moving and of the fixed holes.
+    """
+    rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
+    single = [np.setdiff1d(np.arange(h.sizes["mark"]), rows[:, k]) for k, h in enumerate((moving, fixed))]
+    names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
+    for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
+        numbers = [rows[:, k], *(rest if j == k else np.full(rest.size, -1) for j, rest in enumerate(single))]
+        layers[side] = MarkPlaces.of_holes(holes, np.concatenate(numbers), holes.attrs.get("source", "detected"))
+        attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
+        about[side] = {key: word for key, word in attrs.items() if word is not None}
+        names += [f"{side} {number + 1}" for number in single[k]]
+    return make_marks(names, layers, about=about)
+
+
 def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
     """Return the holes of one layer: ``x``, ``y`` (um), ``label`` and what else is known of the marks in it.
 
@@ -186,6 +210,38 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
     names: dict[Hashable, str] = {f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS)}
     names = {name: short for name, short in names.items() if name in marks}
     return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layers(marks, [layer])))
+
+
+def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: float) -> xr.Dataset:
+    """Give marks the diameters of the holes that they lie in, and add the holes in which none of them lies.
+
+    Parameters
+    ----------
+    marks : Dataset, dims (mark)
+        A diameter that is known stays.
+    holes : Dataset, dims (mark)
+        Marks of the layer, with diameters.
+    layer : str
+    usual_um : float
+        Diameter of a mark that lies in no hole.
+    """
+    holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
+    name, count = f"{layer}_diameter", holes.sizes["mark"]
+    mark_um, hole_um = (m[name].values if name in m else np.full(m.sizes["mark"], np.nan) for m in (marks, holes))
+    points = points_of(marks, layer)
+    distance = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
+    distance[~(distance < 0.5 * hole_um)] = np.inf
+    # The nearest hole; the number after the last one where a mark lies in none.
+    number = np.argmin(np.pad(distance, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1)
+    um = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, usual_um)[number])
+    um = np.where(np.isfinite(points[:, 0]), um, np.nan)
+    columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
+    free = holes[columns].isel(mark=np.setdiff1d(np.arange(count), number))
+    parts = marks.assign({name: ("mark", um, {"units": "um"})}), free.assign(used=("mark", np.ones(free.sizes["mark"])))
+    joined = xr.concat(parts, dim="mark", data_vars="all", join="outer", combine_attrs="override")
+    typed: dict[Hashable, Any] = {"used": joined["used"].astype(bool), "label": joined["label"].astype(str)}
+    sources = [column for column in joined if str(column).endswith("_source")]
+    return joined.assign(typed | {column: joined[column].fillna("imported").astype(str) for column in sources})
 
 
 def used_pairs(
@@ -222,11 +278,10 @@ def used_pairs(
             f"{name} holds {marks.sizes['mark']} marks, of which {count} are used and lie in both {first} and "
             f"{second}. At least {least} are needed, far apart: add marks, or use those that are switched off."
         )
-    um = points_of(pairs, first)
-    side = "volume" if um.shape[1] == 3 else "moving"
-    places = {side: MarkPlaces(um=um), "fixed": MarkPlaces(um=points_of(pairs, second)[:, :2])}
-    pairs = make_marks(labels_of(pairs), places)
-    return pairs.drop_vars(["used", f"{side}_source", "fixed_source"]).drop_attrs(deep=False)
+    side = "volume" if f"{first}_z" in marks else "moving"
+    names = [(first, side, axis) for axis in "xyz"] + [(second, "fixed", axis) for axis in "xy"]
+    places = {f"{new}_{axis}": pairs[f"{layer}_{axis}"] for layer, new, axis in names if f"{layer}_{axis}" in pairs}
+    return xr.Dataset({"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))} | places)
 
 
 def pair_of_layers(
