@@ -9,7 +9,7 @@ import json
 from pathlib import Path
 from typing import Any, ClassVar, Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from planish.analyze.compare import ComparisonRow, CorrelationRow
 from planish.analyze.diagnostics import EvidenceFacts
@@ -21,6 +21,7 @@ from planish.core.checks import Check, State
 from planish.core.errors import FileError
 from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust
 from planish.core.sources import is_this_code
+from planish.core.tables import naming_faults
 from planish.flatten import FlatteningQuality
 
 FORMAT = 3
@@ -312,14 +313,9 @@ class Results(ResultModel):
             )
         if isinstance(data, dict) and data.get("format") == 2:  # type: ignore[reportUnknownMemberType]
             data = _from_format_2(data)
-        try:
+        remedy = "Give a whole run folder, or repeat the run."
+        with naming_faults(f"{path} is no results file of planish", remedy, error=FileError):
             return cls.model_validate(data)
-        except ValidationError as error:
-            first = error.errors()[0]
-            raise FileError(
-                f"{path} is no results file of planish: {'.'.join(map(str, first['loc']))}: {first['msg']}. "
-                "Give a whole run folder, or repeat the run."
-            ) from error
 
 
 _LEFT_OUT_OF_2 = ("saturated_share", "null_95", "null_99", "split_um", "lags_of_bands_um")  # by later formats

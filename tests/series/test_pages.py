@@ -99,7 +99,7 @@ def test_the_same_runs_give_the_same_bytes_also_when_moved(written, tmp_path):
     shutil.copytree(home, moved)
     before = bytes_of(moved / "out")
     slow = [m.model_copy(update={"seconds": 12.5}) for m in members]
-    write_series(slow, moved, {"margin": {"coating_top": 1.0}}, moved / "out")  # over the older ones
+    write_series(slow, moved, Declared(margin={"coating_top": 1.0}), moved / "out")  # over the older ones
     assert bytes_of(moved / "out") == before == bytes_of(out)
     assert sorted(p.name for p in out.iterdir() if p.suffix != ".parquet") == FILES
 

@@ -8,7 +8,7 @@ from scipy import stats
 
 from planish.core.errors import InputError
 from planish.core.series_results import Member
-from planish.series import Declared, declared_of, gather, summary_of
+from planish.series import Declared, gather, summary_of
 from series.runs import results_of, series, two_volumes
 
 
@@ -192,10 +192,8 @@ def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
     ):  # fmt: skip
         with pytest.raises(InputError, match=words):
             summary_of(found, Declared(**wrong))
-    with pytest.raises(InputError, match="margin"):
-        declared_of({"margin": {"coating_top": 0}})
-    with pytest.raises(InputError, match=r"compare\.by"):
-        declared_of({"by": "paper"})
+    with pytest.raises(ValueError, match="margin"):
+        Declared(margin={"coating_top": 0})
 
 
 def test_more_than_eight_levels_are_not_compared_two_by_two(tmp_path):

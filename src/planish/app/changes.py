@@ -6,9 +6,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
 
 from planish.core.errors import InputError
+from planish.core.tables import naming_faults
 from planish.core.text import printable
 from planish.marks.exchange.lists import MOST_MARKS
 from planish.marks.regions.model import LONGEST_TEXT
@@ -203,16 +204,8 @@ def change_of(data: bytes | str) -> Change:
     ChangeError
         If it is none; the message names every fault.
     """
-    try:
+    with naming_faults("This is no change", error=ChangeError):
         return _CHANGE.validate_json(data)
-    except ValidationError as error:
-        raise ChangeError(f"This is no change: {faults_of(error)}.") from error
-
-
-def faults_of(error: ValidationError) -> str:
-    """Name the faults of data from outside, without the data themselves."""
-    faults = error.errors(include_url=False, include_input=False, include_context=False)
-    return "; ".join(f"{'.'.join(map(str, e['loc'])) or 'content'}: {e['msg']}" for e in faults[:8])
 
 
 def numbered(change: Change, line: int) -> Change:

@@ -10,19 +10,20 @@ from typing import Any
 import anyio
 import numpy as np
 from anyio.to_thread import run_sync
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
 
 from planish.app.applying import Applying, Busy, Progress
-from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer, faults_of
+from planish.app.changes import FARTHEST_UM, Change, ChangeError, Id, Layer
 from planish.app.exchange import MarkFile, exported, imported
 from planish.app.live import Live
 from planish.app.picture import PLANES
 from planish.app.session import Stale
 from planish.app.snap import not_snapped, snapped
 from planish.app.view_routes import required_numbers, session_of
+from planish.core.tables import naming_faults
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
 from planish.marks.find import USUAL_UM
@@ -115,10 +116,8 @@ def _changing(model: type[_Body], action: Callable[[Request, Any], object]) -> C
     """Handle what changes the session: the answer is the state after it, also where it came too late."""
 
     async def handle(request: Request) -> Response:
-        try:
+        with naming_faults("This cannot be read", error=ChangeError):
             body = model.model_validate_json(await request.body() or b"{}")
-        except ValidationError as error:
-            raise ChangeError(f"This cannot be read: {faults_of(error)}.") from error
 
         def act() -> Response:
             try:

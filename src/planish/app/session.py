@@ -179,8 +179,7 @@ class Session:
         """The image of a link that was refused, as the link reads it; None for a run."""
         if self.image_params is None:
             return None
-        wanted = self.image_params.model_dump(include={"pixel_um", "channel", "override_size", "unusual_size"})
-        return read_image(self.image_params.path, **wanted)
+        return read_image(self.image_params.path, **self.image_params.how)
 
     def holes(self, layer: str) -> dict[Plane, xr.Dataset]:
         """All holes that were found in both planes, matched or not: ``x``, ``y``, ``diameter`` in um, covariances."""

@@ -21,7 +21,7 @@ from planish.core.typing import Floats
 from planish.io import find_place, read_volume
 from planish.io.info import LOOK_BYTES
 from planish.io.map_store import stored_group
-from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
+from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder
 from planish.measure.rays import directions, meet, slopes_of
 from planish.run.run import MAPS
@@ -122,7 +122,7 @@ class SlicedSheet:
                 f"{path.name} holds serial sections, which are no volume until they are joined. To see slices, import "
                 f"them (planish import {path.name} --through {params.through} --out {path.name}.zarr) and map that."
             )
-        volume = read_volume(params.path, **params.model_dump(include=HOW_VOLUMES_ARE_READ), memory_bytes=LOOK_BYTES)
+        volume = read_volume(params.path, **params.how, memory_bytes=LOOK_BYTES)
         codes = None
         if volume.dtype not in _EXACT:
             plane = volume[volume.shape[0] // 2].values

@@ -9,8 +9,7 @@ from typing import Any
 import click
 
 from planish.cli.console import print_json, sentence, warn
-from planish.cli.options import PATH, build_params, existing, given_options, json_option, options, out_option, verb
-from planish.core.errors import StudyError
+from planish.cli.options import PATH, build_params, existing, json_option, options, out_option, verb, wrong_usage
 from planish.exports import FORMATS, ExportParams
 from planish.io.params import ImageParams
 from planish.run.compute import Compute
@@ -25,8 +24,8 @@ from planish.run.compute import Compute
 )
 @existing("run")
 @out_option("Folder to make, or a file where it ends as those of the format do; it must not exist.")
-@options(ExportParams, "export", "What is exported")
-@options(Compute, "compute", "Resources", only=("memory_bytes", "threads"))
+@options(ExportParams, "What is exported")
+@options(Compute, "Resources", only=("memory_bytes", "threads"))
 @json_option
 def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     """Write maps, surfaces or the registration of a RUN for other programs.
@@ -38,18 +37,13 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     from planish.cli.show import stages
     from planish.exports import export as export_run
 
-    chosen = given_options(values, "export")
-    to = build_params(ExportParams, values, "export").to
-    compute = build_params(Compute, values, "compute")
-    with stages(20) as progress:
-        try:
-            files = export_run(run, out, compute=compute, progress=progress, **chosen)
-        except StudyError as error:
-            raise click.UsageError(error.text) from error
+    params, compute = build_params(ExportParams, values), build_params(Compute, values)
+    with stages(20) as progress, wrong_usage():
+        files = export_run(run, out, compute=compute, progress=progress, **params.model_dump(exclude_unset=True))
     if as_json:
-        print_json({"out": str(out), "format": to, "files": [str(path) for path in files]})
+        print_json({"out": str(out), "format": params.to, "files": [str(path) for path in files]})
         return
-    form = FORMATS[to]
+    form = FORMATS[params.to]
     count = "1 file" if len(files) == 1 else f"{len(files)} files"
     missing = "" if form.missing == "–" else f"; missing values: {form.missing.replace('`', '')}"
     click.echo(f"{out}: {form.title}, {count}{missing}")
@@ -60,7 +54,7 @@ def export(run: Path, out: Path, as_json: bool, **values: Any) -> None:
 @verb("planish explore run --out sheet.html")
 @existing("run")
 @out_option("HTML file to write; it must not exist.")
-@options(Compute, "compute", "Resources", only=("memory_bytes", "threads"))
+@options(Compute, "Resources", only=("memory_bytes", "threads"))
 @json_option
 def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     """Write a RUN as one HTML file to look around in, for readers without planish.
@@ -72,7 +66,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     from planish.cli.show import stages
 
     with stages(6) as progress:
-        page = write(run, out, compute=build_params(Compute, values, "compute"), progress=progress)
+        page = write(run, out, compute=build_params(Compute, values), progress=progress)
     if as_json:
         facts = {"out": str(out), "bytes": page.bytes, "maps": page.maps, "slices": page.slices}
         print_json(facts | {"notes": list(page.notes)})
@@ -97,7 +91,7 @@ def explore(run: Path, out: Path, as_json: bool, **values: Any) -> None:
     help="Address to serve on; others than this machine need --expose.",
 )
 @click.option("--expose", is_flag=True, help="Serve to other machines, over a connection that is not encrypted.")
-@options(ImageParams, "image", "Image", only=("pixel_um", "channel", "side"))
+@options(ImageParams, "Image", only=("pixel_um", "channel", "side"))
 @json_option
 def view(
     run: Path, image: Path | None, port: int, no_browser: bool, read_only: bool, host: str, expose: bool, as_json: bool,
@@ -117,7 +111,7 @@ def view(
             f"--host {host} lets other machines on the network see and change this run, over a connection that is not "
             "encrypted. Give --expose as well if you mean it; for one other machine, an ssh tunnel is safer."
         )
-    shown = None if image is None else build_params(ImageParams, values, "image", path=str(image))
+    shown = None if image is None else build_params(ImageParams, values, path=str(image))
     session = Session.open(run, shown, read_only=read_only)
 
     def started(url: str) -> None:

@@ -67,11 +67,11 @@ def info(path: Path, picture: Path | None, as_json: bool) -> None:
 @existing("volume")
 @out_option("Store to make, such as sheet.zarr; it must not exist.")
 @options(
-    VolumeParams, "volume", "Volume",
+    VolumeParams, "Volume",
     only=("voxel_um", "override_size", "unusual_size", "through", "channel", "fixed_rows", "fixed_cols"),
 )  # fmt: skip
-@options(CorrectParams, "correct", "Corrections")
-@options(Compute, "compute", "Resources", only=("memory_bytes", "scheduler"))
+@options(CorrectParams, "Corrections")
+@options(Compute, "Resources", only=("memory_bytes", "scheduler"))
 @click.option("--ome", type=click.Choice(["0.5", "0.4"]), default="0.5", show_default=True, help="Version of OME-Zarr.")
 def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) -> None:
     """Bring VOLUME into a working store: chunked, in several resolutions, with checksums.
@@ -86,9 +86,9 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     from planish.run import read_whole
 
     refuse_existing(out)
-    compute = build_params(Compute, values, "compute")
-    params = build_params(VolumeParams, values, "volume", path=str(volume.absolute()))
-    correct = build_params(CorrectParams, values, "correct")
+    compute = build_params(Compute, values)
+    params = build_params(VolumeParams, values, path=str(volume.absolute()))
+    correct = build_params(CorrectParams, values)
     if correct != CorrectParams() and not correct.asked:
         raise click.UsageError("--rotation-axis and -centre-um belong to --correct-rings and --correct-cupping.")
     record, picture = (out.with_name(f"{out.stem}.corrections.{kind}") for kind in ("json", "png"))

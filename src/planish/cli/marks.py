@@ -33,12 +33,12 @@ def marks() -> None:
 
 
 @marks.command(cls=Verb)
-@options(DesignParams, "design", "Pattern")
+@options(DesignParams, "Pattern")
 @click.option(
     "--holes-per-cm2", type=_POSITIVE, cls=Option, group="Pattern", help="Number of holes per area of the field."
 )
-@options(StageParams, "stage", "Stage program")
-@options(ImagingParams, "imaging", "Predicted error")
+@options(StageParams, "Stage program")
+@options(ImagingParams, "Predicted error")
 @out_option("Folder to make; it must not exist.")
 @json_option
 def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any) -> None:
@@ -52,12 +52,12 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
     from planish.io.run_folder import new_folder, refuse_existing
 
     if holes_per_cm2 is not None:
-        if values["design__holes"] is not None:
+        if values["holes"] is not None:
             raise click.UsageError("Give --holes or --holes-per-cm2, not both.")
-        width, height = values["design__field_um"]
-        values["design__holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
-    params, stage = build_params(DesignParams, values, "design"), build_params(StageParams, values, "stage")
-    imaging = build_params(ImagingParams, values, "imaging")
+        width, height = values["field_um"]
+        values["holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
+    params, stage = build_params(DesignParams, values), build_params(StageParams, values)
+    imaging = build_params(ImagingParams, values)
     refuse_existing(out)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
@@ -106,7 +106,7 @@ def check(pattern: Path, field_um: tuple[float, float] | None, diameter_um: floa
 
 @marks.command()
 @existing("program")
-@options(StageParams, "stage", "Options", only=("range_um",))
+@options(StageParams, "Options", only=("range_um",))
 @click.option("--pulse-most-s", type=_POSITIVE, default=0.05, show_default=True, help="Longest pulse allowed.")
 @click.option("--pattern", type=PATH, help="Compare the shots with this pattern.json or table.")
 @out_option("Picture of the path to make: .png, .svg or .pdf.", required=False)
@@ -123,7 +123,7 @@ def simulate(
     from planish.design.draw import path_picture
     from planish.io.run_folder import refuse_existing
 
-    stage = build_params(StageParams, values, "stage")
+    stage = build_params(StageParams, values)
     if out is not None:
         if out.suffix.lower() not in (".png", ".svg", ".pdf"):
             raise click.UsageError(f"--out: {out.name} is no .png, .svg or .pdf.")

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
 from functools import reduce
 from pathlib import Path
 from typing import Annotated, Any, Literal, TypeVar, get_args, get_origin
@@ -13,7 +14,18 @@ from pydantic import TypeAdapter, ValidationError
 from pydantic.fields import FieldInfo
 from pydantic_core import PydanticUndefined
 
-from planish.core.options import Params, Shown, kinds_of, options_of, unit_of
+from planish.core.errors import StudyError
+from planish.core.options import (
+    Params,
+    Shown,
+    flag_of,
+    kinds_of,
+    options_of,
+    params_of,
+    put_options,
+    unit_of,
+    words_in,
+)
 
 Command = Callable[..., Any]
 P = TypeVar("P", bound=Params)
@@ -102,20 +114,17 @@ class Value(click.ParamType[Any]):
             self.fail(f"{value!r} is not {self.metavar}: {reasons}.", param, ctx)
 
 
-def options(
-    model: type[Params], section: str, group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()
-) -> Command:
-    """Give a command all options of a model, or some; :func:`given_options` collects their values.
+def options(model: type[Params], group: str, *, only: Sequence[str] = (), without: Sequence[str] = ()) -> Command:
+    """Give a command all options of a model, or some; :func:`build_params` makes the model of their values.
 
-    ``section`` keeps fields of the same name in two models apart; ``group`` is the heading in the help; ``only`` and
-    ``without`` are names of fields.
+    ``group`` is the heading in the help; ``only`` and ``without`` are names of fields.
     """
     decorators: list[Command] = []
     for name, field, shown in options_of(model):
         if name not in without and (not only or name in only):
-            decorators.append(_option(f"{section}__{name}", field, shown, group))
+            decorators.append(_option(name, field, shown, group))
             if _is_model(inner := kinds_of(field.annotation)[0]):
-                decorators.append(options(inner, f"{section}__{name}", group))
+                decorators.append(options(inner, group))
     return stack(*decorators)
 
 
@@ -132,7 +141,7 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
     kinds = kinds_of(field.annotation)
     how: dict[str, Any] = {"help": field.description, "cls": Option, "group": group, "required": field.is_required()}
     if kinds == [bool] or _is_model(kinds[0]):
-        return click.option(*shown.flags, name, is_flag=True, default=None, **how)
+        return click.option(*shown.flags, is_flag=True, default=None, **how)
     default = field.get_default()
     if default not in (None, (), ...) and default is not PydanticUndefined:
         values: tuple[Any, ...] = default if isinstance(default, tuple) else (default,)
@@ -140,40 +149,40 @@ def _option(name: str, field: FieldInfo, shown: Shown, group: str) -> Command:
         how["help"] += f"  [default: {','.join(texts)}]"
     if kinds == [tuple[str, ...]]:
         how["callback"] = _or_none
-        return click.option(*shown.flags, name, multiple=True, metavar=shown.metavar, **how)
+        return click.option(*shown.flags, multiple=True, metavar=shown.metavar, **how)
     if len(kinds) == 1 and get_origin(kinds[0]) is Literal:
-        return click.option(*shown.flags, name, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
+        return click.option(*shown.flags, type=click.Choice([str(v) for v in get_args(kinds[0])]), **how)
     unit = (unit_of(name) or "").upper() or None if kinds == [float] else None
     kind = Annotated[field.annotation, *field.metadata] if field.metadata else field.annotation  # pyright: ignore
-    return click.option(*shown.flags, name, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
+    return click.option(*shown.flags, type=Value(kind, shown.metavar or unit, repeat=shown.repeat), **how)
 
 
-def given_options(values: dict[str, Any], section: str) -> dict[str, Any]:
-    """Collect the options that the command line gives for a section, as its model takes them."""
-    prefix = f"{section}__"
-    options = {key.removeprefix(prefix): value for key, value in values.items() if key.startswith(prefix)}
-    is_set = {key: value is not None and value is not False for key, value in options.items()}  # 0 is a value
-    fields = {key: value for key, value in options.items() if is_set[key] and "__" not in key}
-    for key in options:
-        name, nested, inner = key.partition("__")
-        if nested and name in fields:
-            fields[name] = given_options(options, name)
-        elif nested and is_set[key]:
-            raise click.UsageError(f"--{inner.replace('_', '-')} is an option of --{name}: give --{name} as well.")
-    return fields
+def given_options(values: Mapping[str, Any], places: Mapping[str, tuple[str, ...]]) -> dict[str, Any]:
+    """Collect the options that the command line gives, of those with a place, in the tables where they stand."""
+    words = {word: value for word in places if (value := values.get(word)) is not None and value is not False}
+    for word in words:
+        switch = next((outer for outer, place in places.items() if place == places[word][:-1]), word)
+        if switch not in words:
+            option, needed = flag_of(word), flag_of(switch)
+            raise click.UsageError(f"{option} is an option of {needed}: give {needed} as well.")
+    tables: dict[str, Any] = {}
+    put_options(tables, places, words)
+    return tables
 
 
-def build_params(model: type[P], values: dict[str, Any], section: str, **more: Any) -> P:
-    """Build the model of a section from the command line and ``more``; a fault is wrong usage."""
-    flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
+def build_params(model: type[P], values: Mapping[str, Any], **more: Any) -> P:
+    """Build a model of ``more`` and what the command line gives; a fault is wrong usage."""
+    with wrong_usage():
+        return params_of(model, more | given_options(values, words_in(model)))
+
+
+@contextmanager
+def wrong_usage(start: str = "") -> Generator[None]:
+    """Take options that mean nothing for wrong usage of the command; ``start`` begins the message."""
     try:
-        return model.model_validate(given_options(values, section) | more)
-    except ValidationError as error:
-        faults: list[str] = []
-        for fault in error.errors():
-            flag = "".join(f"{flags.get(str(place), place)}: " for place in fault["loc"][:1])
-            faults.append(flag + fault["msg"].removeprefix("Value error, "))
-        raise click.UsageError("; ".join(faults)) from error
+        yield
+    except StudyError as error:
+        raise click.UsageError(f"{start}{error.text}") from error
 
 
 def stack(*parts: Command) -> Command:

@@ -24,9 +24,10 @@ from planish.cli.options import (
     stack,
     strict_option,
     verb,
+    wrong_usage,
 )
 from planish.cli.show import finish, run_facts, stages
-from planish.core.errors import PlanishError, StudyError
+from planish.core.errors import PlanishError
 from planish.core.files import free_path
 from planish.core.sources import is_this_code
 from planish.flatten.params import FlattenParams
@@ -40,14 +41,14 @@ from planish.surface.params import SurfaceParams
 
 OUT = "Folder to make for the results; it must not exist."
 
-volume_options = options(VolumeParams, "volume", "Volume")
-image_options = options(ImageParams, "image", "Image")
-surface_options = options(SurfaceParams, "surface", "Surface search")
-property_options = options(MeasureParams, "properties", "Properties")
-hole_options = options(HoleParams, "holes", "Marks and registration")
-compute_options = options(Compute, "compute", "Resources")
+volume_options = options(VolumeParams, "Volume")
+image_options = options(ImageParams, "Image")
+surface_options = options(SurfaceParams, "Surface search")
+property_options = options(MeasureParams, "Properties")
+hole_options = options(HoleParams, "Marks and registration")
+compute_options = options(Compute, "Resources")
 _run_options = stack(
-    volume_options, surface_options, property_options, options(FlattenParams, "flatten", "Flattening"),
+    volume_options, surface_options, property_options, options(FlattenParams, "Flattening"),
     compute_options, figures_option, strict_option, json_option,
 )  # fmt: skip
 _folder_option = out_option("Folder to make; a new one where not given.", required=False)
@@ -59,26 +60,21 @@ def _set_option(text: str) -> Command:
 
 def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
-    from planish.run.build import study_of
+    from planish.run.build import study_of, words_of
 
-    names = "volume", "image", "surface", "properties", "flatten", "holes", "registration", "correlate"
-    sections = {name: fields for name in names if (fields := given_options(values, name))}
+    sections = given_options(values, words_of())
     for section, name in (("registration", "marks"), ("registration", "design"), ("correlate", "regions")):
         if path := sections.get(section, {}).get(name):
             sections[section][name] = str(Path(path).absolute())
-    try:
+    with wrong_usage():
         return study_of(layers, sections, chain=chain)
-    except StudyError as error:
-        raise click.UsageError(error.text) from error
 
 
 def _changed(study: Study, changes: tuple[str, ...]) -> Study:
     from planish.run.study import with_values
 
-    try:
+    with wrong_usage("--set: "):
         return with_values(study, changes) if changes else study
-    except StudyError as error:
-        raise click.UsageError(f"--set: {error.text}") from error
 
 
 def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, old: Path | None = None) -> int:
@@ -86,7 +82,7 @@ def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, old: Path 
     from planish.run import run_study
 
     with stages(8 + 3 * len(study.layers)) as progress:
-        compute, figures = build_params(Compute, values, "compute"), values.get("figures", False)
+        compute, figures = build_params(Compute, values), values.get("figures", False)
         run = run_study(study, out, progress=progress, compute=compute, old=old, figures=figures)
     return finish(run, out, as_json=values["as_json"], strict=values["strict"])
 
@@ -99,8 +95,8 @@ def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, old: Path 
 @out_option(OUT)
 @image_options
 @hole_options
-@options(RegistrationParams, "registration", "Marks and registration")
-@options(CorrelateParams, "correlate", "Correlation")
+@options(RegistrationParams, "Marks and registration")
+@options(CorrelateParams, "Correlation")
 @click.option(
     "--chain", is_flag=True, cls=Option, group="Marks and registration",
     help="Register each layer to the next one, and carry it on from there.",

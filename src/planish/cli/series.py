@@ -39,7 +39,7 @@ _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused",
     "--jobs", type=click.IntRange(1, 64), default=1, show_default=True, metavar="N", cls=Option, group="Resources",
     help="Specimens that are worked on at a time; memory and threads are shared out among them.",
 )  # fmt: skip
-@options(Compute, "compute", "Resources")
+@options(Compute, "Resources")
 @click.option("--dry-run", is_flag=True, help="Say what would be done, how long it takes and how much it needs; end.")
 @click.option(
     "--watch", type=click.Path(path_type=Path, file_okay=False, exists=True), metavar="FOLDER",
@@ -76,7 +76,7 @@ def study(
 
     plan = read_plan(specimens, changes)
     check_maps_known(plan.declared)
-    compute = build_params(Compute, values, "compute")
+    compute = build_params(Compute, values)
     if dry_run:
         return _dry_run(SeriesState(out, plan), plan.specimens, compute, jobs)
     members: dict[str, Member] = {}
@@ -191,7 +191,7 @@ def _margin(_context: click.Context, _parameter: click.Parameter, assignments: t
     "--table", "file", type=PATH, metavar="CSV",
     help="Factors of the runs: a column run (or name) and paper, sheet, field, treatment, side or any other.",
 )  # fmt: skip
-@options(Declared, "declared", "What is compared")
+@options(Declared, "What is compared")
 @click.option(
     "--margin", multiple=True, callback=_margin, metavar="MAP=UM",
     help="Largest difference that does not matter: of MAP's mean, or MAP.sd, MAP.thin_share, r; repeatable.",
@@ -213,7 +213,7 @@ def compare(
     from planish.series.pages import write_series
     from planish.series.summary import summary_of
 
-    declared = build_params(Declared, values, "declared", margin=margin)
+    declared = build_params(Declared, values, margin=margin)
     if declared.compare is not None and file is None:
         raise click.UsageError("--by compares the levels of a factor, which come from a table: give --table as well.")
     if file is None and len(runs) < 2:

@@ -18,7 +18,6 @@ from planish.cli.options import (
     build_params,
     existing,
     figures_option,
-    given_options,
     json_option,
     options,
     out_option,
@@ -32,7 +31,6 @@ from planish.cli.runs import (
     surface_options,
     volume_options,
 )
-from planish.core.facts import Side
 from planish.flatten.params import FlattenParams
 from planish.io.params import ImageParams, VolumeParams
 from planish.marks.params import HoleParams
@@ -77,22 +75,21 @@ def _read(path: Path, group: str, needed: str) -> xr.Dataset:
     return groups[group]
 
 
-def _volume(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, VolumeParams, Compute]:
-    """A volume of any kind, how it lies, and what may be used."""
+def _volume(path: Path, values: dict[str, Any], **noted: Any) -> tuple[xr.DataArray, VolumeParams, Compute]:
+    """A volume of any kind, how it lies, and what may be used; ``noted`` is what a store says of it."""
     from planish.run.volume import read_sheet_volume
 
-    params = build_params(VolumeParams, values, "volume", path=str(path.absolute()))
-    compute = build_params(Compute, values, "compute")
+    params = build_params(VolumeParams, values, **noted | {"path": str(path.absolute())})
+    compute = build_params(Compute, values)
     return read_sheet_volume(params, compute, silent)[0], params, compute
 
 
-def _image(path: Path, values: dict[str, Any]) -> xr.DataArray:
-    """An image as it is stored."""
+def _image(path: Path, values: dict[str, Any]) -> tuple[xr.DataArray, ImageParams]:
+    """An image as it is stored, and what it shows."""
     from planish.io import read_image
-    from planish.io.params import HOW_IMAGES_ARE_READ
 
-    chosen = given_options(values, "image")
-    return read_image(path, **{k: v for k, v in chosen.items() if k in HOW_IMAGES_ARE_READ})
+    params = build_params(ImageParams, values, path=str(path))
+    return read_image(path, **params.how), params
 
 
 @verb("planish surface volume.tif -o surfaces.zarr", "planish surface scan/ -o s.zarr --through y --voxel-um 1.37")
@@ -108,7 +105,7 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
 
     _refuse(out)
     data, params, compute = _volume(volume, values)
-    layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values, "surface"))
+    layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values))
     surfaces = search_sheet(data, layer, compute=compute)
     share = float((surfaces["status"].values == 0).mean())
     summary = f"sheet of {surfaces.attrs['thickness_um']:.2f} um, {100 * share:.0f} % of the columns measured"
@@ -138,13 +135,10 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     noted = json.loads(data.attrs.pop(_VOLUME, "{}"))
     if path is None and noted:
         path = Path(noted.pop("path"))
-        values = {f"volume__{k}": v for k, v in noted.items()} | {k: v for k, v in values.items() if v is not None}
         if not find_place(path).path.exists():
             raise FileError(f"The volume of {surfaces}, {path}, is not there any more. Give its place with --volume.")
-    measured = measure_properties(
-        data, volume=None if path is None else _volume(path, values)[0],
-        params=build_params(MeasureParams, values, "properties"),
-    )  # fmt: skip
+    volume = None if path is None else _volume(path, values, **noted)[0]
+    measured = measure_properties(data, volume=volume, params=build_params(MeasureParams, values))
     mean = float(measured["thickness"].mean())
     _write(out, {"surfaces": measured}, f"mean thickness {mean:.2f} um along the normals")
 
@@ -152,13 +146,13 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
 @verb("planish flatten surfaces.zarr -o flat.zarr", "planish flatten surfaces.zarr -o flat.zarr --method relaxation")
 @existing("surfaces")
 @out_option(_STORE)
-@options(FlattenParams, "flatten", "Flattening", without=("map_um",))
+@options(FlattenParams, "Flattening", without=("map_um",))
 def flatten(surfaces: Path, out: Path, **values: Any) -> int:
     """Develop the centre surface of SURFACES into the plane."""
     from planish.flatten import flatten_sheet
 
     flattened = flatten_sheet(
-        _read(surfaces, "surfaces", "'planish surface'"), params=build_params(FlattenParams, values, "flatten")
+        _read(surfaces, "surfaces", "'planish surface'"), params=build_params(FlattenParams, values)
     )
     q = flattened.quality
     summary = f"{q.sentence} Edge strain {100 * (q.edge_strain_p95 or 0):.3f} % (p95), {q.folded_cells} folded cells"
@@ -173,7 +167,7 @@ def flatten(surfaces: Path, out: Path, **values: Any) -> int:
 @existing("measured")
 @existing("flat")
 @out_option(_STORE)
-@options(FlattenParams, "flatten", "Flattening", only=("map_um",))
+@options(FlattenParams, "Flattening", only=("map_um",))
 @click.option(
     "--onto", "reference", help="Image whose pixels the maps are brought onto; needs --registration.", **_ONE_FILE
 )
@@ -191,12 +185,12 @@ def resample(
     _refuse(out)
     data = _read(measured, "surfaces", "'planish measure'")
     coordinates = _read(flat, "flat", "'planish flatten'")
-    map_um = given_options(values, "flatten").get("map_um")
+    map_um = build_params(FlattenParams, values).map_um
     if reference is None or registration is None:
         maps = resample_maps(data, coordinates, map_um=map_um)
         _write(out, {"maps": maps}, f"{maps.sizes['u']} x {maps.sizes['v']} pixels")
         return
-    image = compared_image(_image(reference, values), build_params(ImageParams, values, "image", path=str(reference)))
+    image = compared_image(*_image(reference, values))
     linked = resample_maps(data, coordinates, onto=image, registration=Registration.read(registration))
     share = float(linked["valid"].values.mean())
     _write(out, {"linked": linked}, f"{linked.sizes['x']} x {linked.sizes['y']} pixels, {100 * share:.0f} % valid")
@@ -205,7 +199,7 @@ def resample(
 @verb("planish holes image.tif -o image-holes.json", "planish holes maps.zarr -o sheet-holes.json --image-side bottom")
 @existing("image")
 @out_option("JSON file to make; a table for reading, .csv, is made beside it.")
-@options(ImageParams, "image", "Image", without=("dark_grey", "white_grey", "screen_um"))
+@options(ImageParams, "Image", without=("dark_grey", "white_grey", "screen_um"))
 @hole_options
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
@@ -215,9 +209,9 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
     _refuse(*files)
-    side: Side = given_options(values, "image").get("side", "top")
-    shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)
-    detected = find_holes(shown, params=build_params(HoleParams, values, "holes"), side=side)
+    side = build_params(ImageParams, values, path=str(image)).side or "top"
+    shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
+    detected = find_holes(shown, params=build_params(HoleParams, values), side=side)
     for path in files:
         write_holes(detected, path)
     click.echo(f"{out}: {check_holes(detected).sentence}")
@@ -230,7 +224,7 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @existing("moving")
 @existing("fixed")
 @out_option("JSON file to make; a table of the pairs, .csv, is made beside it.")
-@options(RegistrationParams, "registration", "Marks and registration", without=("marks", "refine"))
+@options(RegistrationParams, "Marks and registration", without=("marks", "refine"))
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
     from planish.marks import read_holes, write_marks
@@ -239,7 +233,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     table = out.with_suffix(".csv")
     _refuse(out, table)
     registration = register_marks(
-        read_holes(moving), read_holes(fixed), params=build_params(RegistrationParams, values, "registration")
+        read_holes(moving), read_holes(fixed), params=build_params(RegistrationParams, values)
     )
     registration.save(out)
     write_marks(registration.pairs(), table)
@@ -253,7 +247,7 @@ def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
 @verb("planish correlate linked.zarr", "planish correlate run --property base_thickness --json")
 @existing("linked")
 @click.option("--property", "names", multiple=True, metavar="NAME", help="Maps to compare; all where not given.")
-@options(CorrelateParams, "correlate", "Correlation", only=("point_um", "regions"))
+@options(CorrelateParams, "Correlation", only=("point_um", "regions"))
 @json_option
 def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any) -> int:
     """Correlate the image with the properties, point by point, in LINKED maps.
@@ -269,7 +263,7 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
     data = _read(linked, "linked", "'planish resample --onto' or 'planish link'")
     if missing := [name for name in names if name not in data]:
         raise InputError(f"{linked} has no map {missing[0]!r}; it holds {', '.join(map(str, data.data_vars))}.")
-    correlated = correlate_maps(data, params=build_params(CorrelateParams, values, "correlate"))
+    correlated = correlate_maps(data, params=build_params(CorrelateParams, values))
     code = 0
     if is_run(linked):
         results = open_results(linked)

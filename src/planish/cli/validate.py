@@ -23,7 +23,7 @@ _DEFAULT = "small"
     "planish specimen --preset wfc135 --size T0 --seed 7 --out sheet",
     "planish specimen --instrument stack --instrument image --nuisance none --out plain",
 )
-@options(SpecimenOptions, "specimen", "Specimen")
+@options(SpecimenOptions, "Specimen")
 @out_option("Folder to make; it must not exist.", required=False)
 @click.option("--list", "listed", is_flag=True, help="Name papers and nuisances and end.")
 def specimen(out: Path | None, listed: bool, **values: Any) -> int:
@@ -41,7 +41,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
         return 0
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
-    ordered = build_params(SpecimenOptions, values, "specimen")
+    ordered = build_params(SpecimenOptions, values)
     from planish.io.run_folder import new_folder, refuse_existing
     from planish.synthetic import write_specimen
 
@@ -69,7 +69,7 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     "Folder to make for certificate.html, .md and .json, one in it for each of several scenarios.", required=False
 )
 @click.option("--list", "listed", is_flag=True, help="Name the scenarios and end.")
-@options(Compute, "compute", "Resources")
+@options(Compute, "Resources")
 @json_option
 def validate(
     scenarios: tuple[str, ...], seeds: int | None, like: Path | None, alone: bool, out: Path | None, listed: bool,
@@ -114,7 +114,7 @@ def validate(
     def report(stage: str, detail: str) -> None:
         click.echo(f"{stage}: {detail}", err=True)
 
-    how: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values, "compute")}
+    how: dict[str, Any] = {"progress": report, "compute": build_params(Compute, values)}
     results: list[tuple[Certificate, Sensitivity | None]] = []
     for scenario in chosen:
         certificate = replace(run_scenario(scenario, seeds, **how), notes=notes)

@@ -6,22 +6,13 @@ import difflib
 import re
 import tomllib
 from collections.abc import Callable, Iterator, Sequence
-from types import UnionType
-from typing import Annotated, Any, NamedTuple, Union, get_args, get_origin
+from typing import Any, NamedTuple, get_origin
 
 from pydantic import BaseModel, ValidationError
 
-Key = tuple[str | int, ...]  # a key with the tables around it; the tables of an array are numbered from 0
+from planish.core.options import models_in
 
-_PART = r"""(?:[A-Za-z0-9_-]+|"(?:[^"\\\n]|\\.)*"|'[^'\n]*')"""
-_DOTTED = re.compile(rf"[ \t]*({_PART}(?:[ \t]*\.[ \t]*{_PART})*)[ \t]*")
-_ONE = re.compile(_PART)
-_SKIPPED = re.compile(r"(?:[ \t\r\n]+|#[^\n]*)*")
-# What may hold a line end or a bracket that ends no value: strings of four kinds, and comments.
-_TOKEN = re.compile(
-    r'"""(?:[^\\]|\\.)*?"""|\'\'\'.*?\'\'\'|"(?:[^"\\\n]|\\.)*"|\'[^\'\n]*\'|#[^\n]*|[\[\]{}\n]|[^\[\]{}\n#"\']+',
-    re.DOTALL,
-)
+Key = tuple[str | int, ...]  # a key with the tables around it; the tables of an array are numbered from 0
 
 
 class KeyLines(NamedTuple):
@@ -42,32 +33,34 @@ def key_lines(text: str) -> KeyLines:
     lines: dict[Key, int] = {}
     counts: dict[Key, int] = {}
     base: Key = ()
-    position = _end(_SKIPPED, text, 0)
-    while position < len(text):
-        line = text.count("\n", 0, position) + 1
-        brackets = 2 if text.startswith("[[", position) else 1 if text[position] == "[" else 0
-        match = _DOTTED.match(text, position + brackets)
-        if match is None:  # no TOML: what is found so far has to do
-            break
-        names = [part.strip("\"'") for part in _ONE.findall(match[1])]
-        if brackets:
-            base = _table(names, counts, array=brackets == 2)
-            for k in range(1, len(base)):
-                lines.setdefault(base[:k], line)
-            position = match.end() + brackets
-        else:
-            for k in range(1, len(names)):
-                lines.setdefault((*base, *names[:k]), line)
-            # To the end of the line on which the value ends.
-            depth, position = 0, match.end()
-            while position < len(text) and (match := _TOKEN.match(text, position)):
-                position = match.end()
-                depth += {"[": 1, "{": 1, "]": -1, "}": -1}.get(match[0], 0)
-                if match[0] == "\n" and depth <= 0:
-                    break
-        lines.setdefault(base if brackets else (*base, *names), line)
-        position = _end(_SKIPPED, text, position)
+    part, begin = "", 1
+    for number, line in enumerate(text.split("\n"), 1):
+        part += f"{line}\n"
+        if (names := _names(part)) is None:  # a value that goes on
+            continue
+        if part.lstrip().startswith("["):
+            key = base = _table(names, counts, array=part.lstrip().startswith("[["))
+        else:  # names end at the first sign that is not within quotes
+            ends = (sign.start() for sign in re.finditer("=", part))
+            key = (*base, *next(filter(None, (_names(f"{part[:end]}= 1") for end in ends)), ()))
+        for k in range(1, len(key) + 1):
+            lines.setdefault(key[:k], begin)
+        part, begin = "", number + 1
     return KeyLines(lines)
+
+
+def _names(text: str) -> list[str] | None:
+    """Names of the tables and the key of a line of TOML; None where it is none."""
+    names: list[str] = []
+    try:
+        table: Any = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return None
+    while isinstance(table, dict) and table:
+        names += table
+        table = table[names[-1]]
+        table = table[0] if isinstance(table, list) and table else table
+    return names
 
 
 def _table(names: list[str], counts: dict[Key, int], *, array: bool) -> Key:
@@ -80,11 +73,6 @@ def _table(names: list[str], counts: dict[Key, int], *, array: bool) -> Key:
         if key in counts:
             key = (*key, counts[key] - 1)
     return key
-
-
-def _end(pattern: re.Pattern[str], text: str, position: int) -> int:
-    match = pattern.match(text, position)
-    return match.end() if match else position
 
 
 # From where a model has a value to the key that the file has for it, and its line; None where it has no line.
@@ -118,7 +106,7 @@ def toml_mistake(error: tomllib.TOMLDecodeError, text: str) -> str:
     return f"line {match[1]}, column {match[2]}: {words[: match.start()].strip()}: {line.strip()[:80]}.{advice}"
 
 
-def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> list[str]:
+def mistakes(error: ValidationError, model: type[BaseModel], place: Place = lambda loc: (loc, None)) -> list[str]:
     """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
 
     Parameters
@@ -127,7 +115,7 @@ def mistakes(error: ValidationError, model: type[BaseModel], place: Place) -> li
     model : type
         What was validated; names that are possible are taken from it.
     place : callable
-        Gives key and line in the file.
+        Gives key and line in the file; the key alone where not given.
     """
     sentences: list[tuple[int, str]] = []
     named_keys: set[Key] = set()
@@ -186,15 +174,6 @@ def _unknown(name: str, table: Key, model: type[BaseModel]) -> str:
         tables = " or ".join(f"[{'.'.join(place)}]" for place in owners)
         return f"unknown here; {name} belongs to {tables}"
     return f"unknown; there {'is' if len(here) == 1 else 'are'} {', '.join(sorted(set(here))[:30])}"
-
-
-def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
-    """Models that a field may hold, as they are, optional, or several of them."""
-    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
-        return [annotation]
-    if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list):
-        return [model for part in get_args(annotation) for model in models_in(part)]
-    return []
 
 
 def _tables(model: type[BaseModel], place: tuple[str, ...]) -> Iterator[tuple[tuple[str, ...], list[str]]]:

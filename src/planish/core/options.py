@@ -11,7 +11,7 @@ the model as ``params``. A field that no command shows has ``cli=None``.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import UnionType
 from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
@@ -19,7 +19,7 @@ from typing import Annotated, Any, TypeVar, Union, get_args, get_origin
 from pydantic import BaseModel, ConfigDict, Field, ValidationError
 from pydantic.fields import FieldInfo
 
-from planish.core.errors import InputError
+from planish.core.errors import StudyError
 
 
 class Params(BaseModel):
@@ -31,31 +31,31 @@ class Params(BaseModel):
 P = TypeVar("P", bound=Params)
 
 
-def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str) -> P:
+def params_of(model: type[P], options: P | Mapping[str, Any] | None, call: str = "") -> P:
     """Options of a function: its model, or a dict with some of its fields, or the words of the command line for them.
 
     Raises
     ------
-    InputError
+    StudyError
         If it is something else, or has fields that are unknown or out of range; all faults are named.
     """
     if options is None or isinstance(options, model):
         return options or model()
     if not isinstance(options, Mapping):
-        raise InputError(
+        raise StudyError(
             f"{call} takes options as {model.__name__} or as a dict, and {options!r} was given. Its options are "
             f"{', '.join(model.model_fields)}."
         )
     from planish.core.mistakes import mistakes
 
+    places, tables = words_in(model), dict[str, Any]()
+    put_options(tables, places, options)
     try:
-        return model.model_validate(by_field(model, options))
+        return model.model_validate(tables)
     except ValidationError as error:
-        flags = {name: shown.flags[0] for name, _, shown in options_of(model)}
-        faults = "; ".join(
-            mistakes(error, model, lambda loc: ((flags.get(str(loc[0]), loc[0]), *loc[1:]) if loc else (), None))
-        )
-        raise InputError(f"{call}: {faults.removesuffix('?')}{'?' if faults.endswith('?') else '.'}") from error
+        faults = "; ".join(mistakes(error, model, as_flags(places)))
+        head, end = f"{call}: " if call else "", "" if faults.endswith("?") else "."
+        raise StudyError(f"{head}{faults}{end}") from error
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -109,10 +109,51 @@ def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
         yield name, field, Shown(flags=tuple(flags.split()), metavar=noted["metavar"], repeat=noted["repeat"])
 
 
-def by_field(model: type[Params], options: Mapping[str, Any]) -> dict[str, Any]:
-    """Options by the names of their fields, where the command line has another word: ``maps`` for ``property``."""
-    words = {flag[2:].replace("-", "_"): name for name, _, shown in options_of(model) for flag in shown.flags}
-    return {words.get(word, word): value for word, value in options.items()}
+def words_in(model: type[Params], *outer: str) -> dict[str, tuple[str, ...]]:
+    """Words of a call for the options of a model, ``label_air`` for ``--label-air``, and where each stands in it."""
+    words: dict[str, tuple[str, ...]] = {}
+    for name, field, shown in options_of(model):
+        words |= {flag[2:].replace("-", "_"): (*outer, name) for flag in shown.flags if flag.startswith("--")}
+        for inner in models_in(field.annotation):
+            if issubclass(inner, Params):
+                words |= words_in(inner, *outer, name)
+    return words
+
+
+def flag_of(word: str) -> str:
+    """Option of the command line for a word of a call."""
+    return f"--{word.replace('_', '-')}"
+
+
+def as_flags(places: Mapping[str, tuple[str, ...]]) -> Callable[[tuple[str | int, ...]], tuple[Any, None]]:
+    """Name the places of mistakes by flags; as they are where the command line has none."""
+    flags = {place: flag_of(word) for word, place in places.items()}
+
+    def flag_at(loc: tuple[str | int, ...]) -> tuple[Any, None]:
+        names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
+        if names in flags:
+            return (flags[names],), None
+        # A message about a whole table is one of options that do not fit together, which it names.
+        return (() if any(place[: len(names)] == names for place in flags) else names), None
+
+    return flag_at
+
+
+def put_options(tables: dict[str, Any], places: Mapping[str, tuple[str, ...]], options: Mapping[str, Any]) -> list[str]:
+    """Put options into the tables where their words stand, others as they are; give the words of those given twice."""
+    twice: list[str] = []
+    for word, value in options.items():
+        *outer, name = places.get(word, (word,))
+        table = tables
+        for part in outer:
+            table = table.setdefault(part, {})
+        if value is True and any(place[:-1] == (*outer, name) for place in places.values()):
+            table.setdefault(name, {})  # options of their own, which this word switches on
+        elif table.get(name) is not None:
+            twice.append(word)
+        else:
+            table[name] = value
+    return twice
 
 
 def option_names(model: type[Params], *names: str) -> str:
@@ -136,3 +177,11 @@ def kinds_of(annotation: Any) -> list[Any]:
     if get_origin(annotation) in (Union, UnionType):
         return [part for inner in get_args(annotation) for part in kinds_of(inner)]
     return [] if annotation is type(None) else [annotation]
+
+
+def models_in(annotation: Any) -> Sequence[type[BaseModel]]:
+    """Models that a field may hold, as they are, optional, or several of them."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return [annotation]
+    parts = get_args(annotation) if get_origin(annotation) in (Union, UnionType, Annotated, tuple, list) else ()
+    return [model for part in parts for model in models_in(part)]

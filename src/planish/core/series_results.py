@@ -8,12 +8,12 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Literal, Self
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from planish.core.checks import State
 from planish.core.errors import FileError
 from planish.core.facts import KnownPair, Number, ResultModel, Trust
-from planish.core.tables import read_text
+from planish.core.tables import naming_faults, read_text
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
 # ``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet.
@@ -242,11 +242,6 @@ class SeriesResults(ResultModel):
         FileError
             If it cannot be read, or is not of a series.
         """
-        try:
+        remedy = "Give the folder that 'planish study' or 'planish compare --out' made."
+        with naming_faults(f"{path} is no results file of a series", remedy, error=FileError):
             return cls.model_validate_json(read_text(path, what="results of a series"))
-        except ValidationError as error:
-            first = error.errors(include_url=False)[0]
-            raise FileError(
-                f"{path} is no results file of a series: {'.'.join(map(str, first['loc']))}: {first['msg']}. Give the "
-                "folder that 'planish study' or 'planish compare --out' made."
-            ) from error

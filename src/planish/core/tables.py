@@ -10,18 +10,17 @@ from __future__ import annotations
 import csv
 import io
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Generator, Iterable, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, PlanishError
-
-if TYPE_CHECKING:
-    from pydantic import ValidationError
 
 LARGEST_FILE = 10_000_000  # bytes; no table of marks, holes or sections is larger
 MOST_FAULTS = 8  # faults that one message names; of the others it gives the number
@@ -201,13 +200,26 @@ def raise_faults(name: str, faults: Sequence[str], remedy: str, *, error: type[P
     """Raise all faults as one message; nothing where there is none."""
     if faults:
         more = f"; and {len(faults) - MOST_FAULTS} more" if len(faults) > MOST_FAULTS else ""
-        raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. {remedy}")
+        raise error(f"{name}: {'; '.join(faults[:MOST_FAULTS])}{more}. {remedy}".rstrip())
+
+
+@contextmanager
+def naming_faults(
+    name: str, remedy: str = "", *, error: type[PlanishError], where: Sequence[str] = ()
+) -> Generator[None]:
+    """Raise what pydantic finds as one message; ``where`` is put before the place of each fault."""
+    try:
+        yield
+    except ValidationError as faults:
+        raise_faults(name, model_faults(faults, where), remedy, error=error)
 
 
 def model_faults(error: ValidationError, where: Sequence[str] = ()) -> list[str]:
-    """Say what pydantic found in a file; ``where`` is put before the place of each fault."""
-    faults = error.errors(include_url=False, include_input=False)
-    return [f"{'.'.join(map(str, (*where, *e['loc']))) or 'the file'}: {e['msg']}" for e in faults]
+    """Say what pydantic found, without the values themselves; ``where`` is put before the place of each fault."""
+    faults = error.errors(include_url=False, include_input=False, include_context=False)
+    places = [".".join(map(str, (*where, *fault["loc"]))) for fault in faults]
+    words = [str(fault["msg"]).removeprefix("Value error, ") for fault in faults]
+    return [f"{place}: {text}" if place else text for place, text in zip(places, words, strict=True)]
 
 
 def table_text(header: Sequence[str], rows: Iterable[Sequence[Any]], *, quote_all: bool = False) -> str:

@@ -15,10 +15,10 @@ from typing import Annotated, Any, Literal, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat, ValidationError
+from pydantic import BaseModel, ConfigDict, Field, NonNegativeFloat, PositiveFloat
 
 from planish.core.errors import MarkError
-from planish.core.tables import model_faults, parse_table, raise_faults, read_text, table_text
+from planish.core.tables import naming_faults, parse_table, read_text, table_text
 from planish.core.typing import Floats, Pair
 from planish.design.params import DesignParams, ImagingParams
 
@@ -148,11 +148,8 @@ class Pattern(BaseModel):
                 f"The pattern has version {content.get('version')!r}; this planish reads version {VERSION}. Design it "
                 "again, or use the planish that wrote it."
             )
-        try:
+        with naming_faults("The pattern", "Design it again.", error=MarkError):
             return cls.model_validate({"holes": []} | content)
-        except ValidationError as error:
-            raise_faults("The pattern", model_faults(error), "Design it again.", error=MarkError)
-            raise
 
 
 def own_pattern(

@@ -9,14 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import xarray as xr
-from pydantic import ValidationError
 
 from planish.analyze.compare import is_property
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file
 from planish.core.grid import Grid
-from planish.core.mistakes import mistakes
-from planish.core.options import by_field, option_names
+from planish.core.options import option_names, params_of
 from planish.core.threads import limit_threads
 from planish.exports.content import Maps
 from planish.exports.formats import FORMATS, ExportFormat, ExportParams, formats_with, is_file, writer_of
@@ -242,10 +240,7 @@ def export(
     --------
     ``pl.export("run", "coating.tif", to="tiff", maps=["coating_top", "image"])``
     """
-    try:
-        params = ExportParams.model_validate(by_field(ExportParams, options))
-    except ValidationError as error:
-        raise StudyError(f"{'; '.join(mistakes(error, ExportParams, lambda loc: (loc, None)))}.") from error
+    params = params_of(ExportParams, options)
     for name in dict.fromkeys(name for form in FORMATS.values() for name in form.options):
         if name in params.model_fields_set and name not in FORMATS[params.to].options:
             flag = option_names(ExportParams, name)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Annotated, Literal, Self
+from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
@@ -18,10 +18,6 @@ def _all_alike(count: int) -> BeforeValidator:
 
 Index = Annotated[int, Field(ge=0)]
 Channel = Literal["luminance", "red", "green", "blue"]
-
-HOW_VOLUMES_ARE_READ = {"voxel_um", "channel", "override_size", "unusual_size"}
-# Options that the reading functions take.
-HOW_IMAGES_ARE_READ = {"pixel_um", "channel", "override_size", "unusual_size"}
 
 
 class VolumeParams(Params):
@@ -64,6 +60,11 @@ class VolumeParams(Params):
         help="Machine direction in the flattened map, degrees clockwise from its x axis.",
     )
 
+    @property
+    def how(self) -> dict[str, Any]:
+        """Options that :func:`planish.read_volume` takes."""
+        return self.model_dump(include={"voxel_um", "channel", "override_size", "unusual_size"})
+
 
 class ImageParams(Params):
     """An image, and which side of the sheet it shows."""
@@ -105,6 +106,11 @@ class ImageParams(Params):
         help="Period of a print screen in um (167 for 60 lines per cm): a Gaussian takes it off the image before it is "
         "compared.",
     )
+
+    @property
+    def how(self) -> dict[str, Any]:
+        """Options that :func:`planish.read_image` takes."""
+        return self.model_dump(include={"pixel_um", "channel", "override_size", "unusual_size"})
 
     @model_validator(mode="after")
     def _references(self) -> Self:

@@ -9,11 +9,11 @@ from typing import Annotated, Any, Literal
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, TypeAdapter, ValidationError
+from pydantic import Field, TypeAdapter
 
 from planish.core.errors import FileError, MarkError
 from planish.core.files import write_whole
-from planish.core.tables import model_faults, parse_table, read_text
+from planish.core.tables import naming_faults, parse_table, read_text
 from planish.marks.exchange.csv_marks import holes_text
 from planish.marks.exchange.lists import Part, json_file, json_text, read_object, refuse
 
@@ -103,19 +103,15 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
             f"{name} has version {version!r} of the format; this planish reads version {VERSION}. Update planish, or "
             "find the holes again."
         )
-    where: tuple[str, ...] = ()
     variables: dict[str, Any] = {}
-    try:
+    with naming_faults(name, _REMEDY, error=MarkError):
         file = _File.model_validate(dict(content))
-        for key, variable in file.variables.items():
-            where = ("variables", key, "values")
+    for key, variable in file.variables.items():
+        with naming_faults(name, _REMEDY, error=MarkError, where=("variables", key, "values")):
             numbers = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
-            dtype = np.str_ if variable.type == "str" else variable.type
-            column = np.array(_missing_as_nan(numbers), dtype=dtype)
-            variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
-    except ValidationError as error:
-        refuse(name, model_faults(error, where), _REMEDY)
-        raise
+        dtype = np.str_ if variable.type == "str" else variable.type
+        column = np.array(_missing_as_nan(numbers), dtype=dtype)
+        variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in variables]
     if len(counts) > 1:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from copy import deepcopy
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -13,8 +13,8 @@ import xarray as xr
 from pydantic import ValidationError
 
 from planish.core.errors import StudyError
-from planish.core.mistakes import Key, mistakes, models_in
-from planish.core.options import Params, options_of, params_of
+from planish.core.mistakes import mistakes
+from planish.core.options import Params, as_flags, flag_of, params_of, put_options, words_in
 from planish.io import find_place
 from planish.io.info import is_image
 from planish.io.sections import is_section_folder
@@ -138,7 +138,7 @@ def study_of(
     unused = [name for group in MAP_SECTIONS for name in options.get(group, {})]
     unused += [name for name in options.get("volume", {}) if name not in (*_OF_BOTH, "md_deg")]
     if unused and all(source.kind != "volume" for source in sources):
-        flags = ", ".join(f"--{name.replace('_', '-')}" for name in unused)
+        flags = ", ".join(map(flag_of, unused))
         raise StudyError(
             f"{flags}: for volumes only, and {', '.join(source.path.name for source in sources)} is none. A run keeps "
             "the options that it was made with; map the volume again to change them."
@@ -152,16 +152,7 @@ def study_of(
     try:
         return Study.model_validate({"layers": tables, "chain": chain, **of_link})
     except ValidationError as error:
-        flags = {place: f"--{word.replace('_', '-')}" for word, place in words_of(SECTIONS).items()}
-
-        def flag_of(loc: Key) -> tuple[Key, None]:
-            names = tuple(part for part in loc if isinstance(part, str) and part != "layers")
-            # A message about a whole section is one of options that do not fit together, which it names.
-            if len(names) == 1 and names[0] in SECTIONS:
-                return (), None
-            return ((flags[names],) if names in flags else names), None
-
-        raise StudyError("; ".join(dict.fromkeys(mistakes(error, Study, flag_of)))) from error
+        raise StudyError("; ".join(dict.fromkeys(mistakes(error, Study, as_flags(words_of()))))) from error
 
 
 class _Source(NamedTuple):
@@ -233,61 +224,42 @@ def sections_of(
 
     Raises
     ------
-    InputError
+    StudyError
         If a word is unknown, or given twice; all faults are named.
     """
     places = words_of([*sections, "compute"])
     tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
-    faults: list[str] = []
-    # Whole sections first: a word by itself is put into them.
-    for word, value in sorted(options.items(), key=lambda pair: pair[0] not in sections):
-        if word in sections:
-            if isinstance(value, Params):
-                tables[word] = value.model_dump(exclude_unset=True)
-            elif isinstance(value, Mapping):
-                tables[word] = deepcopy(dict[str, Any](value))
-            else:
-                faults.append(f"{word}={value!r}: needed is a dict of options, or one of them by itself.")
-            continue
-        if value is None:
-            continue
-        if word not in places:
-            faults.append(_unknown(word, [*sections, *places, "out", "progress", "chain"]))
-            continue
-        *outer, name = places[word]
-        table = tables
-        for part in outer:
-            table = table.setdefault(part, {})
-        if value is True and any(place[:-1] == places[word] for place in places.values()):
-            table.setdefault(name, {})  # options of their own, which this word switches on
-        elif table.get(name) is not None:
-            faults.append(f"{word}= is given twice, by itself and in {outer[0]}=. Leave one out.")
+    faults, words = list[str](), dict[str, Any]()
+    for word, value in options.items():
+        if word not in sections:
+            if value is not None and word in places:
+                words[word] = value
+            elif value is not None:
+                faults.append(_unknown(word, [*sections, *places, "out", "progress", "chain"]))
+        elif isinstance(value, Params):
+            tables[word] = value.model_dump(exclude_unset=True)
+        elif isinstance(value, Mapping):
+            tables[word] = deepcopy(dict[str, Any](value))
         else:
-            table[name] = value
+            faults.append(f"{word}={value!r}: needed is a dict of options, or one of them by itself.")
+    for word in put_options(tables, places, words):
+        faults.append(f"{word}= is given twice, by itself and in {places[word][0]}=. Leave one out.")
     if faults:
         raise StudyError(f"{call}: {' '.join(faults)}")
     limits = tables.pop("compute", None)
     return tables, None if limits is None else params_of(Compute, limits, call)
 
 
-def words_of(sections: Iterable[str]) -> dict[str, tuple[str, ...]]:
+def words_of(sections: Iterable[str] = SECTIONS) -> dict[str, tuple[str, ...]]:
     """Words of some sections, and where each stands in a study; of the same word in two the first one."""
     models = {**SECTIONS, "compute": Compute}
-    places = [pair for section in sections for pair in _words(models[section], section)]
+    places = [pair for section in sections for pair in words_in(models[section], section).items()]
     return dict(reversed(places))
-
-
-def _words(model: type[Params], *outer: str) -> Iterator[tuple[str, tuple[str, ...]]]:
-    for name, field, shown in options_of(model):
-        yield from ((flag[2:].replace("-", "_"), (*outer, name)) for flag in shown.flags if flag.startswith("--"))
-        for inner in models_in(field.annotation):
-            if issubclass(inner, Params):
-                yield from _words(inner, *outer, name)
 
 
 def _unknown(word: str, possible: list[str]) -> str:
     if likely := difflib.get_close_matches(word.casefold(), possible, 1, 0.7):
         return f"{word}= is unknown; did you mean {likely[0]}=?"
-    if word in SECTIONS or word in words_of(SECTIONS):
+    if word in SECTIONS or word in words_of():
         return f"{word}= is for pl.link, which has an image and marks. Leave it out."
     return f"{word}= is unknown. The words are those of the command line: planish link --help."

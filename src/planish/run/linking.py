@@ -15,7 +15,6 @@ import numpy as np
 from planish.analyze.image_values import compared_image, reach_um
 from planish.io import read_image
 from planish.io.map_store import HeldMaps
-from planish.io.params import HOW_IMAGES_ARE_READ
 from planish.marks.regions import Regions
 from planish.register import Chain
 from planish.run.compute import Progress
@@ -77,7 +76,7 @@ def read_inputs(study: Study, progress: Progress) -> LinkInputs:
         if params.image is None:
             layers[params.name] = _read_run(params, study)
             continue
-        image = read_image(params.path, **params.image.model_dump(include=HOW_IMAGES_ARE_READ))
+        image = read_image(params.path, **params.image.how)
         used = changed(params, image=changed(params.image, pixel_um=tuple(float(v) for v in image.attrs["pixel_um"])))
         source = input_file(image, params.path)
         layers[params.name] = Layer(params=used, source=source, image=image, md_deg=params.image.md_deg)

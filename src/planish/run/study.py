@@ -137,22 +137,32 @@ def read_study(path: Path) -> Study:
         If a parameter is unknown, missing or out of range; all faults are named.
     """
     text = read_text(path, what="study")
+    tables = toml_tables(path, text)
+    tables.pop("planish", None)
+    if {"specimens", "watch"} & set(tables):
+        raise FileError(f"{path} is a series of specimens. Do it with: planish study {path} --out OUT.")
+    return with_paths(checked_study(path, text, tables), lambda p: _absolute(path.parent / p))
+
+
+def toml_tables(path: Path, text: str) -> dict[str, Any]:
+    """Tables in the text of a file; FileError says where it is no TOML."""
     try:
-        data = tomllib.loads(f"{text}\n")  # with a line end, what is wrong in the last line has a number, too
+        return tomllib.loads(f"{text}\n")  # with a line end, what is wrong in the last line has a number, too
     except tomllib.TOMLDecodeError as error:
         raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
     except RecursionError as error:
         raise FileError(f"{path} is not a TOML file: {error}.") from error
-    data.pop("planish", None)
-    if {"specimens", "watch"} & set(data):
-        raise FileError(f"{path} is a series of specimens. Do it with: planish study {path} --out OUT.")
+
+
+def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
+    """The study in the tables of a file with this text; InputError names the lines of all faults."""
     try:
-        study = as_study(data)
+        return as_study(tables)
     except ValidationError as error:
         lines = key_lines(text)
 
         def place(loc: Key) -> tuple[Key, int | None]:
-            if loc[:1] == ("layers",) and "layers" not in data:
+            if loc[:1] == ("layers",) and "layers" not in tables:
                 loc = loc[2:]  # of the short form
             older = (*loc[:2], "map", *loc[2:])  # of planish 0.1.0
             return loc, lines.of(older if older[:4] in lines.lines else loc)
@@ -160,7 +170,6 @@ def read_study(path: Path) -> Study:
         faults = mistakes(error, Study, place)
         number = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
         raise InputError("\n  ".join([f"{path} has {number}:", *faults])) from error
-    return with_paths(study, lambda p: _absolute(path.parent / p))
 
 
 def _absolute(path: Path) -> str:
@@ -190,13 +199,6 @@ def as_study(data: dict[str, Any]) -> Study:
             layers.append(layer)
         data["layers"] = layers
     return Study.model_validate(data)
-
-
-def faults_of(error: ValidationError, *, within: str = "") -> str:
-    """Name every fault that a validation found, with its place, which begins with ``within``."""
-    places = [f"{within}{'.'.join(map(str, e['loc']))}: " if e["loc"] else "" for e in error.errors()]
-    words = [e["msg"].removeprefix("Value error, ") for e in error.errors()]
-    return "; ".join(f"{place}{text}" for place, text in zip(places, words, strict=True))
 
 
 def with_values(study: Study, changes: Sequence[str]) -> Study:
@@ -239,15 +241,16 @@ def with_values(study: Study, changes: Sequence[str]) -> Study:
     try:
         return Study.model_validate(data)
     except ValidationError as error:
-        raise StudyError("; ".join(mistakes(error, Study, lambda loc: (loc, None))) + ".") from error
+        raise StudyError("; ".join(mistakes(error, Study)) + ".") from error
 
 
 def in_study_words(text: str) -> str:
     """Name the keys of a study in a message that names options of the command line: surface.rim_um for --rim-um."""
-    keys: dict[str, str] = {}
-    for section, model in SECTIONS.items():
-        for name, _, shown in options_of(model):
-            keys.setdefault(shown.flags[0], f"{section}.{name}")
+    keys = {
+        shown.flags[0]: f"{section}.{name}"
+        for section, model in reversed(SECTIONS.items())  # of the same flag in two the first one
+        for name, _, shown in options_of(model)
+    }
     return re.sub(r"(?<![\w-])--[a-z][a-z0-9-]*", lambda flag: keys.get(flag[0], flag[0]), text)
 
 

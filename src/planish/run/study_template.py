@@ -10,8 +10,7 @@ import tomli_w
 from pydantic.fields import FieldInfo
 
 from planish.core.errors import StudyError
-from planish.core.mistakes import models_in
-from planish.core.options import Params, Shown, kinds_of, options_of, unit_of
+from planish.core.options import Params, Shown, kinds_of, models_in, options_of, unit_of
 from planish.io.info import describe
 from planish.run.run import is_run
 from planish.run.study import LINK_SECTIONS, MAP_SECTIONS, SECTIONS, in_study_words, relative_path

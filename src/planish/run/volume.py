@@ -15,7 +15,7 @@ from planish.core.frame import Frame
 from planish.core.lazy import LazyArray, Where, replaced
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.io import find_place, read_volume
-from planish.io.params import HOW_VOLUMES_ARE_READ, VolumeParams
+from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.run.compute import Compute, Progress
 from planish.run.summaries import section_facts
@@ -42,7 +42,7 @@ def read_sheet_volume(
 
 def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
-    how = _how(params, compute.volume_bytes)
+    how = params.how | {"memory_bytes": compute.volume_bytes}
     volume = read_volume(params.path, **how)
     return volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))
 
@@ -73,10 +73,6 @@ def read_whole(params: VolumeParams, compute: Compute, progress: Progress) -> xr
     return volume.assign_attrs(sections=section_facts(sections).model_dump())
 
 
-def _how(params: VolumeParams, memory_bytes: int) -> dict[str, Any]:
-    return params.model_dump(include=HOW_VOLUMES_ARE_READ) | {"memory_bytes": memory_bytes}
-
-
 def _in_parts(volume: xr.DataArray, path: Path, compute: Compute, copies: int = 1, options: str = "") -> None:
     """Refuse a volume that is neither in memory nor can be read in parts."""
     if volume.encoding.get("whole_slices"):
@@ -99,7 +95,7 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
             f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
-    stack = read_section_stack(path, **_how(params, compute.volume_bytes // _COPIES_OF_SECTIONS))
+    stack = read_section_stack(path, **params.how, memory_bytes=compute.volume_bytes // _COPIES_OF_SECTIONS)
     progress("align", f"{stack.values.shape[0]} sections")
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed = None

@@ -1,5 +1,4 @@
 from .declared import Declared as Declared
-from .declared import declared_of as declared_of
 from .gather import FigureRow as FigureRow
 from .gather import Gathered as Gathered
 from .gather import gather as gather

@@ -2,14 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from pydantic import field_validator
 
-from pydantic import ValidationError, field_validator
-
-from planish.core.errors import InputError
 from planish.core.options import Params, option
-from planish.core.tables import model_faults
 
 
 class Declared(Params):
@@ -37,20 +32,3 @@ class Declared(Params):
         if wrong := [name for name, value in margin.items() if not value > 0]:
             raise ValueError(f"the margin of {wrong[0]} has to be above 0")
         return margin
-
-
-def declared_of(values: Declared | Mapping[str, Any]) -> Declared:
-    """What was declared, of the values of a table ``[compare]``.
-
-    Raises
-    ------
-    InputError
-        If a name is unknown or a value means nothing; all faults are named.
-    """
-    if isinstance(values, Declared):
-        return values
-    try:
-        return Declared.model_validate(dict(values))
-    except ValidationError as error:
-        faults, options = "; ".join(model_faults(error, ("compare",))), ", ".join(Declared.model_fields)
-        raise InputError(f"What is to be compared cannot be read: {faults}. The table has {options}.") from error

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from itertools import count
 from pathlib import Path
@@ -22,7 +22,7 @@ from planish.io.run_folder import read_group
 from planish.report import SmallMap, series_page, small_map
 from planish.run.run import MAPS
 from planish.run.study import relative_path
-from planish.series.declared import Declared, declared_of
+from planish.series.declared import Declared
 from planish.series.gather import FigureRow, gather
 from planish.series.summary import summary_of
 
@@ -40,9 +40,7 @@ _OF_A_SPECIMEN = (
 )  # fmt: skip
 
 
-def write_series(
-    members: Sequence[Member], home: Path, declared: Declared | Mapping[str, Any], out: Path
-) -> SeriesResults:
+def write_series(members: Sequence[Member], home: Path, declared: Declared, out: Path) -> SeriesResults:
     """Write the page of a series, its numbers and its tables.
 
     Parameters
@@ -51,7 +49,7 @@ def write_series(
         Specimens in the order of their table.
     home : path
         Folder that their runs are relative to.
-    declared : Declared, or the values of one
+    declared : Declared
     out : path
         Folder that is there: report.html, results.json, specimens.csv (a row for each specimen) and values.csv (a row
         for each figure) are written into it, each whole, over those of an earlier time; values.parquet, too, where
@@ -75,7 +73,7 @@ def write_series(
     version of pyarrow.
     """
     gathered = gather(members, home)
-    results = summary_of(gathered, declared_of(declared))
+    results = summary_of(gathered, declared)
     maps = _small_maps(results, home)
     specimens: list[SeriesSpecimen] = []
     for specimen in results.specimens:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-import tomllib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -14,12 +13,12 @@ from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
+from planish.core.mistakes import key_lines, mistakes
 from planish.core.series_results import Member
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
-from planish.run.study import Study, as_study, in_study_words, with_paths, with_values
+from planish.run.study import Study, checked_study, in_study_words, toml_tables, with_paths, with_values
 from planish.series.declared import Declared
 
 _NO_FACTORS = ("name", "volume", "image", "layers", "set")
@@ -155,10 +154,7 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
 
 
 def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
-    try:
-        sections = tomllib.loads(f"{text}\n")
-    except tomllib.TOMLDecodeError as error:
-        raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
+    sections = toml_tables(path, text)
     if not {"specimens", "watch"} & set(sections):
         raise FileError(
             f"{path} is the study of one specimen. Do it with: planish run {path}. A series has a table [[specimens]] "
@@ -170,7 +166,7 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
         raise InputError(f"{path}: specimens are tables, each under a line [[specimens]].")
     compare, watch = sections.pop("compare", {}), sections.pop("watch", {})
     sections.pop("planish", None)
-    _check_common(path, sections, lines)
+    _check_common(path, text, sections)
     try:
         declared = Declared.model_validate(compare)
     except ValidationError as error:
@@ -200,25 +196,18 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
     return _checked(path, rows, replace(plan, sections=sections, declared=declared, watch=watch))
 
 
-def _check_common(path: Path, sections: Mapping[str, Any], lines: KeyLines) -> None:
+def _check_common(path: Path, text: str, sections: Mapping[str, Any]) -> None:
     """Refuse options that no study has; each with its line."""
     if "layers" in sections:
         raise InputError(
-            f"{path}: line {lines.of(('layers',))}, layers: each specimen names its own; take them out, or write "
-            f"layers = {_EXAMPLES['layers']} under [[specimens]]."
+            f"{path}: line {key_lines(text).of(('layers',))}, layers: each specimen names its own; take them out, or "
+            f"write layers = {_EXAMPLES['layers']} under [[specimens]]."
         )
     tables = dict(sections)
     for kind in ("volume", "image"):
         if isinstance(table := tables.get(kind, {}), dict):
             tables[kind] = {"path": "x"} | cast("dict[str, Any]", table)
-    try:
-        as_study(tables)
-    except ValidationError as error:
-        faults = mistakes(
-            error, Study, lambda loc: (loc, lines.of(loc)) if loc[:1] != ("layers",) else (loc[2:], lines.of(loc[2:]))
-        )
-        number = f"{len(faults)} wrong parameter{'s' if len(faults) > 1 else ''}"
-        raise InputError("\n  ".join([f"{path} has {number}:", *faults])) from error
+    checked_study(path, text, tables)
 
 
 # --- what both have in common ----------------------------------------------------------------------------------------

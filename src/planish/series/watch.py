@@ -7,11 +7,11 @@ import time
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from pydantic import Field, ValidationError
+from pydantic import Field
 
 from planish.core.errors import InputError, PlanishError
 from planish.core.options import Params
-from planish.core.tables import model_faults
+from planish.core.tables import naming_faults
 from planish.io import find_place
 from planish.io.info import describe
 from planish.series.jobs import stamp_of
@@ -32,10 +32,8 @@ def watch_params(plan: Plan) -> WatchParams:
     example = "[watch] with volume = '{sheet}_ct.tif' and image = '{sheet}_img.tif'"
     if not plan.watch:
         raise InputError(f"--watch needs to know how files pair. Write a table {example} into the study.")
-    try:
+    with naming_faults("The study", f"Needed: {example}.", error=InputError, where=("watch",)):
         params = WatchParams.model_validate(plan.watch)
-    except ValidationError as error:
-        raise InputError(f"{'; '.join(model_faults(error, ['watch']))}. Needed: {example}.") from error
     names = _FACTOR.findall(params.volume)
     if not names or len(set(names)) < len(names):
         raise InputError(f"watch.volume {params.volume!r} needs each factor once, in braces. Needed: {example}.")

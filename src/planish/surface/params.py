@@ -6,11 +6,11 @@ import json
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from planish.core.errors import FileError
 from planish.core.options import Params, option
-from planish.core.tables import model_faults, raise_faults, read_text
+from planish.core.tables import naming_faults, read_text
 
 Label = Annotated[int, Field(ge=0)]
 Fringe = Literal["auto", "off"] | Annotated[float, Field(ge=0, le=1)]
@@ -149,8 +149,5 @@ def read_corrections(path: str | Path) -> Corrections:
         content: Any = json.loads(read_text(Path(path), what="file of corrections"))
     except (ValueError, RecursionError) as error:
         raise FileError(f"{name} is no JSON: {error}. {_REMEDY}") from error
-    try:
+    with naming_faults(f"{name} holds no corrections of surfaces", _REMEDY, error=FileError):
         return Corrections.model_validate(content)
-    except ValidationError as error:
-        raise_faults(f"{name} holds no corrections of surfaces", model_faults(error), _REMEDY, error=FileError)
-        raise

@@ -20,7 +20,8 @@ from pydantic import (
 )
 
 from planish.core.errors import FileError, InputError
-from planish.run.study import Study, faults_of
+from planish.core.tables import model_faults, naming_faults
+from planish.run.study import Study
 from planish.synthetic.params import SIZES_UM, SpecimenParams, draw_params
 from planish.synthetic.presets import NUISANCES, PRESETS, nuisances_of, with_only
 
@@ -164,11 +165,11 @@ class Scenario(ScenarioTable):
         try:
             (self.params if self.second is None else self.second_params)(0)
         except ValidationError as error:
-            raise ValueError(faults_of(error, within="specimen.")) from error
+            raise ValueError("; ".join(model_faults(error, ("specimen",)))) from error
         try:
             self.study_of([("volume", "z")] * (2 if self.second else 1), None if self.second else "image")
         except ValidationError as error:
-            raise ValueError(faults_of(error, within="study.")) from error
+            raise ValueError("; ".join(model_faults(error, ("study",)))) from error
         return self
 
     def study_of(self, volumes: Sequence[tuple[Path | str, str]], image: Path | str | None) -> Study:
@@ -240,8 +241,8 @@ def read_scenario(name_or_path: str | Path) -> Scenario:
             f"There is no scenario {name!r}. Give one of {', '.join(scenario_names())}, or the path of a TOML file."
         )
     try:
-        return Scenario.model_validate(tomllib.loads(path.read_text(encoding="utf-8")))
-    except ValidationError as error:
-        raise InputError(f"The scenario {name} has {error.error_count()} faults: {faults_of(error)}.") from error
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, ValueError) as error:
         raise FileError(f"{name} is not a TOML file that can be read: {error}.") from error
+    with naming_faults(f"The scenario {name}", error=InputError):
+        return Scenario.model_validate(tables)

@@ -7,10 +7,10 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
-from pydantic import Field, PositiveFloat, ValidationError
+from pydantic import Field, PositiveFloat
 
 from planish.core.errors import MarkError
-from planish.core.tables import MOST_FAULTS, model_faults
+from planish.core.tables import naming_faults
 from planish.core.typing import Floats
 from planish.marks.exchange import model
 from planish.marks.exchange.lists import MOST_MARKS, Content, Part, check_count, json_file, json_text, refuse
@@ -89,11 +89,8 @@ def read(content: Content) -> xr.Dataset:
         )
     listed: object = entries.get("marks")
     check_count(name, len(listed) if isinstance(listed, list) else 0)
-    try:
+    with naming_faults(name, _PAGE, error=MarkError):
         file = _File.model_validate(dict(entries))
-    except ValidationError as error:
-        refuse(name, model_faults(error), _PAGE)
-        raise
     names = [layer.name for layer in file.layers]
     refuse(name, _cross_field_faults(file, names), _PAGE)
     results = {key: _column(file.marks, f"{key}_um") for key in RESULTS}
@@ -126,11 +123,8 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
         head["layers"].append({key: about[key] for key in keys if key in about})
     if "registration" in marks.attrs:
         head["registration"] = marks.attrs["registration"]
-    try:
+    with naming_faults("The marks cannot be written", error=MarkError):
         _File.model_validate(head | {"marks": rows})
-    except ValidationError as error:
-        faults = "; ".join(model_faults(error)[:MOST_FAULTS])
-        raise MarkError(f"The marks cannot be written: {faults}.") from error
     return {"": json_file(head, "marks", "[]", list(map(json_text, rows))).encode()}
 
 
