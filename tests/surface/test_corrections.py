@@ -200,7 +200,7 @@ def test_a_point_on_the_right_face_changes_next_to_nothing_and_one_outside_is_re
 @pytest.mark.parametrize(
     ("text", "words"),
     [
-        ("{", "is no JSON"),
+        ("{", "Invalid JSON"),
         ("[1]", "holds no corrections"),
         ('{"stretches": [{"id": "a", "points": []}]}', "points"),
         ('{"stretches": [{"id": "a", "points": [{"z": NaN, "y": 1, "x": 1, "face": "top"}]}]}', "finite"),

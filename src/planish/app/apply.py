@@ -6,7 +6,6 @@ import itertools
 import re
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import xarray as xr
@@ -21,7 +20,7 @@ from planish.marks.regions import Region, Regions, geojson_text
 from planish.marks.regions.model import ring_of
 from planish.run.cached_maps import noted_study
 from planish.run.regions import REGIONS
-from planish.run.study import EDITS, LayerParams, Study, changed
+from planish.run.study import EDITS, LayerParams, Study, changed, with_layer
 
 STAGED = f"{EDITS}/.apply"
 """Hidden folder of a run where files of an order stand until the new run has its own."""
@@ -47,10 +46,10 @@ def order_of(session: Session, staged: Path) -> tuple[Study, dict[str, str]]:
         files[file] = marks_bytes(all_marks(marks, holes[name], usual_um=usual_um), "json")[""].decode()
         path = str(staged / file)
         if alone:
-            study = changed(study, registration=changed(study.registration, marks=path))
-        study = _with_layer(study, name, marks=None if alone else path)
+            study = changed(study, registration={"marks": path})
+        study = with_layer(study, name, marks=None if alone else path)
     if state.model != first.model:
-        study = changed(study, registration=changed(study.registration, model=state.model))
+        study = changed(study, registration={"model": state.model})
     if state.regions != first.regions:
         regions = tuple(
             Region(
@@ -61,20 +60,14 @@ def order_of(session: Session, staged: Path) -> tuple[Study, dict[str, str]]:
         )  # fmt: skip
         if regions:
             files[REGIONS] = geojson_text(Regions(declared=regions))
-        study = changed(study, correlate=changed(study.correlate, regions=str(staged / REGIONS) if regions else None))
+        study = changed(study, correlate={"regions": str(staged / REGIONS) if regions else None})
     for name, corrections in changed_corrections(study, first.corrections, state.corrections).items():
         file = f"surface-{name}.json"
         if corrections.stretches:
             files[file] = corrections.to_json()
-        surface = next(layer.surface for layer in study.layers if layer.name == name)
         path = str(staged / file) if corrections.stretches else None
-        study = _with_layer(study, name, surface=changed(surface, corrections=path))
+        study = with_layer(study, name, surface={"corrections": path})
     return study, files
-
-
-def _with_layer(study: Study, name: str, **fields: Any) -> Study:
-    layers = (changed(layer, **fields) if layer.name == name else layer for layer in study.layers)
-    return changed(study, layers=tuple(layers))
 
 
 def _original_run(session: Session) -> tuple[Study, Mapping[str, xr.Dataset]]:

@@ -20,8 +20,8 @@ from importlib import import_module
 from pathlib import Path
 from typing import Any, TextIO
 
-from planish.core.errors import PlanishError, ResourceError
-from planish.core.files import as_planish, writing
+from planish.core.errors import PlanishError
+from planish.core.files import as_sentence, writing
 
 TARGET = "target"
 """File among those of an order: where the new run will stand."""
@@ -90,20 +90,11 @@ def _make_run(order: Mapping[str, Any], send: Any) -> None:
                 (staged / name).write_text(text, encoding="utf-8", newline="\n")
         run_study(Study.model_validate_json(order["study"]), out, old=Path(order["run"]), progress=progress)
     except Exception as error:  # noqa: BLE001  the page gets a sentence
-        answer = {"state": "failed", "message": in_study_words(_as_planish_error(error).text)}
+        remedy = "Close other programs, or apply it on a machine with more memory."
+        answer = {"state": "failed", "message": in_study_words(as_sentence(error, "the new run", remedy).text)}
     finally:
         shutil.rmtree(staged, ignore_errors=True)
     send(answer)
-
-
-def _as_planish_error(error: Exception) -> PlanishError:
-    if isinstance(error, PlanishError):
-        return error
-    if isinstance(error, MemoryError):
-        return ResourceError("The memory is used up. Close other programs, or apply it on a machine with more memory.")
-    if isinstance(error, OSError):
-        return as_planish(error, Path(error.filename or "the new run"))
-    return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
 
 
 def _interrupt_after(stream: TextIO) -> None:

@@ -36,27 +36,14 @@ _LOST = (
 
 
 class Progress(ResultModel):
-    """Progress of an Apply.
-
-    Attributes
-    ----------
-    state : {"idle", "working", "done", "failed", "cancelled"}
-    stage, message : str
-        What is done at this moment, or what was wrong.
-    share : float
-        Of the work, 0 to 1.
-    run : str or None
-        Folder of the new run, when it is done.
-    report : str or None
-        Where its page is served.
-    """
+    """Progress of an Apply."""
 
     state: Phase = "idle"
     stage: str = ""
-    share: float = 0.0
-    message: str = ""
-    run: str | None = None
-    report: str | None = None
+    share: float = 0.0  # of the work, 0 to 1
+    message: str = ""  # what is done at this moment, or what was wrong
+    run: str | None = None  # folder of the new run, when it is done
+    report: str | None = None  # where its page is served
 
 
 class Busy(InputError):
@@ -65,20 +52,11 @@ class Busy(InputError):
 
 @dataclass(eq=False)
 class Applying:
-    """Apply of one session: at most one new run at a time.
-
-    Attributes
-    ----------
-    session : Session
-    reports : dict of Path
-        Pages of runs that were made, by ticket.
-    progress : Progress
-        Of the run that is made.
-    """
+    """Apply of one session: at most one new run at a time."""
 
     session: Session
-    reports: dict[str, Path] = field(default_factory=dict[str, Path])
-    progress: Progress = field(default_factory=Progress)
+    reports: dict[str, Path] = field(default_factory=dict[str, Path])  # pages of runs that were made, by ticket
+    progress: Progress = field(default_factory=Progress)  # of the run that is made
     _process: subprocess.Popen[str] | None = None
     _ready: subprocess.Popen[str] | None = None
     _reader: threading.Thread | None = None

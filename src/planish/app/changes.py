@@ -6,12 +6,12 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal, TypeVar
 
-from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, TypeAdapter
+from pydantic import BeforeValidator, Field, TypeAdapter
 
 from planish.core.errors import InputError
 from planish.core.tables import naming_faults
 from planish.core.text import printable
-from planish.marks.exchange.lists import MOST_MARKS
+from planish.marks.exchange.lists import MOST_MARKS, Part
 from planish.marks.regions.model import LONGEST_TEXT
 from planish.register.params import ModelChoice
 from planish.run.study import Study
@@ -34,11 +34,7 @@ class ChangeError(InputError):
     """A change that cannot be made: it is malformed, or what it names is not there."""
 
 
-class _Part(BaseModel):
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
-
-
-class End(_Part):
+class End(Part):
     """One end of a mark, in um of its plane, with what is known of it: the fields of files of marks."""
 
     x: Um
@@ -65,7 +61,7 @@ def _as_end(end: Any) -> Any:
 OneEnd = Annotated[End, BeforeValidator(_as_end)]
 
 
-class Mark(_Part):
+class Mark(Part):
     """A mark of one registration; an end that is not known yet is None."""
 
     id: Id
@@ -80,7 +76,7 @@ class Mark(_Part):
         return self.moving is not None and self.fixed is not None
 
 
-class CorrectedPoint(_Part):
+class CorrectedPoint(Part):
     """A place of a face in the volume, in um."""
 
     z: Um
@@ -93,7 +89,7 @@ Points = Annotated[tuple[CorrectedPoint, ...], Field(min_length=1, max_length=MO
 Polygon = Annotated[tuple[tuple[Um, Um], ...], Field(min_length=3, max_length=MOST_POINTS)]
 
 
-class DrawnRegion(_Part):
+class DrawnRegion(Part):
     """A polygon of the reference, ``(x, y)`` in um, that is declared an artefact."""
 
     id: Id
@@ -108,7 +104,7 @@ FREE = "m0"
 """Id of what the journal has not numbered yet."""
 
 
-class _Change(_Part):
+class _Change(Part):
     layer: Layer | None = None
 
 
@@ -219,20 +215,10 @@ def numbered(change: Change, line: int) -> Change:
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class State:
-    """What stands after some changes.
+    """What stands after some changes."""
 
-    Attributes
-    ----------
-    marks : mapping of str to tuple of Mark
-        By the name of the moving layer, newest last.
-    model : str
-        Transformation that is fitted.
-    corrections : tuple of Correct
-    regions : tuple of DrawnRegion
-    """
-
-    marks: Mapping[str, tuple[Mark, ...]]
-    model: str = "auto"
+    marks: Mapping[str, tuple[Mark, ...]]  # by the name of the moving layer, newest last
+    model: str = "auto"  # transformation that is fitted
     corrections: tuple[Correct, ...] = ()
     regions: tuple[DrawnRegion, ...] = ()
     first: str = ""  # the layer of changes that name none

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Annotated
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field
+from pydantic import Field
 
 from planish.app.changes import ChangeError, Import, checked_label
 from planish.app.fits import Fitted
@@ -19,14 +19,14 @@ from planish.app.session import Session, dataset_of, pairs_of
 from planish.io.run_folder import read_group
 from planish.marks.exchange import FORMATS, LayerPixels, marks_bytes, pair_of_layers, read_any
 from planish.marks.exchange.formats import TARGETS
+from planish.marks.exchange.lists import Part
 from planish.run.registration import volume_to_map
 from planish.run.run import MAPS
 
 
-class MarkFile(BaseModel):
+class MarkFile(Part):
     """A file that the page read: its name, and its text or, of one that is no text, its bytes."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, strict=True)
     name: Annotated[str, Field(max_length=255)]
     text: str | None = None
     base64: str | None = None

@@ -10,7 +10,6 @@ from typing import Any
 import anyio
 import numpy as np
 from anyio.to_thread import run_sync
-from pydantic import BaseModel, ConfigDict
 from starlette.requests import Request
 from starlette.responses import JSONResponse, PlainTextResponse, Response, StreamingResponse
 from starlette.routing import Route
@@ -26,14 +25,14 @@ from planish.app.view_routes import required_numbers, session_of
 from planish.core.tables import naming_faults
 from planish.marks.exchange import FORMATS
 from planish.marks.exchange.formats import TARGETS
+from planish.marks.exchange.lists import Part
 from planish.marks.find import USUAL_UM
 from planish.register import RegistrationParams
 
 
-class _Body(BaseModel):
+class _Body(Part):
     """The version that the page has seen: all that undo and redo need."""
 
-    model_config = ConfigDict(extra="forbid", frozen=True, allow_inf_nan=False, strict=True)
     version: int | None = None
 
 

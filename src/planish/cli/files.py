@@ -85,7 +85,6 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
     from planish.io.store import write_store
     from planish.run import read_whole
 
-    refuse_existing(out)
     compute = build_params(Compute, values)
     params = build_params(VolumeParams, values, path=str(volume.absolute()))
     correct = build_params(CorrectParams, values)
@@ -98,8 +97,7 @@ def import_(volume: Path, out: Path, ome: Literal["0.5", "0.4"], **values: Any) 
         if correct.asked:
             from planish.correct import correct_volume
 
-            refuse_existing(record)
-            refuse_existing(picture)
+            refuse_existing(record, picture)
             correction = correct_volume(
                 data, params=correct, memory_bytes=compute.volume_bytes,
                 progress=lambda what, how_far: progress("correct", f"{what}, {how_far}"),

@@ -20,7 +20,7 @@ import click
 
 from planish import __version__
 from planish.cli.console import prepare_streams
-from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.errors import FileError, PlanishError
 from planish.core.text import printable
 
 _MODULES = {
@@ -110,22 +110,18 @@ def main(args: list[str] | None = None) -> None:
 
 
 def _as_planish_error(error: Exception) -> PlanishError:
-    if isinstance(error, PlanishError):
-        return error
-    if isinstance(error, MemoryError):
-        return ResourceError("The memory is used up. Use a smaller or coarser volume, or a machine with more memory.")
-    if isinstance(error, OSError):
-        from planish.core.files import as_planish
-
-        return as_planish(error, Path(error.filename or "the results"))
+    from planish.core.files import as_sentence
     from planish.installation import ANOTHER_CACHE, NO_CACHE, is_no_cache
 
     if is_no_cache(error):
         return FileError(f"{NO_CACHE} {ANOTHER_CACHE}")
+    remedy = "Use a smaller or coarser volume, or a machine with more memory."
+    fault = as_sentence(error, "the results", remedy)
+    if fault is error or fault.exit_code != PlanishError.exit_code:
+        return fault
     with tempfile.NamedTemporaryFile("w", prefix="planish-", suffix=".log", delete=False, encoding="utf-8") as log:
         log.write(f"planish {__version__}\n")
         log.write("".join(traceback.format_exception(error)))
     return PlanishError(
-        f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. "
-        f"The details are in {Path(log.name)}; please report them."
+        fault.text.replace("Please report it", f"The details are in {Path(log.name)}; please report them")
     )

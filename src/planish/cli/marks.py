@@ -49,7 +49,7 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
     another position is refused.
     """
     from planish.design import design_pattern, write_design
-    from planish.io.run_folder import new_folder, refuse_existing
+    from planish.io.run_folder import new_folder
 
     if holes_per_cm2 is not None:
         if values["holes"] is not None:
@@ -58,7 +58,6 @@ def design(out: Path, as_json: bool, holes_per_cm2: float | None, **values: Any)
         values["holes"] = max(1, round(holes_per_cm2 * width * height / 1e8))
     params, stage = build_params(DesignParams, values), build_params(StageParams, values)
     imaging = build_params(ImagingParams, values)
-    refuse_existing(out)
     pattern, rules = design_pattern(params)
     with new_folder(out) as folder:
         files, run, predicted = write_design(pattern, rules, folder, stage=stage, imaging=imaging)

@@ -35,9 +35,9 @@ PATH = click.Path(path_type=Path)
 class Verb(click.Command):
     """A command whose help shows its options in groups and ends with examples."""
 
-    def __init__(self, *args: Any, examples: Sequence[str] = (), **kwargs: Any) -> None:
+    def __init__(self, *args: Any, examples: Sequence[str] = (), goes_on: bool = False, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
-        self.examples = tuple(examples)
+        self.examples, self.goes_on = tuple(examples), goes_on
 
     def format_options(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
         """Write the options under the names of their groups."""
@@ -55,12 +55,14 @@ class Verb(click.Command):
                     formatter.write(f"  {line}\n")
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Call it, unless the results would lie in an input."""
-        from planish.io.run_folder import refuse_inside
+        """Call it, unless the results would lie in an input, or where something stands that it does not go on with."""
+        from planish.io.run_folder import refuse_existing, refuse_inside
 
         if isinstance(out := ctx.params.get("out"), Path):
             inputs = [value for name, value in ctx.params.items() if name != "out" and isinstance(value, Path)]
             refuse_inside(out, inputs)
+            if not self.goes_on:
+                refuse_existing(out)
         return super().invoke(ctx)
 
 
@@ -211,6 +213,9 @@ def existing(name: str) -> Command:
     return click.argument(name, type=PATH)
 
 
-def verb(*examples: str, name: str | None = None) -> Command:
-    """Make a command of a function, by whose name it is called, with examples at the end of its help."""
-    return click.command(name, cls=Verb, examples=examples)
+def verb(*examples: str, name: str | None = None, goes_on: bool = False) -> Command:
+    """Make a command of a function, by whose name it is called, with examples at the end of its help.
+
+    ``goes_on``: where there are results of it already, it goes on with these; otherwise ``--out`` must not exist.
+    """
+    return click.command(name, cls=Verb, examples=examples, goes_on=goes_on)

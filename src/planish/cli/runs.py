@@ -61,13 +61,11 @@ def _set_option(text: str) -> Command:
 def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain: bool = False) -> Study:
     """Build a study from the command line; what is wrong with it is wrong usage."""
     from planish.run.build import study_of, words_of
+    from planish.run.study import with_paths
 
-    sections = given_options(values, words_of())
-    for section, name in (("registration", "marks"), ("registration", "design"), ("correlate", "regions")):
-        if path := sections.get(section, {}).get(name):
-            sections[section][name] = str(Path(path).absolute())
     with wrong_usage():
-        return study_of(layers, sections, chain=chain)
+        study = study_of(layers, given_options(values, words_of()), chain=chain)
+    return with_paths(study, lambda path: str(Path(path).absolute()))
 
 
 def _changed(study: Study, changes: tuple[str, ...]) -> Study:
@@ -215,11 +213,9 @@ def demo(out: Path | None, seed: int, **values: Any) -> int:
     """Make a synthetic specimen with laser holes, link it, and show what comes out."""
     from dataclasses import replace
 
-    from planish.io.run_folder import refuse_existing
     from planish.synthetic import DEMO, make_specimen, write_instruments
 
     folder = out or free_path(Path("planish-demo"))
-    refuse_existing(folder)
     width, height = (um / 1000 for um in DEMO.size_um)
     click.echo(f"specimen: a warped sheet of {width:g} x {height:g} mm, seed {seed}", err=True)
     files = write_instruments(make_specimen(replace(DEMO, seed=seed)), folder / "specimen")

@@ -28,6 +28,7 @@ _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused",
     "planish study series.toml --out series --jobs 2",
     "planish study specimens.csv --out series --dry-run",
     "planish study series.toml --out series --watch scans/",
+    goes_on=True,
 )
 @existing("specimens")
 @out_option("Folder of the series; one that 'planish study' made goes on where it stood.")

@@ -49,13 +49,6 @@ _STORE = "Zarr store to make; it must not exist."
 _ONE_FILE: dict[str, Any] = {"type": PATH, "cls": Option}
 
 
-def _refuse(*paths: Path) -> None:
-    from planish.io.run_folder import refuse_existing
-
-    for path in paths:
-        refuse_existing(path)
-
-
 def _write(out: Path, groups: dict[str, xr.Dataset], summary: str) -> None:
     from planish.io.run_folder import new_folder, write_tree
 
@@ -103,7 +96,6 @@ def surface(volume: Path, out: Path, **values: Any) -> None:
     from planish.run.sheet import search_sheet
     from planish.run.study import LayerParams
 
-    _refuse(out)
     data, params, compute = _volume(volume, values)
     layer = LayerParams(name="sheet", volume=params, surface=build_params(SurfaceParams, values))
     surfaces = search_sheet(data, layer, compute=compute)
@@ -130,7 +122,6 @@ def measure(surfaces: Path, out: Path, path: Path | None, **values: Any) -> None
     from planish.io import find_place
     from planish.measure import measure_properties
 
-    _refuse(out)
     data = _read(surfaces, "surfaces", "'planish surface'")
     noted = json.loads(data.attrs.pop(_VOLUME, "{}"))
     if path is None and noted:
@@ -182,7 +173,6 @@ def resample(
 
     if (reference is None) != (registration is None):
         raise click.UsageError("--onto and --registration belong together: give both, or neither for flat maps.")
-    _refuse(out)
     data = _read(measured, "surfaces", "'planish measure'")
     coordinates = _read(flat, "flat", "'planish flatten'")
     map_um = build_params(FlattenParams, values).map_um
@@ -204,11 +194,12 @@ def resample(
 def holes(image: Path, out: Path, **values: Any) -> None:
     """Find the laser holes in IMAGE: a picture, or the flat maps of a sheet."""
     from planish.checks import check_holes
+    from planish.io.run_folder import refuse_existing
     from planish.marks import write_holes
     from planish.run import find_holes
 
     files = (out,) if out.suffix.lower() == ".csv" else (out, out.with_suffix(".csv"))
-    _refuse(*files)
+    refuse_existing(*files)
     side = build_params(ImageParams, values, path=str(image)).side or "top"
     shown = _read(image, "maps", "'planish resample'") if image.is_dir() else _image(image, values)[0]
     detected = find_holes(shown, params=build_params(HoleParams, values), side=side)
@@ -227,11 +218,12 @@ def holes(image: Path, out: Path, **values: Any) -> None:
 @options(RegistrationParams, "Marks and registration", without=("marks", "refine"))
 def register(moving: Path, fixed: Path, out: Path, **values: Any) -> None:
     """Match the holes in MOVING and FIXED, two files of 'planish holes', and fit the transformation."""
+    from planish.io.run_folder import refuse_existing
     from planish.marks import read_holes, write_marks
     from planish.run import register_marks
 
     table = out.with_suffix(".csv")
-    _refuse(out, table)
+    refuse_existing(table)
     registration = register_marks(
         read_holes(moving), read_holes(fixed), params=build_params(RegistrationParams, values)
     )
@@ -283,11 +275,12 @@ def correlate(linked: Path, names: tuple[str, ...], as_json: bool, **values: Any
 @figures_option
 def report(run: Path, out: Path, figures: bool) -> None:
     """Make the report of a RUN folder again."""
+    from planish.io.run_folder import refuse_existing
     from planish.report import FIGURES, write_report
     from planish.run import open_run
 
     figures_folder = out.absolute().with_name(FIGURES) if figures else None
-    _refuse(out, *([figures_folder] if figures_folder else []))
+    refuse_existing(*([figures_folder] if figures_folder else []))
     opened = open_run(run)
     marks = {name: registration.pairs() for name, registration in opened.registrations.items()}
     write_report(out, results=opened.results, groups=opened.groups, marks=marks, figures=figures_folder)

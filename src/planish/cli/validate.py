@@ -42,10 +42,9 @@ def specimen(out: Path | None, listed: bool, **values: Any) -> int:
     if out is None:
         raise click.UsageError("Missing option '--out' / '-o': the folder to make.")
     ordered = build_params(SpecimenOptions, values)
-    from planish.io.run_folder import new_folder, refuse_existing
+    from planish.io.run_folder import new_folder
     from planish.synthetic import write_specimen
 
-    refuse_existing(out)
     with new_folder(out) as folder:
         write_specimen(ordered, folder, progress=lambda name: click.echo(f"write: {name}", err=True))
     click.echo(f"specimen: {out}", err=True)

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path, PurePath
 from typing import Any
 
-from planish.core.errors import FileError, ResourceError
+from planish.core.errors import FileError, PlanishError, ResourceError
 
 _DEVICES = {
     *("con", "prn", "aux", "nul", "conin$", "conout$"),
@@ -132,6 +132,17 @@ def as_planish(error: OSError, path: Path, *, needed: int | None = None) -> File
     if error.errno in _FULL or (error.errno is None and _CUT_SHORT.search(str(error))):
         return disk_full(path, needed)
     return FileError(f"{path} cannot be written: {os.strerror(error.errno) if error.errno else error}.")
+
+
+def as_sentence(error: Exception, place: str, remedy: str) -> PlanishError:
+    """Any error as one with a sentence; ``place`` was written, ``remedy`` says what to do where memory is used up."""
+    if isinstance(error, PlanishError):
+        return error
+    if isinstance(error, MemoryError):
+        return ResourceError(f"The memory is used up. {remedy}")
+    if isinstance(error, OSError):
+        return as_planish(error, Path(error.filename or place))
+    return PlanishError(f"A fault in planish: {type(error).__name__}: {error}. Nothing was written. Please report it.")
 
 
 def move(source: Path, target: Path, *, over: bool = False) -> None:

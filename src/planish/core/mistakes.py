@@ -91,7 +91,7 @@ _ADVICE = (
 )  # fmt: skip
 
 
-def toml_mistake(error: tomllib.TOMLDecodeError, text: str) -> str:
+def toml_mistake(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> str:
     """Say where a text stops being TOML, and what to write there."""
     words = str(error)
     match = re.search(r"\(at line (\d+), column (\d+)\)", words)

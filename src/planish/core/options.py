@@ -71,11 +71,8 @@ class Shown:
     repeat: bool = False
 
 
-_FROM_NAME = "from the name"
-
-
 def option(
-    default: Any = ..., *, help: str, cli: str | None = _FROM_NAME, metavar: str | None = None, repeat: bool = False,
+    default: Any = ..., *, help: str, cli: str | None = "", metavar: str | None = None, repeat: bool = False,
     **limits: Any,
 ) -> Any:  # fmt: skip
     """Make a field of a :class:`Params` model.
@@ -87,33 +84,30 @@ def option(
     help : str
         One sentence: what it is, with its unit and when it is needed.
     cli : str or None
-        Flags of the command line, ``"--property"`` or ``"--out -o"``; made of the field's name where not given, none
-        where None.
+        Flag of the command line, such as ``"--property"``; made of the field's name where empty, none where None.
     metavar, repeat
         As in :class:`Shown`.
     **limits
         ``gt``, ``ge``, ``lt``, ``le``, ``min_length`` ..., as for :func:`pydantic.Field`.
     """
-    extra: dict[str, Any] = {"cli": cli, "metavar": metavar, "repeat": repeat}
-    return Field(default, description=help, json_schema_extra={"planish": extra}, **limits)
+    extra: Any = None if cli is None else {"planish": {"flags": cli, "metavar": metavar, "repeat": repeat}}
+    return Field(default, description=help, json_schema_extra=extra, **limits)
 
 
 def options_of(model: type[Params]) -> Iterator[tuple[str, FieldInfo, Shown]]:
     """Give name, field and appearance of every field of a model that the command line shows."""
     for name, field in model.model_fields.items():
-        extra = field.json_schema_extra
-        noted: Any = extra.get("planish") if isinstance(extra, dict) else None
-        if noted is None or noted["cli"] is None:
-            continue
-        flags = f"--{name.replace('_', '-')}" if noted["cli"] == _FROM_NAME else str(noted["cli"])
-        yield name, field, Shown(flags=tuple(flags.split()), metavar=noted["metavar"], repeat=noted["repeat"])
+        extra: Any = field.json_schema_extra
+        if extra is not None:
+            shown = extra["planish"]
+            yield name, field, Shown(**shown | {"flags": (shown["flags"] or flag_of(name),)})
 
 
 def words_in(model: type[Params], *outer: str) -> dict[str, tuple[str, ...]]:
     """Words of a call for the options of a model, ``label_air`` for ``--label-air``, and where each stands in it."""
     words: dict[str, tuple[str, ...]] = {}
     for name, field, shown in options_of(model):
-        words |= {flag[2:].replace("-", "_"): (*outer, name) for flag in shown.flags if flag.startswith("--")}
+        words[shown.flags[0][2:].replace("-", "_")] = (*outer, name)
         for inner in models_in(field.annotation):
             if issubclass(inner, Params):
                 words |= words_in(inner, *outer, name)

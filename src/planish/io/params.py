@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal, Self
 
 from pydantic import BeforeValidator, Field, model_validator
 
+from planish.core.frame import Frame
 from planish.core.options import Params, option
 
 Size = Annotated[float, Field(gt=0)]
@@ -59,6 +60,11 @@ class VolumeParams(Params):
         metavar="ANGLE",
         help="Machine direction in the flattened map, degrees clockwise from its x axis.",
     )
+
+    @property
+    def frame(self) -> Frame:
+        """Lie of the sheet in the volume."""
+        return Frame(through=self.through, top=self.top)
 
     @property
     def how(self) -> dict[str, Any]:

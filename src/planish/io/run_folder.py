@@ -195,13 +195,15 @@ def refuse_inside(path: Path, inputs: Iterable[str | Path]) -> None:
             )
 
 
-def refuse_existing(path: Path) -> None:
-    """Raise FileError if something stands at ``path`` already, or nothing can have that name."""
-    check_name(path)
-    if path.exists() or path.is_symlink():
-        raise FileError(
-            f"{path} exists already. Results are never written over: give another name with --out, or remove it first."
-        )
+def refuse_existing(*paths: Path) -> None:
+    """Raise FileError if something stands at one of the paths already, or nothing can have that name."""
+    for path in paths:
+        check_name(path)
+        if path.exists() or path.is_symlink():
+            raise FileError(
+                f"{path} exists already. Results are never written over: give another name with --out, or remove it "
+                "first."
+            )
 
 
 def write_tree(path: Path, groups: Mapping[str, xr.Dataset]) -> None:

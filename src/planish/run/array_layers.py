@@ -7,7 +7,7 @@ from collections.abc import Generator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 import tifffile
@@ -21,19 +21,22 @@ from planish.io.run_folder import refuse_existing, remove
 from planish.io.store import write_store
 from planish.run.compute import Compute
 from planish.run.run import Run
+from planish.run.study import Kind
 
 LayerInput = str | Path | Run | xr.DataArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ArrayLayer:
-    """A layer in memory, its size, and where its file will stand."""
+    """A layer in memory, and the path where its file will stand."""
 
+    path: Path
+    kind: Kind
     array: xr.DataArray
-    kind: Literal["volume", "image"]
     size_um: tuple[float, ...]
-    path: Path = Path()
+    name: str | None = None
 
+    @property
     def options(self) -> dict[str, Any]:
         """What it says of itself: its size, and how the sheet lies or which side is shown."""
         if self.kind == "image":
@@ -75,9 +78,8 @@ def layer_sources(
     if out is None:
         folder = Path(tempfile.mkdtemp(prefix="planish-"))
     else:
-        refuse_existing(Path(out))
         folder = Path(out).with_name(f"{Path(out).name}-inputs")
-        refuse_existing(folder)
+        refuse_existing(Path(out), folder)
     try:
         with writing(folder):
             folder.mkdir(parents=True, exist_ok=True)
@@ -106,5 +108,5 @@ def _source(layer: LayerInput, call: str) -> str | Path | ArrayLayer:
     if isinstance(layer, str | Path):
         return layer
     if len(getattr(layer, "shape", ())) == 2:
-        return ArrayLayer(layer, "image", check_image(layer, call))
-    return ArrayLayer(layer, "volume", check_volume(layer, call))
+        return ArrayLayer(Path(), "image", layer, check_image(layer, call))
+    return ArrayLayer(Path(), "volume", layer, check_volume(layer, call))

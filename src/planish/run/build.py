@@ -155,19 +155,18 @@ def study_of(
         raise StudyError("; ".join(dict.fromkeys(mistakes(error, Study, as_flags(words_of()))))) from error
 
 
-class _Source(NamedTuple):
-    """What a layer is made of: its name, if it was given, and what an array says of itself."""
+class PathLayer(NamedTuple):
+    """A layer that stands in a file or folder, and its name, if it was given."""
 
-    name: str | None
     path: Path
     kind: Kind
-    options: dict[str, Any]
+    name: str | None
 
 
-def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> _Source:
+def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> PathLayer | ArrayLayer:
     """Tell a run, an image and a volume; its own reader names its faults. A text may be ``NAME=PATH``."""
     if isinstance(layer, ArrayLayer):
-        return _Source(None, layer.path, layer.kind, layer.options())
+        return layer
     name, path = None, Path(layer)
     prefix, sign, rest = str(layer).partition("=")
     if sign and rest and not find_place(str(layer)).path.exists():
@@ -182,22 +181,23 @@ def _source(layer: str | Path | ArrayLayer, *, is_link: bool) -> _Source:
         kind = "run"
     elif is_link and not is_section_folder((place := find_place(path)).path) and is_image(place):
         kind = "image"
-    return _Source(name, path, kind, {})
+    return PathLayer(path, kind, name)
 
 
-def _table(name: str, source: _Source, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
+def _table(name: str, source: PathLayer | ArrayLayer, options: Mapping[str, dict[str, Any]]) -> dict[str, Any]:
     """The table of a layer in a study."""
     place, volume = {"path": str(source.path.absolute())}, options.get("volume", {})
+    stated = source.options if isinstance(source, ArrayLayer) else {}
     if source.kind == "run":
         return {"name": name, "run": place["path"], "md_deg": volume.get("md_deg")}
     if source.kind == "image":
         shared = {name: volume[name] for name in _OF_BOTH if name in volume}
-        return {"name": name, "image": shared | source.options | options.get("image", {}) | place}
+        return {"name": name, "image": shared | stated | options.get("image", {}) | place}
     of_volume = {k: options[k] for k in MAP_SECTIONS if k in options}
-    return {"name": name, "volume": source.options | volume | place, **of_volume}
+    return {"name": name, "volume": stated | volume | place, **of_volume}
 
 
-def _all_names(sources: Sequence[_Source]) -> list[str]:
+def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
     """Names of all layers: as given; sheet and image where there is one of each; else those of the files.
 
     Files of the same name are told apart by their folders.

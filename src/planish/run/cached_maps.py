@@ -35,7 +35,7 @@ class CachedMaps(NamedTuple):
         volumes = [pair for pair in sources if pair[0].kind == "volume"] if len(study.layers) > 1 else []
         for layer, sha256 in volumes:
             name = out.name if len(volumes) == 1 else f"{out.name}-{layer.name}"
-            bare = changed(layer, marks=None, surface=changed(layer.surface, corrections=None))
+            bare = changed(layer, marks=None, surface={"corrections": None})
             # The memory decides how wide the columns are.
             inputs = [sha256, str(compute.memory_bytes), *filter(None, [asked_corrections(layer)])]
             key = run_key(to_dict(Study(layers=(bare,))), inputs)

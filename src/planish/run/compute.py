@@ -58,17 +58,7 @@ def _bytes_of(text: Any) -> Any:
 
 
 class Compute(Params):
-    """What a run may use; no result depends on it.
-
-    Attributes
-    ----------
-    memory_bytes : int or None
-        Most memory; half of what is free where not given.
-    threads : int or None
-        Local threads; one a processor that this process may use, eight at most, where not given.
-    scheduler : str or None
-        Address of a dask scheduler, ``tcp://host:port``; local threads where not given.
-    """
+    """What a run may use; no result depends on it."""
 
     memory_bytes: Annotated[int, BeforeValidator(_bytes_of)] | None = option(
         None, cli="--memory", metavar="SIZE", help="Most memory to use, such as 4GB; half of what is free."

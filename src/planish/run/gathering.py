@@ -72,7 +72,7 @@ class LinkedLayers:
 def gather_sheet(sheet: Layer, study: Study) -> Run:
     """The run of one mapped sheet."""
     assert sheet.facts is not None
-    study = changed(study, layers=(sheet.params,), correlate=changed(study.correlate, regions=None))
+    study = changed(study, layers=(sheet.params,), correlate={"regions": None})
     # The coating of the top stands for it, or the thickness where there is none.
     headline = "coating_top" if "coating_top" in sheet.facts.properties else "thickness"
     facts = LayerFacts(name=sheet.name, kind="sheet", source=sheet.source, headline=headline, sheet=sheet.facts)

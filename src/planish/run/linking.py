@@ -77,7 +77,7 @@ def read_inputs(study: Study, progress: Progress) -> LinkInputs:
             layers[params.name] = _read_run(params, study)
             continue
         image = read_image(params.path, **params.image.how)
-        used = changed(params, image=changed(params.image, pixel_um=tuple(float(v) for v in image.attrs["pixel_um"])))
+        used = changed(params, image={"pixel_um": tuple(float(v) for v in image.attrs["pixel_um"])})
         source = input_file(image, params.path)
         layers[params.name] = Layer(params=used, source=source, image=image, md_deg=params.image.md_deg)
     names = [params.name for params in study.layers]
@@ -101,8 +101,7 @@ def _read_run(params: LayerParams, study: Study) -> Layer:
     md_deg = sheet.md_deg if params.md_deg is None else params.md_deg
     if study.is_sheet_on_image and sheet.params.volume is not None:
         # The study of the run becomes part of this one: the volume linked to the image has the same bytes.
-        volume = changed(sheet.params.volume, md_deg=md_deg)
-        params = changed(sheet.params, name=params.name, marks=params.marks, volume=volume)
+        params = changed(sheet.params, name=params.name, marks=params.marks, volume={"md_deg": md_deg})
     return replace(sheet, params=params, md_deg=md_deg)
 
 

@@ -27,7 +27,7 @@ from planish.run.preflight import check_request
 from planish.run.regions import REGIONS, write_regions
 from planish.run.run import MAPS, Run, is_run, marks_file
 from planish.run.sheet import CORRECTIONS, made_corrections, map_layer
-from planish.run.study import LayerParams, Study, changed, to_dict, write_study
+from planish.run.study import Study, changed, to_dict, with_layer, write_study
 from planish.run.summaries import figures_text
 
 
@@ -149,7 +149,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
     study = run.study
     if run.regions is not None:
         write_regions(run.regions, folder)
-        study = changed(study, correlate=changed(study.correlate, regions=str(home / REGIONS)))
+        study = changed(study, correlate={"regions": str(home / REGIONS)})
     write_study(_with_files_of_run(study, run, folder, home), folder, home=home, version=__version__)
     write_report(
         folder / "report.html",
@@ -194,17 +194,14 @@ def _with_files_of_run(study: Study, run: Run, folder: Path, home: Path) -> Stud
         if text:
             (folder / CORRECTIONS).parent.mkdir(exist_ok=True)
             (folder / CORRECTIONS).write_text(text, encoding="utf-8", newline="\n")
-    layers = list[LayerParams]()
     for layer in study.layers:
         if layer.name in marks and is_of_a_run(layer.marks):
-            layer = changed(layer, marks=marks[layer.name])
+            study = with_layer(study, layer.name, marks=marks[layer.name])
         if layer.kind == "volume" and layer.name in corrections:
-            layer = changed(layer, surface=changed(layer.surface, corrections=corrections[layer.name]))
-        layers.append(layer)
-    registration = study.registration
-    if len(run.registrations) == 1 and marks and is_of_a_run(registration.marks):
-        registration = changed(registration, marks=next(iter(marks.values())))
-    return changed(study, layers=tuple(layers), registration=registration)
+            study = with_layer(study, layer.name, surface={"corrections": corrections[layer.name]})
+    if len(run.registrations) == 1 and marks and is_of_a_run(study.registration.marks):
+        study = changed(study, registration={"marks": next(iter(marks.values()))})
+    return study
 
 
 def hash_of_input(path: str | Path) -> str:

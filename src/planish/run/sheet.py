@@ -11,7 +11,7 @@ import xarray as xr
 
 from planish.checks import MeasuredSheet, check_scan, run_checks
 from planish.core.errors import CannotMeasure
-from planish.core.frame import Frame, other_axis
+from planish.core.frame import other_axis
 from planish.core.grid import pitch
 from planish.core.tiles import Engine
 from planish.flatten import flatten_sheet
@@ -62,7 +62,7 @@ def map_layer(
     }
     if sections is not None:
         groups["sections"] = sections
-    params = changed(layer, flatten=changed(layer.flatten, mesh_um=flattened.quality.mesh_um, map_um=map_um))
+    params = changed(layer, flatten={"mesh_um": flattened.quality.mesh_um, "map_um": map_um})
     facts = SheetFacts(
         surfaces=surface_facts(columns),
         properties=property_facts(columns),
@@ -74,12 +74,11 @@ def map_layer(
     if volume is None:
         assert before is not None
         return _remapped(before, Layer(params=params, source=before.source, groups=groups, facts=facts, md_deg=md_deg))
-    frame = Frame(through=v.through, top=v.top)
-    step = column_step(volume, frame, v.column_um, compute)
-    groups["slices"] = some_slices(volume, frame, step)
+    step = column_step(volume, v.frame, v.column_um, compute)
+    groups["slices"] = some_slices(volume, v.frame, step)
     # Where single columns of voxels were measured without being asked for, nothing has to be repeated.
     wider = {"column_um": column_um} if step > 1 and v.column_um is None else {}
-    sizes = changed(v, voxel_um=tuple(float(s) for s in volume.attrs["voxel_um"]), **wider)
+    sizes = {"voxel_um": tuple(float(s) for s in volume.attrs["voxel_um"])} | wider
     progress("check", "slices, grey, layers")
     scan = check_scan(
         volume, columns, sections=sections is not None, labels=layer.surface.labels is not None, threads=compute.threads
@@ -161,13 +160,12 @@ def search_sheet(
     """
     v = layer.volume
     assert v is not None
-    frame = Frame(through=v.through, top=v.top)
-    step = column_step(volume, frame, v.column_um, compute)
+    step = column_step(volume, v.frame, v.column_um, compute)
     wide = f", columns of {step} x {step}" if step > 1 else ""
     progress("surface", " x ".join(map(str, volume.shape)) + " voxels" + wide)
     with engine(compute, tiles=tiles and tiles / str(step)) as worker:
         return find_surfaces(
-            volume, frame=frame, params=layer.surface, step=step, engine=worker, unusual_size=v.unusual_size
+            volume, frame=v.frame, params=layer.surface, step=step, engine=worker, unusual_size=v.unusual_size
         )
 
 

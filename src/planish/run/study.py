@@ -148,10 +148,8 @@ def toml_tables(path: Path, text: str) -> dict[str, Any]:
     """Tables in the text of a file; FileError says where it is no TOML."""
     try:
         return tomllib.loads(f"{text}\n")  # with a line end, what is wrong in the last line has a number, too
-    except tomllib.TOMLDecodeError as error:
+    except (tomllib.TOMLDecodeError, RecursionError) as error:
         raise FileError(f"{path} is not a TOML file: {toml_mistake(error, text)}") from error
-    except RecursionError as error:
-        raise FileError(f"{path} is not a TOML file: {error}.") from error
 
 
 def checked_study(path: Path, text: str, tables: dict[str, Any]) -> Study:
@@ -301,6 +299,13 @@ def with_paths(params: P, change: Callable[[str], str | None]) -> P:
     return params.model_copy(update=update)
 
 
-def changed(params: P, **values: object) -> P:
-    """The same parameters with some values changed."""
-    return params.model_copy(update=values)
+def changed(params: P, **values: Any) -> P:
+    """The same parameters with some values changed; a dict changes those of a section."""
+    sections = {name: changed(getattr(params, name), **part) for name, part in values.items() if isinstance(part, dict)}
+    return params.model_copy(update=values | sections)
+
+
+def with_layer(study: Study, name: str, **values: Any) -> Study:
+    """The same study with some values of one layer changed, as by :func:`changed`."""
+    layers = (changed(layer, **values) if layer.name == name else layer for layer in study.layers)
+    return changed(study, layers=tuple(layers))

@@ -42,7 +42,7 @@ def read_sheet_volume(
 
 def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
-    how = params.how | {"memory_bytes": compute.volume_bytes}
+    how: dict[str, Any] = params.how | {"memory_bytes": compute.volume_bytes}
     volume = read_volume(params.path, **how)
     return volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, model_validator
 
@@ -144,10 +144,6 @@ def read_corrections(path: str | Path) -> Corrections:
     FileError
         If it cannot be read, or holds something else; all faults are named.
     """
-    name = Path(path).name
-    try:
-        content: Any = json.loads(read_text(Path(path), what="file of corrections"))
-    except (ValueError, RecursionError) as error:
-        raise FileError(f"{name} is no JSON: {error}. {_REMEDY}") from error
-    with naming_faults(f"{name} holds no corrections of surfaces", _REMEDY, error=FileError):
-        return Corrections.model_validate(content)
+    text = read_text(path, what="file of corrections")
+    with naming_faults(f"{Path(path).name} holds no corrections of surfaces", _REMEDY, error=FileError):
+        return Corrections.model_validate_json(text)

@@ -9,8 +9,6 @@ from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Self
 
 from pydantic import (
-    BaseModel,
-    ConfigDict,
     Field,
     TypeAdapter,
     ValidationError,
@@ -20,6 +18,7 @@ from pydantic import (
 )
 
 from planish.core.errors import FileError, InputError
+from planish.core.options import Params
 from planish.core.tables import model_faults, naming_faults
 from planish.run.study import Study
 from planish.synthetic.params import SIZES_UM, SpecimenParams, draw_params
@@ -81,13 +80,7 @@ _KNOWN: dict[str, tuple[Mapping[str, Any], str]] = {
 }  # fmt: skip
 
 
-class ScenarioTable(BaseModel):
-    """A table of the file: unknown keys are errors, nothing changes once read."""
-
-    model_config = ConfigDict(extra="forbid", frozen=True, populate_by_name=True)
-
-
-class Limit(ScenarioTable):
+class Limit(Params, populate_by_name=True):
     """Bound of a figure: ``limit`` holds its absolute value from above, ``least`` the value itself from below.
 
     ``from`` names where the bound comes from.
@@ -117,14 +110,14 @@ class Limit(ScenarioTable):
         return min(values) if self.limit is None else max(values, key=abs)
 
 
-class Second(ScenarioTable):
+class Second(Params):
     """The second instrument of a pair, and what it does otherwise to the same sheet (how it is bent, above all)."""
 
     instrument: Instrument
-    specimen: dict[str, Any] = {}
+    specimen: dict[str, Any] = Field({})
 
 
-class Scenario(ScenarioTable):
+class Scenario(Params):
     """One kind of specimen and how it is measured."""
 
     name: str
@@ -144,10 +137,10 @@ class Scenario(ScenarioTable):
     or_warned: bool = False
     point_um: Length = 100.0  # edge of the larger points of the correlation
     # Fields of SpecimenParams that differ from their defaults; nested as they are there.
-    specimen: dict[str, Any] = {}
+    specimen: dict[str, Any] = Field({})
     second: Second | None = None  # the other instrument of a pair, which is the reference
-    study: dict[str, dict[str, Any]] = {}  # groups of options that differ from their defaults
-    limits: dict[str, Limit] = {}
+    study: dict[str, dict[str, Any]] = Field({})  # groups of options that differ from their defaults
+    limits: dict[str, Limit] = Field({})
 
     @field_validator(*_KNOWN)
     @classmethod
