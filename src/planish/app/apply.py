@@ -29,12 +29,7 @@ STAGED = f"{EDITS}/.apply"
 def order_of(session: Session, staged: Path) -> tuple[Study, dict[str, str]]:
     """Give the study of the new run of a session, and texts of files by name, which the study finds in ``staged``.
 
-    Parameters
-    ----------
-    session : Session
-        Where it stands as it began, so does the study, and no file is written.
-    staged : Path
-        Folder where the files will stand while the run is made.
+    Where a session stands as it began, so does the study, and there are no files.
     """
     study, holes = _original_run(session)
     first, state, files = session.first, session.state, dict[str, str]()
@@ -92,18 +87,8 @@ def place_of(run: Path, *, linked: bool) -> Path:
 def all_marks(marks: Sequence[Mark], before: xr.Dataset, *, usual_um: float) -> xr.Dataset:
     """Marks of a session as files have them, and the holes in which none of them lies: these are masked too.
 
-    Parameters
-    ----------
-    marks : sequence of Mark
-        Used or not, with one end or both. An end keeps what it says of itself; without a diameter it takes that of the
-        hole in which it lies, or ``usual_um``.
-    before : Dataset (mark)
-        All marks of the run, matched or not, as ``marks.json`` has them.
-    usual_um : float
-
-    Returns
-    -------
-    Dataset (mark)
+    ``before`` are all marks of the run, matched or not, as ``marks.json`` has them. An end of a mark keeps what it says
+    of itself; without a diameter it takes that of the hole in which it lies, or ``usual_um``.
     """
     joined = dataset_of(marks, about=before.attrs.get("layers", {}))
     labels = [mark.label for mark in marks]

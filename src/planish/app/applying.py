@@ -90,15 +90,7 @@ class Applying:
             later.start()
 
     def start(self) -> Progress:
-        """Begin to make a run of what stands in the session.
-
-        Raises
-        ------
-        Busy
-            If one is being made.
-        PlanishError
-            If what stands cannot be written, such as two marks of one name.
-        """
+        """Begin to make a run of what stands in the session; Busy where one is being made."""
         with self._lock:
             if self.progress.state == "working":
                 raise Busy("A run is being made already. Wait for it, or cancel it first.")

@@ -193,13 +193,7 @@ _CHANGE: TypeAdapter[Change] = TypeAdapter(Change)
 
 
 def change_of(data: bytes | str) -> Change:
-    """Read a change from JSON, as the page sends it or the journal holds it.
-
-    Raises
-    ------
-    ChangeError
-        If it is none; the message names every fault.
-    """
+    """Read a change from JSON, as the page sends it or the journal holds it; ChangeError names every fault."""
     with naming_faults("This is no change", error=ChangeError):
         return _CHANGE.validate_json(data)
 

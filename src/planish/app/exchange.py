@@ -52,15 +52,8 @@ class MarkFile(Part):
 def imported(session: Session, layer: str, first: MarkFile, second: MarkFile | None = None) -> Import:
     """The marks of a file, in the planes of a registration, as a change.
 
-    Parameters
-    ----------
-    second : MarkFile, optional
-        The fixed layer, where a format has one layer a file.
-
-    Raises
-    ------
-    FileError, MarkError, SizeError
-        If it is in no known format, or its marks cannot be used here.
+    ``second`` is the fixed layer, where a format has one layer a file. FileError, MarkError and SizeError say what is
+    wrong with a file.
     """
     with tempfile.TemporaryDirectory(prefix="planish-") as folder:
         paths: list[Path] = []
@@ -81,12 +74,7 @@ def imported(session: Session, layer: str, first: MarkFile, second: MarkFile | N
 def exported(session: Session, layer: str, to: str, fitted: Fitted) -> tuple[str, bytes]:
     """Name and bytes of a file with the marks; a ZIP where the format has a file for each layer.
 
-    Raises
-    ------
-    ChangeError
-        If there is no such format to write.
-    MarkError
-        If there is no mark, or none that the format can hold.
+    ChangeError for an unknown format, MarkError where there is no mark that it can hold.
     """
     if to not in TARGETS:
         raise ChangeError(f"Marks are written as {', '.join(TARGETS)}.")

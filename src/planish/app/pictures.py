@@ -152,17 +152,7 @@ def _on_grids(levels: ComputedLevels, grid: Grid) -> list[xr.DataArray]:
 
 
 def image_picture(params: ImageParams, *, plane: Plane, layer: str, name: str) -> PlanePicture:
-    """The picture of an image file that no store holds, as :func:`planish.read_image` reads it.
-
-    Raises
-    ------
-    FileError
-        If it is damaged or of another format.
-    SizeError
-        If the pixel size is not known.
-    InputError
-        If it has no such channel.
-    """
+    """The picture of an image file that no store holds, as :func:`planish.read_image` reads it, with its errors."""
     path, channel = Path(params.path), params.channel
     head = load_picture(path, decode=False)
     pixel_um, _ = agreed_size(

@@ -68,17 +68,15 @@ def study_from(layers: tuple[str | Path, ...], values: dict[str, Any], *, chain:
     return with_paths(study, lambda path: str(Path(path).absolute()))
 
 
-def _changed(study: Study, changes: tuple[str, ...]) -> Study:
+def _run_and_show(
+    study: Study, out: Path, values: dict[str, Any], *, changes: tuple[str, ...] = (), old: Path | None = None
+) -> int:
+    """Do what a study says after some changes, show it, and return the exit code."""
+    from planish.run import run_study
     from planish.run.study import with_values
 
     with wrong_usage("--set: "):
-        return with_values(study, changes) if changes else study
-
-
-def _run_and_show(study: Study, out: Path, values: dict[str, Any], *, old: Path | None = None) -> int:
-    """Do what a study says, show it, and return the exit code."""
-    from planish.run import run_study
-
+        study = with_values(study, changes) if changes else study
     with stages(8 + 3 * len(study.layers)) as progress:
         compute, figures = build_params(Compute, values), values.get("figures", False)
         run = run_study(study, out, progress=progress, compute=compute, old=old, figures=figures)
@@ -116,7 +114,7 @@ def link(layers: tuple[str, ...], out: Path, chain: bool, changes: tuple[str, ..
     """
     if len(layers) < 2:
         raise click.UsageError("Something to link it to is missing: give two layers or more, the reference last.")
-    return _run_and_show(_changed(study_from(layers, values, chain=chain), changes), out, values)
+    return _run_and_show(study_from(layers, values, chain=chain), out, values, changes=changes)
 
 
 @verb(
@@ -157,7 +155,7 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
 
     if study.is_dir():
         study = study / RUN_TOML
-    checked = _changed(read_study(study), changes)
+    written = read_study(study)
     old, usual = None, study.with_suffix("")
     if study.name == RUN_TOML:
         old = study.absolute().parent  # the run that STUDY is of
@@ -165,7 +163,7 @@ def run(study: Path, out: Path | None, changes: tuple[str, ...], **values: Any) 
         values["figures"] = (old / FIGURES).is_dir()
     target = out or free_path(usual)
     try:
-        code = _run_and_show(checked, target, values, old=old if changes else None)
+        code = _run_and_show(written, target, values, changes=changes, old=old if changes else None)
     except PlanishError as error:
         raise type(error)(in_study_words(error.text)) from error
     if old is not None and not changes:

@@ -109,13 +109,7 @@ def toml_mistake(error: tomllib.TOMLDecodeError | RecursionError, text: str) -> 
 def mistakes(error: ValidationError, model: type[BaseModel], place: Place = lambda loc: (loc, None)) -> list[str]:
     """Name every mistake that a validation found: ``line 7, volume.thruogh: unknown; did you mean through?``.
 
-    Parameters
-    ----------
-    error : ValidationError
-    model : type
-        What was validated; names that are possible are taken from it.
-    place : callable
-        Gives key and line in the file; the key alone where not given.
+    Names that are possible are taken from ``model``; ``place`` gives key and line in the file.
     """
     sentences: list[tuple[int, str]] = []
     named_keys: set[Key] = set()

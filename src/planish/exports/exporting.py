@@ -14,7 +14,7 @@ from planish.analyze.compare import is_property
 from planish.core.errors import FileError, InputError, ResourceError, StudyError
 from planish.core.files import new_file
 from planish.core.grid import Grid
-from planish.core.options import option_names, params_of
+from planish.core.options import flag_of, params_of
 from planish.core.threads import limit_threads
 from planish.exports.content import Maps
 from planish.exports.formats import FORMATS, ExportFormat, ExportParams, formats_with, is_file, writer_of
@@ -243,10 +243,9 @@ def export(
     params = params_of(ExportParams, options)
     for name in dict.fromkeys(name for form in FORMATS.values() for name in form.options):
         if name in params.model_fields_set and name not in FORMATS[params.to].options:
-            flag = option_names(ExportParams, name)
-            raise StudyError(f"{flag} is for {formats_with(name)}, and --to says {params.to}.")
+            raise StudyError(f"{flag_of(name)} is for {formats_with(name)}, and --to says {params.to}.")
     if params.depth_um is not None and params.group != STRAIGHTENED:
-        raise StudyError(f"{option_names(ExportParams, 'depth_um')} is for --group {STRAIGHTENED}.")
+        raise StudyError(f"--depth-um is for --group {STRAIGHTENED}.")
     form, compute, out = FORMATS[params.to], compute or Compute(), Path(out)
     single = is_file(params.to, out)
     refuse_existing(out)

@@ -63,12 +63,7 @@ def layer_sources(
 ) -> Generator[list[str | Path | ArrayLayer]]:
     """Give each layer its path; arrays get one in ``OUT-inputs``, or in a folder that is removed at the end.
 
-    Raises
-    ------
-    InputError
-        If a layer is neither a path, a run with a folder, a volume nor an image.
-    FileError
-        If ``OUT`` or ``OUT-inputs`` exists.
+    InputError for what is neither a path, a run with a folder, a volume nor an image; FileError where a folder exists.
     """
     sources = [_source(layer, call) for layer in layers]
     kinds = [source.kind for source in sources if isinstance(source, ArrayLayer)]

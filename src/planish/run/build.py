@@ -220,30 +220,22 @@ def _all_names(sources: Sequence[PathLayer | ArrayLayer]) -> list[str]:
 def sections_of(
     options: Mapping[str, Any], sections: Iterable[str], compute: Compute | None, *, call: str
 ) -> tuple[dict[str, dict[str, Any]], Compute | None]:
-    """Sort what a call was given into sections of a study, and what may be used.
-
-    Raises
-    ------
-    StudyError
-        If a word is unknown, or given twice; all faults are named.
-    """
+    """Sort what a call was given into sections of a study, and what may be used; StudyError names all faults."""
     places = words_of([*sections, "compute"])
     tables: dict[str, Any] = {} if compute is None else {"compute": params_of(Compute, compute, call).model_dump()}
-    faults, words = list[str](), dict[str, Any]()
+    words = {word: value for word, value in options.items() if value is not None and word in places}
+    faults: list[str] = []
     for word, value in options.items():
-        if word not in sections:
-            if value is not None and word in places:
-                words[word] = value
-            elif value is not None:
-                faults.append(_unknown(word, [*sections, *places, "out", "progress", "chain"]))
-        elif isinstance(value, Params):
+        if isinstance(value, Params) and word in sections:
             tables[word] = value.model_dump(exclude_unset=True)
-        elif isinstance(value, Mapping):
+        elif isinstance(value, Mapping) and word in sections:
             tables[word] = deepcopy(dict[str, Any](value))
-        else:
+        elif word in sections:
             faults.append(f"{word}={value!r}: needed is a dict of options, or one of them by itself.")
-    for word in put_options(tables, places, words):
-        faults.append(f"{word}= is given twice, by itself and in {places[word][0]}=. Leave one out.")
+        elif word not in places and value is not None:
+            faults.append(_unknown(word, [*sections, *places, "out", "progress", "chain"]))
+    twice = put_options(tables, places, words)
+    faults += [f"{word}= is given twice, by itself and in {places[word][0]}=. Leave one out." for word in twice]
     if faults:
         raise StudyError(f"{call}: {' '.join(faults)}")
     limits = tables.pop("compute", None)

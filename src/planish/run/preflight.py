@@ -31,18 +31,8 @@ _REFINED_BYTES, _HELD_BYTES, _COMPARED_BYTES = 120, 130, 24
 def check_request(study: Study, compute: Compute, *, held: bool = False) -> None:
     """Raise what no volume can change; ``held``: the results stay in memory.
 
-    Raises
-    ------
-    CannotMeasure
-        If a further map is unknown or needs a number that is not given.
-    InputError
-        If further maps of labels are asked for, a map is to lead or to stand beside that there will not be, parts
-        are to stand beside their sum, what is asked of light or errors needs other layers or references, or the
-        pattern of the holes cannot be read.
-    FileError
-        If an image cannot be opened, or a file of regions or corrections is of no use.
-    ResourceError
-        If an image is too large for the memory.
+    CannotMeasure names further maps that are unknown or lack a number, InputError what needs other maps, layers or
+    references, FileError a file that cannot be read, and ResourceError an image beyond the memory.
     """
     for layer in study.layers:
         if layer.kind != "volume":

@@ -19,12 +19,8 @@ REGIONS = "regions.geojson"
 def regions_on(path: str | None, grid: Grid) -> Regions | None:
     """Read the regions of a study, in um of the reference; None where it declares none.
 
-    Raises
-    ------
-    FileError
-        If the file cannot be read, is damaged, or holds something else than polygons.
-    InputError
-        If no pixel of the reference lies in a region, or every one.
+    FileError where the file holds no polygons, InputError where no pixel of the reference lies in a region, or every
+    one.
     """
     if path is None:
         return None

@@ -151,13 +151,7 @@ def search_sheet(
     volume: xr.DataArray, layer: LayerParams, *, compute: Compute, progress: Progress = silent,
     tiles: Path | None = None,
 ) -> xr.Dataset:  # fmt: skip
-    """Find the surfaces of a sheet.
-
-    Raises
-    ------
-    VolumeError
-        As :func:`planish.find_surfaces`.
-    """
+    """Find the surfaces of a sheet; errors as those of :func:`planish.find_surfaces`."""
     v = layer.volume
     assert v is not None
     step = column_step(volume, v.frame, v.column_um, compute)
@@ -170,13 +164,7 @@ def search_sheet(
 
 
 def asked_corrections(layer: LayerParams) -> str:
-    """Text of the corrections that a study asks for; empty where it asks for none.
-
-    Raises
-    ------
-    FileError
-        If the file cannot be read, or holds something else.
-    """
+    """Text of the corrections that a study asks for, empty where there are none; FileError where it holds others."""
     if layer.surface.corrections is None:
         return ""
     corrections = read_corrections(layer.surface.corrections)

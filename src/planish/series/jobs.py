@@ -81,13 +81,7 @@ class Estimate:
 
 @contextmanager
 def series_folder(out: Path) -> Generator[None]:
-    """Make the folder of a series, or go on with one; nobody else writes there meanwhile.
-
-    Raises
-    ------
-    FileError
-        If something else stands there, it cannot be written, or another process is at work on it.
-    """
+    """Make the folder of a series, or go on with one; FileError where something else stands or works there."""
     if out.exists() and not (out / NOTES).is_dir():
         if (out / RUN_TOML).is_file():
             raise FileError(f"{out} is a run. Give the series a folder of its own with --out.")

@@ -35,28 +35,12 @@ def run_series(
     plan: Plan, out: Path, *, compute: Compute, jobs: int = 1, tell: Tell, members: dict[str, Member],
     coming: Iterable[PlannedSpecimen | None] | None = None,
 ) -> None:  # fmt: skip
-    """Do all specimens of a series that are not done, each into ``out/runs/NAME``.
+    """Do all specimens of a series that are not done, each into ``out/runs/NAME``; ``out`` exists.
 
-    Parameters
-    ----------
-    plan : Plan
-    out : Path
-        Folder of the series, which exists.
-    compute : Compute
-        Memory and threads are shared out among the jobs; with a scheduler, whole specimens go to its workers.
-    jobs : int
-        Specimens at a time.
-    tell : callable
-        Called as each specimen is done.
-    members : dict
-        Filled as specimens come in and are done, so that it can be read after an interrupt, too.
-    coming : iterable of PlannedSpecimen or None, optional
-        Specimens instead of those of the plan, as they appear; None for none as yet.
-
-    Raises
-    ------
-    PlanishError
-        If the folder cannot be written or the scheduler is lost; not for what is wrong with a specimen.
+    Memory and threads are shared out among ``jobs`` specimens at a time; with a scheduler, whole specimens go to its
+    workers. ``members`` is filled as specimens come in and are done, so that it can be read after an interrupt, too.
+    ``coming`` gives specimens instead of those of the plan, as they appear; None for none as yet. What is wrong with a
+    specimen raises nothing; a folder that cannot be written, or a scheduler that is lost, does.
     """
     state, specimens = SeriesState(out, plan), dict[str, PlannedSpecimen]()
     if compute.scheduler is not None:  # one thread, since the scheduler counts threads
