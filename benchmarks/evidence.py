@@ -137,7 +137,7 @@ def curves(r: float, length: float, noise: float, seed: int, count: int) -> Arra
     own, rest = ([_variance(k, s) for s in CURVE] for k in (length, noise))
     true = [r * math.sqrt(a) / math.sqrt(r * r * a + (1 - r * r) * b) for a, b in zip(own, rest, strict=True)]
     for _ in range(count):
-        band = size_curve(*related(rng, r, length, noise), pixel_um=1.0, sizes_um=CURVE).band
+        band = [row.band for row in size_curve(*related(rng, r, length, noise), pixel_um=1.0, sizes_um=CURVE)]
         out.append(all(low <= t <= high for (low, high), t in zip(band, true, strict=True) if low == low))
     return np.array(out, dtype=float)
 

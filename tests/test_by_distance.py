@@ -48,7 +48,7 @@ def test_variograms_are_those_of_the_function():
         assert (one.layer, one.map, one.units, one.md_deg) == (layer, name, units, 30.0)
         assert (one.nugget, one.sill, one.range_um, one.ratio) == (twin.nugget, twin.sill, twin.range_um, twin.ratio)
         assert len(one.distances_um) <= 60
-        assert (one.distances_um[0], one.distances_um[-1]) == (twin.lags_um[0], twin.lags_um[-1])
+        assert (one.distances_um[0], one.distances_um[-1]) == (twin.distances_um[0], twin.distances_um[-1])
         assert set(one.values) <= set(twin.values)
 
 

@@ -15,7 +15,7 @@ from planish.analyze.compare import ComparisonRow, CorrelationRow
 from planish.analyze.diagnostics import EvidenceFacts
 from planish.analyze.image_values import ImageFacts
 from planish.analyze.lag import LagNumbers
-from planish.analyze.mottle import LayerMottle
+from planish.analyze.mottle import Mottle
 from planish.analyze.refinement import RefinementFacts
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
@@ -238,7 +238,7 @@ class Results(ResultModel):
     evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
     linked: LinkedArea | None = Field(default=None, description="How much of the reference is valid; of a link only.")
     regions: RegionsFacts | None = Field(default=None, description="Declared artefacts, where there are any.")
-    mottle: tuple[LayerMottle, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
+    mottle: tuple[Mottle, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
     refinement: RefinementFacts | None = Field(
         default=None, description="Where the registration was refined by the maps."
     )

@@ -62,14 +62,13 @@ def test_small_fields_and_sizes_below_the_pixel_are_refused():
 def test_the_curve_of_sizes_holds_the_rows_and_a_wider_band():
     a, b = related_maps(np.random.default_rng(4), (90, 120), 5.0, 0.6)
     curve = size_curve(a, b, pixel_um=2.0)
-    assert [row.point_um for row in curve.rows] == pytest.approx([2 * 2 ** (k / 2) for k in range(7)])
-    assert curve.rows[2].r == correlate(a, b, pixel_um=2.0, point_um=4.0).r
-    for row, (low, high) in zip(curve.rows, curve.band, strict=True):
-        assert low < row.interval[0] < row.r < row.interval[1] < high
-    wider = [(np.arctanh(high) - np.arctanh(low)) / (np.arctanh(row.interval[1]) - np.arctanh(row.interval[0]))
-             for row, (low, high) in zip(curve.rows, curve.band, strict=True)]  # fmt: skip
+    assert [row.point_um for row in curve] == pytest.approx([2 * 2 ** (k / 2) for k in range(7)])
+    assert curve[2].r == correlate(a, b, pixel_um=2.0, point_um=4.0).r
+    for row in curve:
+        assert row.band[0] < row.interval[0] < row.r < row.interval[1] < row.band[1]
+    wider = [np.ptp(np.arctanh(row.band)) / np.ptp(np.arctanh(row.interval)) for row in curve]
     assert wider == pytest.approx([wider[0]] * len(wider))
     assert 1.02 < wider[0] < 1.4
     a, b = related_maps(np.random.default_rng(5), (60, 80), 4.0, 0.6)
     curve = size_curve(a, b, pixel_um=2.0, sizes_um=[10.0])
-    assert curve.band[0] == pytest.approx(curve.rows[0].interval)
+    assert curve[0].band == pytest.approx(curve[0].interval)

@@ -52,9 +52,9 @@ def test_variances_are_those_of_the_analysis_of_variance():
     table = np.array(fields.values).reshape(6, 4)
     inside, outside = table.var(axis=1, ddof=1).mean(), 4 * table.mean(axis=1).var(ddof=1)
     found = variances_of(fields)
-    assert found.within == pytest.approx(inside, abs=1e-12)
-    assert found.between == pytest.approx((outside - inside) / 4, abs=1e-12)
-    assert found.share == pytest.approx(found.between / (found.between + found.within))
+    assert found.sd_within**2 == pytest.approx(inside, abs=1e-12)
+    assert found.sd_between**2 == pytest.approx((outside - inside) / 4, abs=1e-12)
+    assert found.share == pytest.approx(found.sd_between**2 / (found.sd_between**2 + found.sd_within**2))
     assert found.p == pytest.approx(stats.f_oneway(*table).pvalue, rel=1e-9)
     # Searle, Casella and McCulloch (1992), section 3.6d: limits of the share of balanced data.
     ratio = outside / inside
@@ -65,7 +65,7 @@ def test_variances_are_those_of_the_analysis_of_variance():
 def test_the_error_of_a_mean_falls_with_sheets_and_fields():
     found = variances_of(drawn(np.random.default_rng(3), (3,) * 5))
     # Balanced, and above 0, it is the error that the sheets themselves show.
-    error = math.sqrt(found.between / 5 + found.within / 15)
+    error = math.sqrt(found.sd_between**2 / 5 + found.sd_within**2 / 15)
     assert error == pytest.approx(over_sheets(drawn(np.random.default_rng(3), (3,) * 5)).standard_error)
 
 
@@ -73,7 +73,7 @@ def test_unequal_sheets_have_the_true_variances_on_average():
     rng, found = np.random.default_rng(4), []
     for _ in range(400):
         one = variances_of(drawn(rng, (1, 2, 3, 6, 2, 1), between=2.0, within=1.0))
-        found.append((one.between, one.within))
+        found.append((one.sd_between**2, one.sd_within**2))
     # Of 400, their scatter is .15 and .03.
     assert np.mean(found, axis=0) == pytest.approx((4.0, 1.0), abs=0.4)
 

@@ -8,8 +8,8 @@ import pytest
 
 import console
 from planish.cli import docs
-from planish.core.series_results import SeriesResults
 from planish.results import Results
+from planish.series_results import SeriesResults
 
 ROOT = Path(__file__).resolve().parents[2]
 DOCS = ROOT / "docs"

@@ -6,7 +6,7 @@ import math
 import pytest
 from pydantic import Field, ValidationError
 
-from planish.core.facts import AtPoints, Interval, ResultModel, Unsaved, Value, is_known
+from planish.core.facts import Interval, ResultModel, Unsaved, Value, is_known
 
 
 class Slope(ResultModel):
@@ -15,6 +15,10 @@ class Slope(ResultModel):
     slope: Value = Field(default=None)
     interval: Interval = Field(default=None)
     mean: Unsaved = Field(default=None, exclude=True)
+
+
+class AtPoints(ResultModel):
+    point_um: float
 
 
 class MapSlope(Slope, AtPoints):

@@ -5,8 +5,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from planish.core.series_results import Member
 from planish.results import Results
+from planish.series_results import Member
 from report.runs import a_run
 
 

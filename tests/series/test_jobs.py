@@ -9,9 +9,9 @@ import tifffile
 
 from formats_written import CUBE, NAME, write_hdf5, write_meta, write_nrrd, write_raw, write_zarr
 from planish.cli import series
-from planish.core.series_results import Member, MemberState
 from planish.run import Compute
 from planish.series import Plan, PlannedSpecimen, SeriesState, jobs
+from planish.series_results import Member, MemberState
 
 COMPUTE = Compute()
 

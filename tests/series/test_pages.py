@@ -10,11 +10,11 @@ import xarray as xr
 
 import planish as pl
 from planish.core.errors import FileError
-from planish.core.series_results import Member, SeriesResults
 from planish.io import write_tree
 from planish.report import series_page, small_map
 from planish.report.series import natural
 from planish.series import Declared, gather, pages, write_series
+from planish.series_results import Member, SeriesResults
 from report.pages import Page
 from series.runs import results_of, series, two_volumes
 

@@ -13,8 +13,8 @@ from matplotlib.axes import Axes
 import planish as pl
 from planish.analyze import Fields
 from planish.core.area import area_mean
-from planish.core.series_results import SeriesResults, SeriesSpecimen
 from planish.results import CorrelationRow
+from planish.series_results import SeriesResults, SeriesSpecimen
 
 MISSING = "#d4d6d8"
 

@@ -10,7 +10,7 @@ from matplotlib.figure import Figure
 
 from planish.analyze import random_effects, sheets_needed
 from planish.analyze.design import power_of_study
-from planish.core.series_results import SeriesResults
+from planish.series_results import SeriesResults
 
 from .common import fields_of
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from matplotlib.figure import Figure
 
 from planish.analyze import difference_of_pooled_r, pooled_r
-from planish.core.series_results import SeriesResults
+from planish.series_results import SeriesResults
 
 from .common import cloud, fields_of, interval, runs_of
 
@@ -27,11 +27,11 @@ def state(folder: Path, figure: Figure) -> str:
         for one in series.specimens:
             if one.member.factors["treatment"] == levels[k] and one.member.name in runs:
                 cloud(ax, runs[one.member.name], f"sheet {one.member.factors['sheet']}")
-        ax.set(title=f"{levels[k].capitalize()}: r² = {pooled[k].r ** 2:.2f}", xlabel="coating thickness / µm")
+        ax.set(title=f"{levels[k].capitalize()}: r² = {pooled[k].mean ** 2:.2f}", xlabel="coating thickness / µm")
         ax.set_ylabel("brightness" if k == 0 else "")
         ax.legend(frameon=False, markerscale=3)
     each_says = " and ".join(
-        f"{one.r**2:.2f} {level} (r {one.r:.2f}, 95 % interval {interval(one.interval)})"
+        f"{one.mean**2:.2f} {level} (r {one.mean:.2f}, 95 % interval {interval(one.interval)})"
         for one, level in zip(pooled, levels, strict=True)
     )
     return (

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from planish.analyze import Fields, difference_of_pooled_r
-from planish.core.series_results import SeriesResults
+from planish.series_results import SeriesResults
 
 from .common import interval, runs_of
 

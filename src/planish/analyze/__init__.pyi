@@ -27,7 +27,6 @@ from .curve import Curvature as Curvature
 from .curve import IndependentPoints as IndependentPoints
 from .curve import independent_points as independent_points
 from .curve import straight_or_curved as straight_or_curved
-from .curve_of_sizes import SizeCurve as SizeCurve
 from .curve_of_sizes import SizeRow as SizeRow
 from .curve_of_sizes import size_curve as size_curve
 from .design import StudyDesign as StudyDesign
@@ -69,8 +68,6 @@ from .octaves import Band as Band
 from .octaves import Coherence as Coherence
 from .octaves import coherence as coherence
 from .params import CorrelateParams as CorrelateParams
-from .pooled import PooledCorrelation as PooledCorrelation
-from .pooled import RandomEffects as RandomEffects
 from .pooled import difference_of_pooled_r as difference_of_pooled_r
 from .pooled import pooled_r as pooled_r
 from .pooled import random_effects as random_effects
@@ -95,6 +92,7 @@ from .robustness import without_trends as without_trends
 from .second_opinion import SecondOpinion as SecondOpinion
 from .second_opinion import second_opinion as second_opinion
 from .sheets import Fields as Fields
+from .sheets import RandomEffects as RandomEffects
 from .sheets import SheetMean as SheetMean
 from .sheets import SheetVariances as SheetVariances
 from .sheets import over_sheets as over_sheets
@@ -113,5 +111,4 @@ from .texture import textures as textures
 from .thin_regions import RegionDifference as RegionDifference
 from .thin_regions import region_difference as region_difference
 from .variograms import Variogram as Variogram
-from .variograms import VariogramCurve as VariogramCurve
 from .variograms import variogram as variogram

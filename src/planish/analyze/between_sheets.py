@@ -4,63 +4,53 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
+from pydantic import Field
 from scipy import optimize
 
 from planish.analyze.differences import holm
 from planish.analyze.distributions import shifted_student_tail, student_quantile, student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
-from planish.core.typing import Pair
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetDifference:
-    """Difference of a property between two sets of sheets, the second minus the first.
+class Equivalence(ResultModel):
+    """Whether a difference is smaller than a margin that was declared.
 
-    Attributes
-    ----------
-    kind : {"paired", "two groups"}
-        Whether it is of the same sheets, before and after, or of different ones.
-    sheets : (int, int)
-        That count; of pairs both are the number of pairs.
-    means : (float, float)
-        Over these sheets.
-    difference : float
-        Of the means.
-    sd : float
-        Of the differences of single sheets where they pair, else NaN.
-    standard_error : float
-        Of the difference.
-    free : float
-        Degrees of freedom of its interval.
-    interval : (float, float)
-        In which it lies with 95 %; (NaN, NaN) where ``reason`` says why.
-    p : float
-        Of the test that there is no difference, two-sided.
-    p_of_table : float
-        The same, put right for all differences that were looked at (:func:`planish.analyze.p_of_tables`).
-    unpaired : tuple of str
-        Sheets that are in one of the two sets alone, where sheets pair.
-    reason : str
-        Why there is no interval; empty where there is one.
+    A difference may be distinguishable from 0 and yet equivalent.
     """
 
-    kind: Literal["paired", "two groups"]
-    sheets: tuple[int, int]
-    means: Pair = (math.nan, math.nan)
-    difference: float = math.nan
-    sd: float = math.nan
-    standard_error: float = math.nan
-    free: float = math.nan
-    interval: Pair = (math.nan, math.nan)
-    p: float = math.nan
-    p_of_table: float = math.nan
-    unpaired: tuple[str, ...] = ()
-    reason: str = ""
+    margin: float = Field(description="Largest difference that does not matter.")
+    interval: Interval = optional("90 % interval of the difference.")
+    p: Value = optional("Of the test that it is as large as the margin or larger.")
+    verdict: Literal["equivalent", "larger", "undecided", "unknown"] = Field(
+        description="Whether that interval lies within the margin, beyond it, or across it."
+    )
+
+
+class SetDifference(ResultModel):
+    """Difference of two sets of sheets, the second minus the first."""
+
+    kind: Literal["paired", "two groups"] = Field(description="Of the same sheets, or of different ones.")
+    sheets: tuple[int, int] = Field(description="Sheets that count.")
+    means: tuple[Value, Value] = Field(default=(NULL, NULL), description="Over these sheets.")
+    difference: Value = optional("Of the means.")
+    interval: Interval = optional("In which it lies with 95 %.")
+    p: Value = optional("Of the test that there is none.")
+    p_of_table: Value = optional("The same after Holm, for all differences of the series.")
+
+
+class SheetDifference(SetDifference):
+    """Difference of a property between two sets of sheets, the second minus the first, and how sure it is."""
+
+    sd: Unsaved = Field(default=NULL, exclude=True, description="Of the differences of single sheets where they pair.")
+    standard_error: Unsaved = Field(default=NULL, exclude=True, description="Of the difference.")
+    free: Unsaved = Field(default=NULL, exclude=True, description="Degrees of freedom of its interval.")
+    unpaired: tuple[str, ...] = Field(default=(), description="Sheets without a partner, where sheets pair.")
+    reason: str = Field(default="", description="Why there is no interval.")
 
     @property
     def distinguishable(self) -> bool | None:
@@ -146,38 +136,16 @@ def welch_free(variances: Sequence[float], counts: Sequence[int]) -> float:
 
 def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
     width = t_95(free) * difference.standard_error
-    return replace(
-        difference, free=free, interval=(difference.difference - width, difference.difference + width),
-        p=2 * student_tail(abs(difference.difference) / difference.standard_error, free),
-    )  # fmt: skip
+    return difference.model_copy(update={
+        "free": free, "interval": (difference.difference - width, difference.difference + width),
+        "p": 2 * student_tail(abs(difference.difference) / difference.standard_error, free),
+    })  # fmt: skip
 
 
 def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
     """Put p right for how many differences are looked at, of all properties and pairs of papers (Holm 1979)."""
-    return tuple(replace(d, p_of_table=p) for d, p in zip(differences, holm([d.p for d in differences]), strict=True))
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Equivalence:
-    """Whether a difference is smaller than a margin that was declared before.
-
-    Attributes
-    ----------
-    margin : float
-        Largest difference, either way, that does not matter; in the unit of the property.
-    interval : (float, float)
-        90 % interval of the difference: within the margin, it shows equivalence at 5 %.
-    p : float
-        Of the test that the difference is as large as the margin or larger.
-    verdict : {"equivalent", "larger", "undecided", "unknown"}
-        The interval lies within the margin, beyond it, across it; or there is none. A difference may be
-        distinguishable from 0 and yet equivalent.
-    """
-
-    margin: float
-    interval: Pair = (math.nan, math.nan)
-    p: float = math.nan
-    verdict: Literal["equivalent", "larger", "undecided", "unknown"] = "unknown"
+    p_of = holm([d.p for d in differences])
+    return tuple(d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, p_of, strict=True))
 
 
 def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
@@ -205,7 +173,7 @@ def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:
     if not 0 < margin < math.inf:
         raise InputError(f"The margin is {margin}. Give the largest difference that does not matter, above 0.")
     if shift.reason:
-        return Equivalence(margin=margin)
+        return Equivalence(margin=margin, verdict="unknown")
     width = student_quantile(0.95, shift.free) * shift.standard_error
     low, high = shift.difference - width, shift.difference + width
     p = max(student_tail((margin + s * shift.difference) / shift.standard_error, shift.free) for s in (-1, 1))

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
+from pydantic import ConfigDict, Field
 from scipy import fft, ndimage, optimize, special
 
 from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_grid
@@ -55,74 +54,24 @@ class CorrelogramProfiles(ResultModel):
     along_y: LagProfile = Field(description="Through no shift, along y.")
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Correlogram:
-    """Correlation of map a with map b, moved by each lag.
+class Correlogram(CorrelogramProfiles):
+    """Correlation of map a with map b, moved by each lag; shape (lags along y, lags along x)."""
 
-    Attributes
-    ----------
-    r : ndarray, shape (lags along y, lags along x)
-        Of the pairs ``a[p], b[p + lag]``, each lag with its own means; NaN where few pairs are left.
-    lag_y_um, lag_x_um : ndarray
-        Lags of its rows and columns.
-    lag_um : (float, float)
-        Along y and x, of the largest ``|r|``: the summit of a parabola through the 3 x 3 lags about it. Where the
-        largest stands at the border of the lags looked at (``inner`` is False), that lag.
-    peak_r : float
-        r at the summit, with its sign.
-    sign : int
-        1 or -1.
-    inner : bool
-        Whether the peak is a summit, not a slope that goes on beyond the lags looked at.
-    widths_um : (float, float)
-        Full widths at half of ``peak_r`` along the longer and the shorter main axis; NaN where r does not fall to half.
-    angle_deg : float
-        Direction of the longer axis, clockwise on the screen from the x axis, above -90, at most 90.
-    n_eff : float
-        Independent points at lag 0.
-    band_99 : ndarray, shape of ``r``
-        ``|r|`` that unrelated maps of this texture exceed at this lag with 1 %; NaN where fewer than 10 independent
-        points say nothing.
-    band_99_of_any : ndarray, shape of ``r``
-        Limit that they exceed at any of all lags looked at with 1 %.
-    """
+    model_config = ConfigDict(arbitrary_types_allowed=True)
 
-    r: Floats
-    lag_y_um: Floats
-    lag_x_um: Floats
-    lag_um: Pair
-    peak_r: float
-    sign: int
-    inner: bool
-    widths_um: Pair
-    angle_deg: float
-    n_eff: float
-    band_99: Floats
-    band_99_of_any: Floats
+    r: Floats = Field(exclude=True, description="Of the pairs a[p], b[p + lag]; NaN where few pairs are left.")
+    lag_y_um: Floats = Field(exclude=True, description="Lags of its rows.")
+    lag_x_um: Floats = Field(exclude=True, description="Lags of its columns.")
+    band_99: Floats = Field(exclude=True, description="|r| that unrelated maps exceed at this lag with 1 %.")
+    band_99_of_any: Floats = Field(exclude=True, description="Limit that they exceed at any of all lags with 1 %.")
 
-    @property
-    def beyond_chance(self) -> bool | None:
-        """Whether some lag exceeds what unrelated maps reach at any lag with 1 %; None where nothing is claimed."""
-        limit = self.band_99_of_any
-        return bool(np.any(np.abs(self.r) > limit)) if np.isfinite(limit).any() else None
 
-    def profiles(self, cell_um: Pair) -> CorrelogramProfiles:
-        """Return what stands in the results of a run: the peak, and r along both axes through lag 0."""
-        row, col = (n // 2 for n in self.r.shape)
-        return CorrelogramProfiles(
-            cell_um=cell_um, reach_um=min(float(self.lag_y_um[-1]), float(self.lag_x_um[-1])),
-            r_at_zero=float(self.r[row, col]), peak_r=self.peak_r, lag_um=self.lag_um, inner=self.inner,
-            widths_um=self.widths_um, angle_deg=self.angle_deg, n_eff=self.n_eff,
-            limit_of_any=float(self.band_99_of_any[row, col]), beyond_chance=self.beyond_chance,
-            along_x=self._profile(self.lag_x_um, np.s_[row, :]), along_y=self._profile(self.lag_y_um, np.s_[:, col]),
-        )  # fmt: skip
-
-    def _profile(self, lags_um: Floats, axis: tuple[int | slice, int | slice]) -> LagProfile:
-        """What lies along one axis, at lag 0 and at most 40 lags to either side."""
-        step = math.ceil((lags_um.size // 2) / 40)
-        every = slice(lags_um.size // 2 % step, None, step)
-        r, limit, of_any = (tuple(m[axis][every].tolist()) for m in (self.r, self.band_99, self.band_99_of_any))
-        return LagProfile(lags_um=tuple(lags_um[every].tolist()), r=r, limit=limit, limit_of_any=of_any)
+def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
+    """What lies along one axis, at lag 0 and at most 40 lags to either side."""
+    step = math.ceil((lags_um.size // 2) / 40)
+    every = slice(lags_um.size // 2 % step, None, step)
+    lags, r, limit, of_any = (tuple(values[every].tolist()) for values in (lags_um, *along))
+    return LagProfile(lags_um=lags, r=r, limit=limit, limit_of_any=of_any)
 
 
 def cross_correlogram(
@@ -186,10 +135,15 @@ def correlogram_of(
     top, peak_r, inner = _summit(r)
     widths, angle = _widths(r / peak_r, top, pixel) if inner else ((math.nan, math.nan), math.nan)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
+    maps_by_lag, (row, col) = (r, band, of_any), reach
     return Correlogram(
-        r=r, lag_y_um=lag_y, lag_x_um=lag_x, peak_r=peak_r, sign=1 if peak_r > 0 else -1, inner=inner,
-        lag_um=((top[0] - reach[0]) * pixel[0], (top[1] - reach[1]) * pixel[1]), widths_um=widths, angle_deg=angle,
-        n_eff=n_eff, band_99=band, band_99_of_any=of_any,
+        r=r, lag_y_um=lag_y, lag_x_um=lag_x, band_99=band, band_99_of_any=of_any, cell_um=pixel,
+        reach_um=min(float(lag_y[-1]), float(lag_x[-1])), r_at_zero=float(r[row, col]), peak_r=peak_r, inner=inner,
+        lag_um=((top[0] - row) * pixel[0], (top[1] - col) * pixel[1]), widths_um=widths, angle_deg=angle, n_eff=n_eff,
+        limit_of_any=float(of_any[row, col]),
+        beyond_chance=bool(np.any(np.abs(r) > of_any)) if np.isfinite(of_any).any() else None,
+        along_x=_profile(lag_x, *(m[row, :] for m in maps_by_lag)),
+        along_y=_profile(lag_y, *(m[:, col] for m in maps_by_lag)),
     )  # fmt: skip
 
 
@@ -279,7 +233,7 @@ def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
         whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
     except PlanishError:
         return {}
-    return {"correlogram": whole.profiles(pair.cell_um)}
+    return {"correlogram": CorrelogramProfiles.holding(whole)}
 
 
 def say_correlogram(profiles: CorrelogramProfiles, _: EvidenceFacts, __: PairWords) -> Iterator[str]:

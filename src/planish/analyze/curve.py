@@ -24,7 +24,7 @@ from planish.analyze.correlation import (
 from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
 from planish.core.numbers import fixed, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
@@ -87,6 +87,7 @@ class Curvature(ResultModel):
     The slope changes by twice the curvature per x. r2 of the parabola is never smaller, and says nothing by that.
     """
 
+    point_um: Value = optional("Edge of the points.")
     n: int = Field(description="Points that are valid in both.")
     n_eff: Value = Field(description="Independent points.")
     n_eff_square: Unsaved = Field(
@@ -99,14 +100,6 @@ class Curvature(ResultModel):
     r2_line: Value = Field(description="r2 of the straight line.")
     r2_parabola: Value = Field(description="r2 of the parabola.")
     words: str = Field(description="The same in words.")
-
-
-class _OverPoints(ResultModel):
-    point_um: float = Field(description="Edge of the points.")
-
-
-class ImageCurve(Curvature, _OverPoints):
-    """Whether an image bends over a property: a parabola beside the straight line, at the larger points."""
 
 
 def straight_or_curved(
@@ -216,10 +209,10 @@ def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
         bent = straight_or_curved(x, y, n_eff=count.n_eff, n_eff_square=count.n_eff_square)
     except PlanishError:
         return {}
-    return {"curve": ImageCurve.holding(bent, point_um=pair.point_um)}
+    return {"curve": Curvature.holding(bent, point_um=pair.point_um)}
 
 
-def say_curve(bent: ImageCurve, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_curve(bent: Curvature, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Whether the relation is straight."""
     shares = f"r² is {fixed(bent.r2_line, 2)} of the line and {fixed(bent.r2_parabola, 2)} of the parabola"
     yield f"Over points of {plain(words.point_um)} the relation is {bent.words} ({shares})."

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,29 +33,13 @@ class SizeRow(ResultModel):
     @classmethod
     def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:
         """Take what a curve shows of a correlation."""
-        return cls(**{name: getattr(row, name) for name in cls.model_fields if name != "band"}, band=band)
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SizeCurve:
-    """Correlations over points of growing size.
-
-    Attributes
-    ----------
-    rows : tuple of Correlation
-        Each with the interval of its own.
-    band : tuple of (float, float)
-        In which the r of all sizes lie together with 95 %; (NaN, NaN) where nothing is claimed.
-    """
-
-    rows: tuple[Correlation, ...]
-    band: tuple[Pair, ...]
+        return cls(point_um=row.point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, band=band)
 
 
 def size_curve(
     a: Array, b: Array, *, mask: Bools | None = None,
     pixel_um: Pixel, sizes_um: Sequence[float] | None = None,
-) -> SizeCurve:  # fmt: skip
+) -> tuple[SizeRow, ...]:  # fmt: skip
     """Correlate two maps over points of several sizes.
 
     Parameters
@@ -68,7 +51,8 @@ def size_curve(
 
     Returns
     -------
-    SizeCurve
+    tuple of SizeRow
+        From the smallest points to the largest; its band is (NaN, NaN) where nothing is claimed.
 
     Raises
     ------
@@ -96,14 +80,14 @@ def size_curve(
         rows.append(correlate(x, y, pixel_um=size))
         if not math.isnan(rows[-1].interval[0]) and abs(rows[-1].r) < 1:
             parts.append(_by_tiles(x, y, rows[-1].r))
-    wider, band = _wider(parts), list[Pair]()
+    wider, curve = _wider(parts), list[SizeRow]()
     for row in rows:
-        if math.isnan(row.interval[0]) or not abs(row.r) < 1:
-            band.append((math.nan, math.nan))
-            continue
-        z, (low, high) = math.atanh(row.r), (math.atanh(v) for v in row.interval)
-        band.append((math.tanh(z + wider * (low - z)), math.tanh(z + wider * (high - z))))
-    return SizeCurve(rows=tuple(rows), band=tuple(band))
+        band = math.nan, math.nan
+        if not math.isnan(row.interval[0]) and abs(row.r) < 1:
+            z, (low, high) = math.atanh(row.r), (math.atanh(v) for v in row.interval)
+            band = math.tanh(z + wider * (low - z)), math.tanh(z + wider * (high - z))
+        curve.append(SizeRow.of(row, band))
+    return tuple(curve)
 
 
 def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:
@@ -131,5 +115,4 @@ def _wider(parts: list[Floats]) -> float:
 
 def answer_sizes(pair: ComparedMaps) -> dict[str, Any]:
     """R over points of growing size."""
-    curve = size_curve(pair.x, pair.y, pixel_um=pair.cell_um)
-    return {"sizes": tuple(SizeRow.of(row, band) for row, band in zip(curve.rows, curve.band, strict=True))}
+    return {"sizes": size_curve(pair.x, pair.y, pixel_um=pair.cell_um)}

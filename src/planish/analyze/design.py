@@ -63,7 +63,7 @@ def power_of_study(
     n_eff : float
         Independent points of a field: of a field measured before, or :func:`planish.analyze.expected_n_eff`.
     between_sheets : float
-        Standard deviation of Fisher's z between sheets, from earlier ones: the root of ``between`` of
+        Standard deviation of Fisher's z between sheets, from earlier ones: ``sd_between`` of
         :func:`planish.analyze.random_effects`.
     paired : bool
         Whether the same sheets are measured before and after.

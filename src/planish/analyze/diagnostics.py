@@ -21,9 +21,9 @@ from planish.analyze.compare import CELLS
 from planish.analyze.correlation import PairAtSizes
 from planish.analyze.correlograms import CorrelogramProfiles, answer_correlogram, say_correlogram
 from planish.analyze.covariance import Lags
-from planish.analyze.curve import ImageCurve, answer_curve, say_curve
+from planish.analyze.curve import Curvature, answer_curve, say_curve
 from planish.analyze.curve_of_sizes import SizeRow, answer_sizes
-from planish.analyze.kubelka_munk import CoatingCurve, answer_density, answer_kubelka_munk, say_kubelka_munk
+from planish.analyze.kubelka_munk import KubelkaMunk, answer_density, answer_kubelka_munk, say_kubelka_munk
 from planish.analyze.light_spread import LightSpread, answer_light_spread, say_light_spread
 from planish.analyze.octaves import Band, answer_octaves
 from planish.analyze.params import CorrelateParams
@@ -37,9 +37,9 @@ from planish.analyze.robustness import (
     say_short_waves,
 )
 from planish.analyze.second_opinion import SecondOpinion, answer_second_opinion, say_second_opinion
-from planish.analyze.split_half import MapReliability, SheetColumns
-from planish.analyze.thin_regions import ThinRegion, answer_thin, say_thin
-from planish.analyze.variograms import MapVariogram, answer_variograms, say_variograms
+from planish.analyze.split_half import Reliability, SheetColumns
+from planish.analyze.thin_regions import RegionDifference, answer_thin, say_thin
+from planish.analyze.variograms import Variogram, answer_variograms, say_variograms
 from planish.core.area import area_mean
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
@@ -62,16 +62,16 @@ class EvidenceFacts(ResultModel):
     origins: tuple[float, float, float] | None = optional(
         "Least, mean and largest r over grids of points that begin elsewhere."
     )
-    curve: ImageCurve | None = optional("Whether the relation is straight or bent.")
-    kubelka_munk: CoatingCurve | None = optional("Where the study asks for it.")
+    curve: Curvature | None = optional("Whether the relation is straight or bent.")
+    kubelka_munk: KubelkaMunk | None = optional("Where the study asks for it.")
     light_spread: LightSpread | None = optional("Where the study states how far light spreads.")
     density_g_cm3: Number = optional("Of the coating, where the run knows it: it turns thickness into g/m2.")
-    thin: tuple[ThinRegion, ...] = Field(default=(), description="The image where the coating is thin.")
+    thin: tuple[RegionDifference, ...] = Field(default=(), description="The image where the coating is thin.")
     short_waves: SizeRow | None = optional("Without waves above short_waves_um.")
     short_waves_um: Number = optional("Longest wave that was left in for short_waves.")
     ceiling: Number = optional("The r that a perfect relation would show, by misplacement alone.")
     ceiling_sentence: str | None = optional("The ceiling in words.")
-    reliability: tuple[MapReliability, ...] = Field(
+    reliability: tuple[Reliability, ...] = Field(
         default=(), description="Of the maps of sheets among the two, at the larger points."
     )
     ceiling_noise: Number = optional(
@@ -79,7 +79,7 @@ class EvidenceFacts(ResultModel):
     )
     ceiling_both: Number = optional("The same by noise and misplacement together.")
     second_opinion: SecondOpinion | None = optional("An interval from what single points add to r.")
-    variograms: tuple[MapVariogram, ...] = Field(default=(), description="How each map varies with distance.")
+    variograms: tuple[Variogram, ...] = Field(default=(), description="How each map varies with distance.")
     correlogram: CorrelogramProfiles | None = optional("r at every shift of one map.")
     twice: Twice | None = optional("Where both maps are of the same quantity.")
     partial: Partial | None = optional("Where the study names maps that stand beside.")

@@ -20,7 +20,7 @@ from scipy import optimize
 from planish.analyze.curve import independent_points, known_points
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import AtPoints, Interval, ResultModel, Value, is_known, optional
+from planish.core.facts import Interval, ResultModel, Value, is_known, optional
 from planish.core.light import layer_over
 from planish.core.numbers import number
 from planish.core.typing import Floats, Pair
@@ -141,6 +141,7 @@ def _at_least_0(**arguments: ArrayLike) -> list[Floats]:
 class KubelkaMunk(ResultModel):
     """Kubelka and Munk's curve through points; called with x, it gives y."""
 
+    point_um: Value = optional("Edge of a point.")
     ratio: float = Field(description="Absorption over scattering, as it was given.")
     n: int | None = optional("Points that are valid in both maps.")
     n_eff: Value = optional("Independent points.")
@@ -153,6 +154,7 @@ class KubelkaMunk(ResultModel):
     backing_interval: Interval = optional("In which it lies with 95 %.")
     backing_at_ends: Interval = optional("Backing that fits best with each end of the interval of S.")
     rms: Value = optional("Of what the curve leaves of the reflectance.")
+    silence: str | None = optional("Why there is no curve.")
 
     def __call__(self, x: ArrayLike) -> Floats:
         """Reflectance of the layer at thicknesses or weights x."""
@@ -162,12 +164,6 @@ class KubelkaMunk(ResultModel):
         """Reflectance of a layer with the same K / S, over thicknesses in um or weights in g/m2."""
         per_x = scattering * 1e-3 if self.weight else scattering  # kg to g
         return layer_over(backing, per_x, per_x * self.ratio, x)
-
-
-class CoatingCurve(KubelkaMunk, AtPoints):
-    """Kubelka and Munk's curve of reflectance over the coating, at the larger points."""
-
-    silence: str | None = optional("Why there is no curve.")
 
 
 def fit_kubelka_munk(
@@ -353,7 +349,7 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
 
 def kubelka_munk_of(
     points: tuple[Floats, Floats], *, point_um: float, ratio: float, density: float | None
-) -> CoatingCurve:  # fmt: skip
+) -> KubelkaMunk:  # fmt: skip
     """Fit the curve to reflectance over a coating at the larger points, or say why there is none.
 
     ``density`` (g/cm3) turns the coating from um into g/m2, 1 where it is a weight already; None for lengths.
@@ -365,8 +361,8 @@ def kubelka_munk_of(
             x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio, weight=weight
         )
     except PlanishError as error:
-        return CoatingCurve(point_um=point_um, ratio=ratio, weight=weight, silence=error.text)
-    return CoatingCurve.holding(curve, point_um=point_um)
+        return KubelkaMunk(point_um=point_um, ratio=ratio, weight=weight, silence=error.text)
+    return KubelkaMunk.holding(curve, point_um=point_um)
 
 
 def answer_density(pair: ComparedMaps) -> dict[str, Any]:
@@ -383,12 +379,12 @@ def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
     if ratio is None or not pair.is_coat_on_image:
         return {}
     if pair.why_no_points:
-        return {"kubelka_munk": CoatingCurve(point_um=point_um, ratio=ratio, silence=pair.why_no_points)}
+        return {"kubelka_munk": KubelkaMunk(point_um=point_um, ratio=ratio, silence=pair.why_no_points)}
     density = 1.0 if pair.units[0] == "g/m2" else answer_density(pair).get("density_g_cm3")
     return {"kubelka_munk": kubelka_munk_of(pair.points, point_um=point_um, ratio=ratio, density=density)}
 
 
-def say_kubelka_munk(curve: CoatingCurve, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
+def say_kubelka_munk(curve: KubelkaMunk, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
     """S and the backing with their intervals."""
     name = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
     if curve.silence is not None:

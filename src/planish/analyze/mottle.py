@@ -18,7 +18,7 @@ from planish.analyze.image_values import known_pixels, smooth
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
-from planish.core.facts import OfLayer, ResultModel, Value, optional
+from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Pixel
 
@@ -37,15 +37,11 @@ class MottleBand(ResultModel):
 class Mottle(ResultModel):
     """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
 
+    layer: str = Field(default="", description="Name of the layer.")
     bands: tuple[MottleBand, ...] = Field(default=(), description="From the longest waves to the shortest.")
     mean: Value = optional("Of the image.")
     n: int | None = optional("Pixels, or means over several, that are known.")
     measured: str | None = optional("What the values are of.")
-
-
-class LayerMottle(Mottle, OfLayer):
-    """How uneven an image is, by octaves of wavelength; after the idea of ISO/IEC 24790 and ISO 15311."""
-
     silence: str | None = optional("Why there is none.")
 
 
@@ -129,7 +125,7 @@ def print_mottle(
     return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(valid)), measured=measured)
 
 
-def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> LayerMottle:
+def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
     """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
     grid = Grid.of(data)
     factor = max(1, int(15.0 / max(grid.pixel_um)))  # means over up to 15 um keep 0.99 of the shortest waves
@@ -141,5 +137,5 @@ def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> LayerMottle:
     try:
         mottle = print_mottle(means.means()[0], pixel_um=cell_um, quantity=quantity)
     except PlanishError as error:
-        return LayerMottle(layer=name, silence=error.text)
-    return LayerMottle.holding(mottle, layer=name)
+        return Mottle(layer=name, silence=error.text)
+    return Mottle.holding(mottle, layer=name)

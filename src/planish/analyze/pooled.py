@@ -4,47 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
 from planish.analyze.distributions import chi_square_tail, t_95
-from planish.analyze.sheets import Fields, over_sheets
+from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
 from planish.core.errors import InputError
 from planish.core.typing import Floats, Pair
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class RandomEffects:
-    """Mean of effects that differ, each known with a variance of its own.
-
-    Attributes
-    ----------
-    effects : int
-    mean : float
-        With weights of 1 over the sum of both variances.
-    standard_error : float
-        Of the mean, from the weights.
-    between : float
-        Variance of the true effects (Paule and Mandel 1982); 0 where their own variances explain all.
-    interval : (float, float)
-        In which the mean lies with 95 % (Hartung and Knapp 2001); (NaN, NaN) with fewer than 3 effects. It holds in as
-        few as .87 where one of three effects is much better known than the others (docs/series.md).
-    q, q_p : float
-        Cochran's Q, and p of the test that all effects are the same.
-    i2 : float
-        Share of the variance of the effects that is between them (Higgins and Thompson 2002), not below 0.
-    """
-
-    effects: int
-    mean: float
-    standard_error: float
-    between: float
-    interval: Pair
-    q: float
-    q_p: float
-    i2: float
 
 
 def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float] | Floats) -> RandomEffects:
@@ -58,6 +26,9 @@ def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float]
     Returns
     -------
     RandomEffects
+        The variance between them after Paule and Mandel (1982), the interval after Hartung and Knapp (2001), which
+        holds in as few as .87 where one of three effects is much better known than the others (docs/series.md); I²
+        after Higgins and Thompson (2002).
 
     Raises
     ------
@@ -87,8 +58,8 @@ def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float]
         squares = float(np.sum(weight * (y - mean) ** 2))
         width = t_95(k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
     return RandomEffects(
-        effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between, q=q,
-        interval=(mean - width, mean + width), q_p=chi_square_tail(q, k - 1),
+        effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between,
+        sd_between=math.sqrt(between), q=q, p=chi_square_tail(q, k - 1), interval=(mean - width, mean + width),
         i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
     )  # fmt: skip
 
@@ -115,39 +86,7 @@ def _between(y: Floats, v: Floats) -> float:
     return between
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class PooledCorrelation:
-    """One r of fields of several sheets.
-
-    Attributes
-    ----------
-    sheets, fields : int
-        That count.
-    missing : int
-        Fields without r or without a known scatter: too few independent points.
-    r : float
-        Mean over sheets, by Fisher's z, in which every sheet counts alike.
-    interval : (float, float)
-        In which it lies with 95 %, by Student's t over sheets; (NaN, NaN) where ``reason`` says why.
-    reason : str
-        Why there is no interval; empty where there is one.
-    between_sheets : RandomEffects or None
-        Of the z of sheets: how much sheets differ by more than their fields' own scatter. None with one sheet.
-    between_fields : RandomEffects or None
-        Of the z of all fields, as if each were of a sheet of its own. None with one field.
-    """
-
-    sheets: int
-    fields: int
-    missing: int
-    r: float = math.nan
-    interval: Pair = (math.nan, math.nan)
-    reason: str = ""
-    between_sheets: RandomEffects | None = None
-    between_fields: RandomEffects | None = None
-
-
-def pooled_r(r: Fields, n_eff: Sequence[float]) -> PooledCorrelation:
+def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     """Pool the correlations of fields over sheets.
 
     Parameters
@@ -160,7 +99,7 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> PooledCorrelation:
 
     Returns
     -------
-    PooledCorrelation
+    SheetMean
 
     Raises
     ------
@@ -177,9 +116,9 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> PooledCorrelation:
     mean = over_sheets(z)
     fields = [(k, v) for k, v in zip(z.values, variance.values, strict=True) if not math.isnan(k)]
     of_sheets = [float(v.sum()) / v.size**2 for v in variance.by_sheet.values()]
-    return PooledCorrelation(
-        sheets=mean.sheets, fields=mean.fields, missing=mean.missing, r=math.tanh(mean.mean),
-        interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])), reason=mean.reason,
+    return SheetMean(
+        sheets=mean.sheets, fields=mean.fields, missing=mean.missing, mean=math.tanh(mean.mean), reason=mean.reason,
+        interval=(math.tanh(mean.interval[0]), math.tanh(mean.interval[1])),
         between_sheets=random_effects(z.means, of_sheets) if mean.sheets > 1 else None,
         between_fields=random_effects(*zip(*fields, strict=True)) if len(fields) > 1 else None,
     )  # fmt: skip

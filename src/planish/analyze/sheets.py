@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.distributions import f_quantile, f_tail, t_95
 from planish.core.errors import InputError
-from planish.core.typing import Floats, Pair
+from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.typing import Floats
 
 LEAST_SHEETS = 3
 """Sheets below which there is no interval."""
 
 _SAME = 1e-12  # of the largest value: what rounding leaves of a spread
-_UNKNOWN = (math.nan, math.nan)
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,36 +79,48 @@ class Fields:
         return np.array([float(v.mean()) for v in self.by_sheet.values()])
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetMean:
-    """Mean of a property over sheets.
+class RandomEffects(ResultModel):
+    """Mean of effects that differ, each known with a variance of its own; of r the effects are Fisher's z."""
 
-    Attributes
-    ----------
-    sheets, fields : int
-        That count: fields with a value, and their sheets.
-    missing : int
-        Fields without a value.
-    mean : float
-        Of the means of the sheets; NaN without any field.
-    sd : float
-        Standard deviation of the means of the sheets; NaN with one sheet.
-    standard_error : float
-        Of ``mean``.
-    interval : (float, float)
-        In which the mean of such sheets lies with 95 %; (NaN, NaN) where ``reason`` says why.
-    reason : str
-        Why there is no interval; empty where there is one.
-    """
+    effects: int = Field(description="Sheets, or fields.")
+    sd_between: Value = Field(description="Standard deviation of the true z; 0 where their own scatter explains all.")
+    i2: Value = Field(description="Share of the variance of z that is between them.")
+    q: Value = Field(description="Cochran's Q.")
+    p: Value = Field(description="Of the test that all are the same.")
+    mean: Unsaved = Field(default=NULL, exclude=True, description="With weights of 1 over the sum of both variances.")
+    standard_error: Unsaved = Field(default=NULL, exclude=True, description="Of the mean, from the weights.")
+    between: Unsaved = Field(default=NULL, exclude=True, description="Variance of the true effects.")
+    interval: SkipJsonSchema[Interval] = Field(
+        default=NULL, exclude=True, description="In which the mean lies with 95 %; none with fewer than 3 effects."
+    )
 
-    sheets: int
-    fields: int
-    missing: int
-    mean: float = math.nan
-    sd: float = math.nan
-    standard_error: float = math.nan
-    interval: Pair = _UNKNOWN
-    reason: str = ""
+
+class SheetVariances(ResultModel):
+    """How much of the variance is between sheets."""
+
+    sd_between: Value = optional("Standard deviation of sheets, beyond what fields add.")
+    sd_within: Value = optional("Standard deviation of the fields of one sheet.")
+    share: Value = optional("Share of the variance that is between sheets.")
+    share_interval: Interval = optional("In which the share lies with 95 %.")
+    p: Value = optional("Of the test that all sheets are alike.")
+    reason: str = Field(default="", description="Why a number is missing.")
+
+
+class SheetMean(ResultModel):
+    """Mean of a property, or of r, over sheets."""
+
+    sheets: int = Field(description="Sheets that count.")
+    fields: int = Field(description="Specimens that count; each is a field of a sheet.")
+    left_out: tuple[str, ...] = Field(default=(), description="Specimens of the group that do not count.")
+    mean: Value = optional("Over the means of sheets; of r by Fisher's z.")
+    sd: Value = optional("Standard deviation of the means of sheets; none of r.")
+    interval: Interval = optional("In which the mean of such sheets lies with 95 %.")
+    reason: str = Field(default="", description="Why there is no interval.")
+    variances: SheetVariances | None = optional("Of a property.")
+    between_sheets: RandomEffects | None = optional("Of r, over sheets.")
+    between_fields: RandomEffects | None = optional("Of r, over all fields as if each were of a sheet of its own.")
+    missing: SkipJsonSchema[int] = Field(default=0, exclude=True, description="Fields without a value.")
+    standard_error: Unsaved = Field(default=NULL, exclude=True, description="Of the mean of a property.")
 
 
 def over_sheets(fields: Fields) -> SheetMean:
@@ -122,14 +137,14 @@ def over_sheets(fields: Fields) -> SheetMean:
     """
     means, missing = fields.means, sum(map(math.isnan, fields.values))
     k = means.size
-    summary = SheetMean(sheets=k, fields=len(fields.values) - missing, missing=missing, reason=too_few(k))
+    counts: dict[str, Any] = {"sheets": k, "fields": len(fields.values) - missing, "missing": missing}
     if k == 0:
-        return summary
+        return SheetMean(**counts, reason=too_few(k))
     mean, spread = float(means.mean()), spread_of(means)
-    error, reason = spread / math.sqrt(k) if k > 1 else math.nan, summary.reason or all_alike(spread)
+    error, reason = spread / math.sqrt(k) if k > 1 else math.nan, too_few(k) or all_alike(spread)
     width = math.nan if reason else t_95(k - 1) * error
-    return replace(
-        summary, mean=mean, sd=spread, standard_error=error, interval=(mean - width, mean + width), reason=reason
+    return SheetMean(
+        **counts, mean=mean, sd=spread, standard_error=error, interval=(mean - width, mean + width), reason=reason
     )
 
 
@@ -150,48 +165,6 @@ def too_few(*sheets: int) -> str:
 def all_alike(spread: float) -> str:
     """Why there is no interval where sheets do not differ at all; empty where they do."""
     return "" if spread > 0 else "all sheets have the same value"
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SheetVariances:
-    """How much of the variance of a property is between sheets, and how much within them.
-
-    Attributes
-    ----------
-    sheets, fields : int
-        That count.
-    between : float
-        Variance of sheets, without what the scatter of their fields adds; 0 where that explains all.
-    within : float
-        Variance of the fields of one sheet; NaN where no sheet has two.
-    share : float
-        ``between`` over the sum of both.
-    share_interval : (float, float)
-        In which the share lies with 95 %; (NaN, NaN) with fewer than 3 sheets.
-    p : float
-        Of the test that all sheets are alike.
-    reason : str
-        Why there is no share or no interval; empty where there are both.
-    """
-
-    sheets: int
-    fields: int
-    between: float = math.nan
-    within: float = math.nan
-    share: float = math.nan
-    share_interval: Pair = _UNKNOWN
-    p: float = math.nan
-    reason: str = ""
-
-    @property
-    def sd_between(self) -> float:
-        """Standard deviation of sheets, in the unit of the property."""
-        return math.sqrt(self.between)
-
-    @property
-    def sd_within(self) -> float:
-        """Standard deviation of the fields of one sheet, in the unit of the property."""
-        return math.sqrt(self.within)
 
 
 def variances_of(fields: Fields) -> SheetVariances:
@@ -217,21 +190,20 @@ def variances_of(fields: Fields) -> SheetVariances:
     k, n = len(sheets), int(counts.sum())
     if k < 2 or n == k:
         why = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
-        within = float(sheets[0].var(ddof=1)) if k == 1 and n > 1 else math.nan
-        return SheetVariances(sheets=k, fields=n, within=within, reason=why)
+        return SheetVariances(sd_within=float(sheets[0].std(ddof=1)) if k == 1 and n > 1 else math.nan, reason=why)
     means = fields.means
     inside = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
     within, spread = inside / (n - k), spread_of(means) ** 2
     if not within > (_SAME * float(np.abs(means).max())) ** 2:
         return SheetVariances(
-            sheets=k, fields=n, between=spread, within=0.0, share=1.0 if spread > 0 else math.nan,
+            sd_between=math.sqrt(spread), sd_within=0.0, share=1.0 if spread > 0 else math.nan,
             reason="all fields of a sheet have the same value",
         )  # fmt: skip
     each = k / float(np.sum(1 / counts))  # fields of a sheet, harmonic mean
     between = max(spread - within / each, 0.0)
     whole = sum(float(v.sum()) for v in sheets) / n
     ratio = float(np.sum(counts * (means - whole) ** 2)) / (k - 1) / within
-    interval = _UNKNOWN
+    interval = (math.nan, math.nan)
     if not too_few(k):
         low, high = (
             max(each * spread / within / f_quantile(share, k - 1, n - k) - 1, 0.0) / each
@@ -239,6 +211,6 @@ def variances_of(fields: Fields) -> SheetVariances:
         )
         interval = (low / (1 + low), high / (1 + high))
     return SheetVariances(
-        sheets=k, fields=n, between=between, within=within, share=between / (between + within),
+        sd_between=math.sqrt(between), sd_within=math.sqrt(within), share=between / (between + within),
         share_interval=interval, p=f_tail(ratio, k - 1, n - k), reason=too_few(k),
     )  # fmt: skip

@@ -21,7 +21,7 @@ from planish.analyze.correlation import correlate
 from planish.core.area import area_mean
 from planish.core.bands import bands
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, OfMap, ResultModel, Value, is_known, optional
+from planish.core.facts import Interval, ResultModel, Value, is_known, optional
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.numbers import count, fixed, percent, plain
@@ -42,12 +42,16 @@ _ENDS = {
 class Reliability(ResultModel):
     """Share of the variance of a map that a second measurement would show again, at one size of points."""
 
+    layer: str = Field(default="", description="Name of the layer.")
+    map: str = Field(default="", description="Name of the map.")
     point_um: float = Field(description="Edge of a point.")
     n: int | None = optional("Points that are known in both halves.")
     halves_r: Value = optional("Correlation of both halves.")
     value: Value = optional("Share of the variance of the map that both halves show: an upper bound.")
     interval: Interval = optional("In which it lies with 95 %.")
     n_eff: Value = optional("Independent points.")
+    shared: str | None = optional("What both halves share, which makes it an upper bound.")
+    silence: str | None = optional("Why there is none.")
     shared_errors: SkipJsonSchema[bool] = Field(
         default=True, exclude=True, description="Whether both measurements may share errors."
     )
@@ -59,13 +63,6 @@ class Reliability(ResultModel):
         is_valid = "no interval" if math.isnan(low) else f"95 %: {low:.2f} to {high:.2f}"
         bound = "; an upper bound, as both measurements share errors" if self.shared_errors else ""
         return f"The reliability is {self.value:.2f} at points of {self.point_um:g} um ({is_valid}){bound}."
-
-
-class MapReliability(Reliability, OfMap):
-    """How far two half measurements of a map agree: of the odd and of the even rows of its columns."""
-
-    shared: str | None = optional("What both halves share, which makes it an upper bound.")
-    silence: str | None = optional("Why there is none.")
 
 
 def split_reliability(
@@ -227,7 +224,7 @@ def _half(values: Floats, first: int) -> Floats:
     return half
 
 
-def reliability_of(pair: ComparedMaps, layer: str, name: str) -> MapReliability:
+def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     """How much of a map two halves of its measurement show alike, or why that cannot be said."""
     columns, grid, point_um = pair.columns[layer], pair.grid, pair.point_um
     corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
@@ -237,8 +234,8 @@ def reliability_of(pair: ComparedMaps, layer: str, name: str) -> MapReliability:
         )
         reliability = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
-        return MapReliability(layer=layer, map=name, point_um=point_um, silence=error.text)
-    return MapReliability.holding(reliability, layer=layer, map=name, shared=columns.shared(alone=alone))
+        return Reliability(layer=layer, map=name, point_um=point_um, silence=error.text)
+    return Reliability.holding(reliability, layer=layer, map=name, shared=columns.shared(alone=alone))
 
 
 def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:

@@ -13,7 +13,7 @@ from planish.analyze.correlation import LEAST, LEAST_CLAIMED, on_one_grid, valid
 from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import Interval, ResultModel, Value, is_known
+from planish.core.facts import Interval, ResultModel, Value, is_known, optional
 from planish.core.numbers import number, percent, plain
 from planish.core.typing import Array, Bools, Pixel
 
@@ -26,6 +26,7 @@ THIN_UM = (2.0, 5.0, 10.0)
 class RegionDifference(ResultModel):
     """Mean of a map inside of regions minus that outside."""
 
+    thinner_than_um: Value = optional("Limit of the coating's thickness.")
     share: float = Field(description="Share of the pixels where it is thinner.")
     difference: float = Field(description="Mean of the image there less that elsewhere.")
     interval: Interval = Field(description="In which the difference lies with 95 %.")
@@ -86,19 +87,11 @@ def region_difference(
     return RegionDifference(share=share, difference=shift, interval=(shift - width, shift + width), n_eff=n_eff)
 
 
-class _ThinnerThan(ResultModel):
-    thinner_than_um: float = Field(description="Limit of the coating's thickness.")
-
-
-class ThinRegion(RegionDifference, _ThinnerThan):
-    """Mean of the image where the coating is thinner than a limit, minus that elsewhere."""
-
-
 def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
     """The image inside and outside of thin regions of the coating, for the limits that some pixels are below."""
     if not (pair.a[1].startswith("coating_") and "image" in pair.layers[1]):
         return {}
-    counted, regions = pair.lags.is_valid, list[ThinRegion]()
+    counted, regions = pair.lags.is_valid, list[RegionDifference]()
     for limit in THIN_UM:
         try:
             difference = region_difference(
@@ -106,11 +99,11 @@ def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
             )
         except PlanishError:
             continue
-        regions.append(ThinRegion.holding(difference, thinner_than_um=limit))
+        regions.append(RegionDifference.holding(difference, thinner_than_um=limit))
     return {"thin": tuple(regions)}
 
 
-def say_thin(regions: tuple[ThinRegion, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_thin(regions: tuple[RegionDifference, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """How the image differs where the coating is thin."""
     for thin in regions:
         if is_known(thin.interval):

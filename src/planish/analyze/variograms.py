@@ -4,17 +4,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from pydantic import Field
+from pydantic.json_schema import SkipJsonSchema
 from scipy import optimize
 
 from planish.analyze.correlation import check_varying, valid_pixels
 from planish.analyze.covariance import Lags
 from planish.core.errors import CannotMeasure, PlanishError
-from planish.core.facts import OfMap, Value, is_known, optional
+from planish.core.facts import ResultModel, Value, is_known, optional
 from planish.core.numbers import in_words, number, percent, plain, unit
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
@@ -25,10 +25,12 @@ if TYPE_CHECKING:
 _LEAST_RINGS = 4  # for a model of three numbers
 
 
-class MapVariogram(OfMap):
+class Variogram(ResultModel):
     """How a map varies with distance: half of the mean square difference of two points of it, by their distance."""
 
-    units: str = Field(description="Of the values.")
+    layer: str = Field(default="", description="Name of the layer.")
+    map: str = Field(default="", description="Name of the map.")
+    units: str = Field(default="1", description="Of the values.")
     cell_um: Pair = Field(description="What the map was averaged over first, along y and x.")
     nugget: float = Field(description="Variance that neighbouring cells do not share, in the map's units squared.")
     sill: float = Field(description="Variance of the map.")
@@ -41,52 +43,7 @@ class MapVariogram(OfMap):
     ratio: Value = optional("Range along over range across.")
     distances_um: tuple[float, ...] = Field(description="Middle of each class of distances.")
     values: tuple[float, ...] = Field(description="At each distance, in the map's units squared.")
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Variogram:
-    """Half of the mean square difference of two points of a map, by their distance.
-
-    Attributes
-    ----------
-    lags_um, values : ndarray, shape (rings,)
-        Mean distance of the pairs of a ring, and the sill less the covariance there, in the map's units squared.
-    pairs : ndarray, shape (rings,)
-    nugget : float
-        Variance that neighbouring pixels do not share.
-    sill : float
-        Variance of the map, with what the removal of its mean took put back.
-    range_um : float
-        Practical range: where the covariance without nugget has fallen to 1/e. Infinite where it does not, up to half
-        of the shorter side; NaN where all is nugget.
-    range_along_um, range_across_um : float
-        The same in sectors of 45 deg about the machine direction and across it; NaN where it was not given.
-    """
-
-    lags_um: Floats
-    values: Floats
-    pairs: Floats
-    nugget: float
-    sill: float
-    range_um: float
-    range_along_um: float = math.nan
-    range_across_um: float = math.nan
-
-    @property
-    def ratio(self) -> float:
-        """Range along over range across the machine direction; NaN where one of them is not known."""
-        ranges = (self.range_along_um, self.range_across_um)
-        return ranges[0] / ranges[1] if all(map(math.isfinite, ranges)) else math.nan
-
-    def curve(self, layer: str, name: str, *, units: str, cell_um: Pair, md_deg: float | None) -> MapVariogram:
-        """Return what stands in the results of a run: the values at up to 60 distances, closer for short ones."""
-        far = np.unique(np.geomspace(1, self.lags_um.size, 60).round().astype(np.intp)) - 1
-        return MapVariogram(
-            layer=layer, map=name, units=units, cell_um=cell_um, nugget=self.nugget, sill=self.sill,
-            range_um=self.range_um, md_deg=math.nan if md_deg is None else md_deg, range_along_um=self.range_along_um,
-            range_across_um=self.range_across_um, ratio=self.ratio, distances_um=tuple(self.lags_um[far].tolist()),
-            values=tuple(self.values[far].tolist()),
-        )  # fmt: skip
+    pairs: SkipJsonSchema[tuple[float, ...]] = Field(default=(), exclude=True, description="Pairs of points of each.")
 
 
 def variogram(a: Array, *, mask: Bools | None = None, pixel_um: Pixel, md_deg: float | None = None) -> Variogram:
@@ -135,16 +92,16 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
             f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed. Give a larger map."
         )
     shared = min(_at_zero(distance, covariance, max(lags.pixel_um)), sill)
-    ranges = [_range(distance, covariance, shared)]
+    along = across = math.nan
     if md_deg is not None:
         turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))
-        for direction in (md_deg, md_deg + 90):
-            away = np.abs((turned - direction + 90) % 180 - 90)
-            ranges.append(_range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared))
-    names = ("range_um", "range_along_um", "range_across_um")
+        sectors = (np.abs((turned - direction + 90) % 180 - 90) for direction in (md_deg, md_deg + 90))
+        along, across = (_range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared) for away in sectors)
     return Variogram(
-        lags_um=distance, values=sill - covariance, pairs=pairs, nugget=sill - shared, sill=sill,
-        **dict(zip(names, ranges, strict=False)),
+        cell_um=lags.pixel_um, nugget=sill - shared, sill=sill, range_um=_range(distance, covariance, shared),
+        md_deg=math.nan if md_deg is None else md_deg, range_along_um=along, range_across_um=across,
+        ratio=along / across if math.isfinite(along) and math.isfinite(across) else math.nan,
+        distances_um=tuple(distance.tolist()), values=tuple((sill - covariance).tolist()), pairs=tuple(pairs.tolist()),
     )  # fmt: skip
 
 
@@ -198,17 +155,20 @@ def _range(distance: Floats, covariance: Floats, shared: float) -> float:
 
 def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
     """Variograms of both maps on their one mask; nothing of a map that the field is too small for."""
-    curves: list[MapVariogram] = []
+    curves: list[Variogram] = []
     for values, (layer, name), units in zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True):
         try:
             whole = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
-        curves.append(whole.curve(layer, name, units=units, cell_um=pair.cell_um, md_deg=pair.md_deg))
+        # At up to 60 distances, closer for short ones.
+        far = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
+        thinned = {k: tuple(getattr(curve, k)[n] for n in far) for k in ("distances_um", "values")}
+        curves.append(Variogram.holding(curve, layer=layer, map=name, units=units, **thinned))
     return {"variograms": tuple(curves)}
 
 
-def say_variograms(curves: tuple[MapVariogram, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_variograms(curves: tuple[Variogram, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Nugget, range and direction of each map."""
     for curve, title in zip(curves, words.titles, strict=True):
         share = curve.nugget / curve.sill if curve.sill > 0 else 1.0
@@ -229,7 +189,7 @@ def say_variograms(curves: tuple[MapVariogram, ...], _: EvidenceFacts, words: Pa
         yield f"{title}: {noise}; range {_range_text(curve.range_um, far)}; {turned}."
 
 
-def squared_unit(curve: MapVariogram, title: str) -> str:
+def squared_unit(curve: Variogram, title: str) -> str:
     """Unit of a variance; of what has no unit its name."""
     return f"{unit(curve.units) or in_words(title.partition(',')[0])}²"
 

@@ -9,10 +9,10 @@ import click
 from pydantic import BaseModel
 
 from planish.cli.main import planish
-from planish.core.series_results import SeriesResults
 from planish.exports import formats_table
 from planish.measure.params import MeasureParams
 from planish.results import Results
+from planish.series_results import SeriesResults
 
 
 def page() -> str:

@@ -12,13 +12,13 @@ import click
 
 from planish.cli.console import sentence, table, warn
 from planish.cli.options import PATH, Option, build_params, existing, json_option, options, out_option, verb
-from planish.core.numbers import in_ascii
+from planish.core.facts import is_known
 from planish.run.compute import Compute
 from planish.series.declared import Declared
 
 if TYPE_CHECKING:
-    from planish.core.series_results import Member, SeriesResults
     from planish.series import PlannedSpecimen, SeriesState
+    from planish.series_results import Member, SeriesResults
 
 _WORDS = {"whole": "linked", "withheld": "a check failed", "refused": "refused", "damaged": "not done"}
 
@@ -263,7 +263,7 @@ def _show(results: SeriesResults) -> None:
     means: list[list[str]] = []
     for g in sorted(results.groups, key=lambda g: g.quantity):
         q = quantities[g.quantity]
-        interval = _ends(g.interval, q.what) if g.interval else g.reason or "-"
+        interval = g.reason or _ends(g.interval, q.what)
         counts = str(g.sheets), str(g.fields)
         means.append([in_ascii(q.title), words.label(g.group), *counts, _number(g.mean, q.what), interval])
     if means:
@@ -273,8 +273,8 @@ def _show(results: SeriesResults) -> None:
         for d in results.differences:
             q = quantities[d.quantity]
             within = f"{words.label(d.within)}: " if d.within else ""
-            interval = _ends(d.interval, q.what) if d.interval else "-"
-            p = "-" if d.p_of_table is None else f"{d.p_of_table:.2g}"
+            interval = _ends(d.interval, q.what)
+            p = f"{d.p_of_table:.2g}" if is_known(d.p_of_table) else "-"
             levels, difference = f"{within}{d.levels[1]} - {d.levels[0]}", _number(d.difference, q.what)
             lines.append([in_ascii(q.title), levels, difference, interval, p, words.verdict(d)])
         table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), lines)
@@ -289,11 +289,11 @@ def _show(results: SeriesResults) -> None:
 
 def _number(value: float | None, statistic: str) -> str:
     digits = 4 if statistic == "thin_share" else 5 if statistic == "r" and abs(value or 0.0) > _CLOSE else 3
-    return "-" if value is None else f"{value:.{digits}f}"
+    return "-" if value is None or not is_known(value) else f"{value:.{digits}f}"
 
 
 def _ends(limits: tuple[float, float], statistic: str) -> str:
-    return " to ".join(_number(v, statistic) for v in limits)
+    return " to ".join(_number(v, statistic) for v in limits) if is_known(limits) else "-"
 
 
 def _cell(cell: Any, statistic: str) -> str:

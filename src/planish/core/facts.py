@@ -82,25 +82,7 @@ class ResultModel(BaseModel):
     def holding(cls, *parts: ResultModel, **more: Any) -> Self:
         """Make a model of those that it extends, without what they do not save, and of what they lack."""
         saved = {k: v for part in parts for k, v in part if not type(part).model_fields[k].exclude}
-        return cls(**saved, **more)
-
-
-class AtPoints(ResultModel):
-    """What is stated at points of one size. Fields of a base that stands last come first in the file."""
-
-    point_um: float = Field(description="Edge of a point.")
-
-
-class OfLayer(ResultModel):
-    """What is stated of one layer."""
-
-    layer: str = Field(description="Name of the layer.")
-
-
-class OfMap(OfLayer):
-    """What is stated of one map of a layer."""
-
-    map: str = Field(description="Name of the map.")
+        return cls(**saved | more)
 
 
 class InputFile(ResultModel):

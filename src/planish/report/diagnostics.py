@@ -9,14 +9,14 @@ import numpy as np
 
 from planish.analyze import CorrelogramProfiles, LagProfile
 from planish.analyze.agreement import Twice
-from planish.analyze.kubelka_munk import CoatingCurve
+from planish.analyze.kubelka_munk import KubelkaMunk
 from planish.analyze.variograms import squared_unit
 from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table, columns, or_blank
 from planish.report.relation import Points, as_drawn, draw_dots, draw_fit, points_table
-from planish.report.text import HOLES, REGISTERED
-from planish.results import CorrelationRow, EvidenceFacts, LayerMottle
+from planish.report.text import HOLES, NONE, REGISTERED, capital, count, in_words, number, plain
+from planish.results import CorrelationRow, EvidenceFacts, Mottle
 
 _TOP, _HIGH, _WIDE = 40.0, 235.0, 400.0
 _SCALE_HIGH = 250.0
@@ -224,7 +224,7 @@ def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str
 
 
 def draw_kubelka_munk(
-    evidence: EvidenceFacts, curve: CoatingCurve, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
+    evidence: EvidenceFacts, curve: KubelkaMunk, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
     without: str = HOLES,
 ) -> Picture:  # fmt: skip
     """Draw the larger points with the straight line, and the curve with what its interval leaves open."""
@@ -260,7 +260,7 @@ def draw_kubelka_munk(
     )
 
 
-def mottle_cells(mottle: LayerMottle) -> list[tuple[str, str]]:
+def mottle_cells(mottle: Mottle) -> list[tuple[str, str]]:
     """Octaves of wavelength and the coefficient of variation in each, as cells of a table."""
     return [
         (f"{band.shortest_um:g} to {band.longest_um:g}", f"{number(100 * band.coefficient_of_variation, 3)}")

@@ -15,12 +15,12 @@ from urllib.parse import quote
 import numpy as np
 import xarray as xr
 
-from planish.core.numbers import NONE, axis_label, plain, round_step
-from planish.core.series_results import SeriesResults, SeriesSpecimen
+from planish.core.facts import is_known
 from planish.report import series_words as words
 from planish.report import statement, text
-from planish.report.colours import image_uri, limits
-from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, ShownMap, multiples, reduced
+from planish.report.colours import Array, image_uri, limits
+from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, multiples, reduced, round_step
+from planish.series_results import SeriesResults, SeriesSpecimen
 
 _SOURCES = (
     ("Intervals over sheets", "Student's t over the means of sheets; two papers after Welch (1947), Biometrika 34, 28, "
@@ -181,7 +181,7 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
         for g in groups
     ]  # fmt: skip
     drawn = [v * factor for of_group in fields for _, v in of_group]
-    drawn += [v * factor for g in groups for v in g.interval or ()]
+    drawn += [v * factor for g in groups for v in g.interval if is_known(v)]
     low, high = min(drawn), max(drawn)
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
     low, high = low - margin, high + margin
@@ -195,9 +195,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
         for sheet, v in of_group:
             sheets.setdefault(sheet, []).append(v * factor)
         axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
-        if g.interval is not None:
+        if is_known(g.interval):
             axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
-        if g.mean is not None:
+        if is_known(g.mean):
             axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
         canvas.text(x0 - 8, _TOP + _ROW * y + 4, _short_label(g.group), anchor="end")
     canvas.line([(x0, bottom), (x1, bottom)], colour=SOFT, width=0.8)

@@ -6,10 +6,11 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from itertools import groupby
 
-from planish.core.numbers import NONE, axis_label, capital, count, fixed, number, to_spread, typeset, unit
-from planish.core.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
+from planish.core.facts import is_known
 from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
+from planish.report.text import NONE, axis_label, beside, capital, count, fixed, number, typeset, unit
+from planish.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
 
 _LED = 2  # differences of one quantity in the first sentences
 _CLOSE, _OF_CLOSE = 0.995, 5  # r of two measurements of one quantity, and its decimals
@@ -66,9 +67,9 @@ def light_of(results: SeriesResults) -> str:
 
 def value(v: float | None, q: Quantity, limits: tuple[float, float] | None = None) -> str:
     """Write a value of a quantity: a share in per cent, r with two decimals, others by the width of an interval."""
-    if v is None:
+    if v is None or not is_known(v):
         return NONE
-    spread = None if limits is None else (limits[1] - limits[0]) / 2
+    spread = (limits[1] - limits[0]) / 2 if limits is not None and is_known(limits) else None
     if q.what == "thin_share":
         return number(100 * v, 2) if spread is None else to_spread(100 * v, 100 * spread)
     if q.what == "r":
@@ -101,7 +102,9 @@ def title(q: Quantity) -> str:
 
 def interval(limits: tuple[float, float] | None, q: Quantity) -> str:
     """Write both ends of an interval."""
-    return NONE if limits is None else f"{value(limits[0], q, limits)} to {value(limits[1], q, limits)}"
+    if limits is None or not is_known(limits):
+        return NONE
+    return f"{value(limits[0], q, limits)} to {value(limits[1], q, limits)}"
 
 
 def short(q: Quantity) -> str:
@@ -140,7 +143,7 @@ def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
     over = f"{sheets_text(g.sheets)}, {g.fields} field{'s' if g.fields != 1 else ''}"
     mean = with_units(value(g.mean, q, g.interval), q)
     text = f"{of}{'' if q.what == 'r' else 'the '}{typeset(q.title)} is {mean}"
-    if g.interval is not None:
+    if is_known(g.interval):
         text += f" (95 %: {with_units(interval(g.interval, q), q)}; {over})."
     else:
         text += f"{f', without an interval: {g.reason}' if g.reason else ''} ({over})."
@@ -152,7 +155,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     q, (first, second) = results.quantities[d.quantity], d.levels
     of = f"{label(d.within)}: " if d.within else ""
     of_what, names = typeset(q.title), f"{first} and {second}"
-    if d.interval is None:
+    if not is_known(d.interval):
         return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
     verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
     change, equivalence = with_units(signed(d, q), q, change=True), ""
@@ -170,7 +173,7 @@ def difference(d: DifferenceFacts, results: SeriesResults) -> str:
 def signed(d: DifferenceFacts, q: Quantity) -> str:
     """Write a difference with its sign."""
     text = value(d.difference, q, d.interval)
-    return f"+{text}" if d.difference is not None and d.difference > 0 else text
+    return f"+{text}" if d.difference > 0 else text
 
 
 def sampled(d: DifferenceFacts) -> str:
@@ -200,7 +203,7 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
     margin = margin_text(e.margin, q)
     words = {"equivalent": f"equivalent within ± {margin}", "larger": f"larger than ± {margin}",
              "undecided": f"undecided at ± {margin}", "unknown": f"± {margin}: cannot be told"}[e.verdict]  # fmt: skip
-    return words if e.interval is None else f"{words} (90 %: {interval(e.interval, q)}; p {p_text(e.p)})"
+    return f"{words} (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else words
 
 
 def tiles(results: SeriesResults) -> list[KeyFigure]:
@@ -213,11 +216,11 @@ def tiles(results: SeriesResults) -> list[KeyFigure]:
             continue
         if d is not None:
             of = f"{label(d.within)}; " if d.within else ""
-            ends = f"95 %: {interval(d.interval, q)}; " if d.interval else "no interval: "
+            ends = f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
             title = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
             figures.append(KeyFigure(signed(d, q), units(q, change=True), title, f"{of}{ends}{verdict(d)}"))
         elif g is not None:
-            note = f"95 %: {interval(g.interval, q)}" if g.interval else f"no interval: {g.reason}"
+            note = f"95 %: {interval(g.interval, q)}" if is_known(g.interval) else f"no interval: {g.reason}"
             note = f"{f'{label(g.group)}, ' if g.group else ''}{sheets_text(g.sheets)}; {note}"
             figures.append(KeyFigure(value(g.mean, q, g.interval), units(q), typeset(q.title), note))
     return figures
@@ -229,13 +232,13 @@ def heterogeneous(g: GroupFacts, q: Quantity) -> str:
         z = g.between_sheets
         if z is None:
             return "one sheet: nothing to compare" if g.sheets == 1 else NONE
-        verdict = "sheets differ beyond their own scatter" if (z.p or 1.0) < 0.05 else "no more than their own scatter"
-        return f"{verdict}: I² {number(100 * (z.i2 or 0.0), 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
+        verdict = "sheets differ beyond their own scatter" if z.p < 0.05 else "no more than their own scatter"
+        return f"{verdict}: I² {number(100 * z.i2, 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
     v = g.variances
-    if v is None or v.sd_within is None or v.share is None:
+    if v is None or not is_known(v.sd_within) or not is_known(v.share):
         return (v.reason if v else "") or NONE
     limits = v.share_interval
-    ends = f" (95 %: {number(100 * limits[0], 2)} to {number(100 * limits[1], 2)}\u202f%)" if limits else ""
+    ends = f" (95 %: {number(100 * limits[0], 2)} to {number(100 * limits[1], 2)}\u202f%)" if is_known(limits) else ""
     return (
         f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between: {number(100 * v.share, 2)}"
         f"\u202f% of the variance{ends}, p {p_text(v.p)}"

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 
-from planish.core.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 from planish.series.gather import Gathered
+from planish.series_results import FACTORS, Cell, Quantity, SeriesSpecimen
 
 NEST = ("sheet", "field")  # factors that are the sample
 

@@ -15,10 +15,10 @@ from planish.analyze.agreement import Twice
 from planish.core.checks import State, concerned
 from planish.core.errors import FileError
 from planish.core.facts import SIDES, Trust, is_known
-from planish.core.series_results import InstrumentFacts, Member, SeriesSpecimen
 from planish.report.summary import key_of
 from planish.results import CorrelationRow, EvidenceFacts, LayerFacts, Results
 from planish.run.run import open_results
+from planish.series_results import InstrumentFacts, Member, SeriesSpecimen
 
 _STATES: tuple[State, ...] = ("fail", "look", "unknown")
 

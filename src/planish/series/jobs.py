@@ -18,7 +18,6 @@ from planish.core.errors import FileError, PlanishError, ResourceError
 from planish.core.facts import ResultModel
 from planish.core.files import write_whole, writing
 from planish.core.memory import PROGRAM_BYTES, bytes_to_hold
-from planish.core.series_results import Member, MemberState
 from planish.io import find_place
 from planish.io.hashes import files_of
 from planish.io.info import describe
@@ -29,6 +28,7 @@ from planish.run.save import hash_of_input, run_study
 from planish.run.study import RUN_TOML, Study, in_study_words, to_dict, with_paths
 from planish.series.gather import as_judged
 from planish.series.plan import Plan, PlannedSpecimen
+from planish.series_results import Member, MemberState
 
 RUNS = "runs"  # folder of the runs within that of the series
 

@@ -6,10 +6,10 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from planish.core.errors import FileError, InputError
-from planish.core.series_results import Member
 from planish.core.tables import CsvRow, CsvTable, parse_table, read_text
 from planish.run.run import is_run
 from planish.run.study import relative_path
+from planish.series_results import Member
 
 
 def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -> tuple[Member, ...]:

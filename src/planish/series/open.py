@@ -11,9 +11,9 @@ import numpy as np
 import xarray as xr
 
 from planish.core.errors import FileError
-from planish.core.series_results import SeriesResults
 from planish.core.tables import parse_table, read_bytes
 from planish.series.pages import RESULTS, VALUES, factor_columns
+from planish.series_results import SeriesResults
 
 _OF_PAIRS = (
     "r", "r2", "slope", "points", "n_eff", "n_eff_interval", "bias", "limit_low", "limit_high", "shared_um",

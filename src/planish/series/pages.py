@@ -15,7 +15,6 @@ import xarray as xr
 
 from planish.core.errors import PlanishError
 from planish.core.files import delete, write_whole
-from planish.core.series_results import Cell, Member, Quantity, RunKind, SeriesResults, SeriesSpecimen
 from planish.core.tables import table_text
 from planish.io.map_store import OVERVIEWS
 from planish.io.run_folder import read_group
@@ -25,6 +24,7 @@ from planish.run.study import relative_path
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, gather
 from planish.series.summary import summary_of
+from planish.series_results import Cell, Member, Quantity, RunKind, SeriesResults, SeriesSpecimen
 
 # Names of the files of a series
 REPORT, RESULTS, SPECIMENS, VALUES, PARQUET = (

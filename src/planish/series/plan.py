@@ -13,13 +13,13 @@ from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.mistakes import key_lines, mistakes
-from planish.core.series_results import Member
+from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of
 from planish.run.study import Study, checked_study, in_study_words, toml_tables, with_paths, with_values
 from planish.series.declared import Declared
+from planish.series_results import Member
 
 _NO_FACTORS = ("name", "volume", "image", "layers", "set")
 _NEEDED = "It needs a column volume, or layers with a semicolon between them"

@@ -6,12 +6,11 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from planish.core.errors import InputError
-from planish.core.numbers import in_words
-from planish.core.series_results import Cell, Quantity, What
 from planish.core.text import likely
 from planish.measure import registered
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, RunSummary
+from planish.series_results import Cell, Quantity, What
 
 _STATISTICS: tuple[What, ...] = ("mean", "sd", "thin_share")
 

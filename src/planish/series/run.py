@@ -18,11 +18,11 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from planish.core.series_results import Member
 from planish.core.threads import count_threads
 from planish.run.compute import Compute, engine
 from planish.series.jobs import KILLED, Job, JobOutcome, SeriesState, do
 from planish.series.plan import Plan, PlannedSpecimen
+from planish.series_results import Member
 
 # Called with each specimen that is done, and the seconds that it took; None where it was done before
 Tell = Callable[[Member, float | None], None]

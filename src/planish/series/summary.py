@@ -4,28 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from dataclasses import replace
 from itertools import combinations
 from typing import Any
 
 import planish
 from planish import analyze
 from planish.core.errors import InputError
-from planish.core.series_results import (
-    DifferenceFacts,
-    EquivalenceFacts,
-    GroupFacts,
-    HeterogeneityFacts,
-    Quantity,
-    SeriesResults,
-    SeriesSpecimen,
-    VarianceFacts,
-)
 from planish.core.text import likely
 from planish.series.cautions import NEST, cautions_of
 from planish.series.declared import Declared
 from planish.series.gather import FigureRow, Gathered
 from planish.series.quantities import cell_of, margin_of, quantities_of
+from planish.series_results import DifferenceFacts, GroupFacts, Quantity, SeriesResults, SeriesSpecimen
 
 _MOST_LEVELS = 8
 
@@ -159,30 +149,13 @@ def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, grou
     fields = _fields(members, k)
     if quantity.what == "r":
         mean = analyze.pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
-        figures: dict[str, Any] = {
-            "mean": mean.r, "between_sheets": _heterogeneity(mean.between_sheets),
-            "between_fields": _heterogeneity(mean.between_fields),
-        }  # fmt: skip
     else:
-        mean, variances = analyze.over_sheets(fields), analyze.variances_of(fields)
-        figures = {"mean": mean.mean, "sd": mean.sd}
-        figures["variances"] = VarianceFacts.model_validate(variances, from_attributes=True)
-    return GroupFacts(
-        quantity=k, group=dict(group), sheets=mean.sheets, fields=mean.fields, left_out=_left_out(members, k),
-        interval=mean.interval, reason=mean.reason, **figures,
-    )  # fmt: skip
+        mean = analyze.over_sheets(fields).model_copy(update={"variances": analyze.variances_of(fields)})
+    return GroupFacts.holding(mean, quantity=k, group=dict(group), left_out=_left_out(members, k))
 
 
 def _nan(value: float | None) -> float:
     return math.nan if value is None else value
-
-
-def _heterogeneity(effects: analyze.RandomEffects | None) -> HeterogeneityFacts | None:
-    if effects is None:
-        return None
-    return HeterogeneityFacts(
-        effects=effects.effects, sd_between=math.sqrt(effects.between), i2=effects.i2, q=effects.q, p=effects.q_p
-    )
 
 
 def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
@@ -224,15 +197,9 @@ def _compare(
     else:
         change = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
     sheets = dict.fromkeys(specimen.sheet for specimen in (*first, *second))
-    return replace(change, unpaired=tuple(sheet for sheet in sheets if sheet in change.unpaired))
+    return change.model_copy(update={"unpaired": tuple(sheet for sheet in sheets if sheet in change.unpaired)})
 
 
 def _difference(about: Mapping[str, Any], change: analyze.SheetDifference, margin: float | None) -> DifferenceFacts:
-    facts = None
-    if margin is not None:
-        facts = EquivalenceFacts.model_validate(analyze.equivalence(change, margin=margin), from_attributes=True)
-    return DifferenceFacts(
-        **about, kind=change.kind, sheets=change.sheets, means=change.means, difference=change.difference,
-        interval=change.interval, p=change.p, p_of_table=change.p_of_table, smallest_seen=change.smallest_seen(),
-        unpaired=change.unpaired, reason=change.reason, equivalence=facts,
-    )  # fmt: skip
+    verdict = None if margin is None else analyze.equivalence(change, margin=margin)
+    return DifferenceFacts.holding(change, **about, smallest_seen=change.smallest_seen(), equivalence=verdict)

@@ -10,10 +10,12 @@ from typing import Literal, Self
 
 from pydantic import Field
 
+from planish.analyze.between_sheets import Equivalence, SetDifference
+from planish.analyze.sheets import SheetMean
 from planish.core.checks import State
 from planish.core.errors import FileError
-from planish.core.facts import KnownPair, Number, ResultModel, Trust
-from planish.core.tables import naming_faults, read_text
+from planish.core.facts import KnownPair, Number, ResultModel, Trust, Value, is_known, optional
+from planish.core.tables import read_text
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
 # ``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet.
@@ -102,81 +104,35 @@ class SeriesSpecimen(ResultModel):
         return self.member.factors.get(name, "")
 
 
-class VarianceFacts(ResultModel):
-    """How much of the variance is between sheets."""
-
-    sd_between: Number = Field(default=None, description="Standard deviation of sheets, beyond what fields add.")
-    sd_within: Number = Field(default=None, description="Standard deviation of the fields of one sheet.")
-    share: Number = Field(default=None, description="Share of the variance that is between sheets.")
-    share_interval: KnownPair = Field(default=None, description="In which the share lies with 95 %.")
-    p: Number = Field(default=None, description="Of the test that all sheets are alike.")
-    reason: str = Field(default="", description="Why a number is missing.")
-
-
-class HeterogeneityFacts(ResultModel):
-    """Whether correlations differ by more than their own intervals say."""
-
-    effects: int = Field(description="Sheets, or fields.")
-    sd_between: Number = Field(description="Standard deviation of the true z; 0 where their own scatter explains all.")
-    i2: Number = Field(description="Share of the variance of z that is between them.")
-    q: Number = Field(description="Cochran's Q.")
-    p: Number = Field(description="Of the test that all are the same.")
-
-
-class GroupFacts(ResultModel):
-    """One quantity over the sheets of one group."""
-
+class _OfGroup(ResultModel):
     quantity: int = Field(description="Number of the quantity, from 0.")
     group: dict[str, str] = Field(description="Levels of the factors; empty where all specimens are one group.")
-    sheets: int = Field(description="Sheets that count.")
-    fields: int = Field(description="Specimens that count; each is a field of a sheet.")
-    left_out: tuple[str, ...] = Field(default=(), description="Specimens of the group that do not count.")
-    mean: Number = Field(default=None, description="Over the means of sheets; of r by Fisher's z.")
-    sd: Number = Field(default=None, description="Standard deviation of the means of sheets; none of r.")
-    interval: KnownPair = Field(default=None, description="In which the mean of such sheets lies with 95 %.")
-    reason: str = Field(default="", description="Why there is no interval.")
-    variances: VarianceFacts | None = Field(default=None, description="Of a property.")
-    between_sheets: HeterogeneityFacts | None = Field(default=None, description="Of r, over sheets.")
-    between_fields: HeterogeneityFacts | None = Field(
-        default=None, description="Of r, over all fields as if each were of a sheet of its own."
-    )
 
 
-class EquivalenceFacts(ResultModel):
-    """Whether a difference is smaller than a margin that was declared."""
-
-    margin: float = Field(description="Largest difference that does not matter.")
-    interval: KnownPair = Field(default=None, description="90 % interval of the difference.")
-    p: Number = Field(default=None, description="Of the test that it is as large as the margin or larger.")
-    verdict: Literal["equivalent", "larger", "undecided", "unknown"] = Field(
-        description="Whether that interval lies within the margin, beyond it, or across it."
-    )
+class GroupFacts(SheetMean, _OfGroup):
+    """One quantity over the sheets of one group."""
 
 
-class DifferenceFacts(ResultModel):
-    """One quantity of two levels of a factor, the second minus the first."""
-
+class _OfLevels(ResultModel):
     quantity: int = Field(description="Number of the quantity, from 0.")
     within: dict[str, str] = Field(description="Levels of the other factors that both share.")
     factor: str = Field(description="Factor that is compared.")
     levels: tuple[str, str] = Field(description="Its two levels.")
-    kind: Literal["paired", "two groups"] = Field(description="Of the same sheets, or of different ones.")
-    sheets: tuple[int, int] = Field(description="Sheets that count.")
-    means: tuple[Number, Number] = Field(description="Over these sheets.")
-    difference: Number = Field(default=None, description="Of the means.")
-    interval: KnownPair = Field(default=None, description="In which it lies with 95 %.")
-    p: Number = Field(default=None, description="Of the test that there is none.")
-    p_of_table: Number = Field(default=None, description="The same after Holm, for all differences of the series.")
-    smallest_seen: Number = Field(default=None, description="Difference that such a study sees in 80 % of cases.")
+
+
+class DifferenceFacts(SetDifference, _OfLevels):
+    """One quantity of two levels of a factor, the second minus the first."""
+
+    smallest_seen: Value = optional("Difference that such a study sees in 80 % of cases.")
     unpaired: tuple[str, ...] = Field(default=(), description="Sheets without a partner, where sheets pair.")
     left_out: tuple[str, ...] = Field(default=(), description="Specimens of both levels that do not count.")
     reason: str = Field(default="", description="Why there is no interval.")
-    equivalence: EquivalenceFacts | None = Field(default=None, description="Where a margin was declared.")
+    equivalence: Equivalence | None = optional("Where a margin was declared.")
 
     @property
     def verdict(self) -> Literal["differ", "not after Holm", "not distinguishable", "unknown"]:
         """Whether both levels differ, also among all differences that were looked at."""
-        if self.interval is None or self.p_of_table is None:
+        if not is_known(self.interval) or not is_known(self.p_of_table):
             return "unknown"
         low, high = self.interval
         if low <= 0 <= high:
