@@ -19,7 +19,7 @@ from planish.analyze.mottle import Mottle
 from planish.analyze.refinement import RefinementFacts
 from planish.core.checks import Check, State
 from planish.core.errors import FileError
-from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust
+from planish.core.facts import HoleTiltFacts, InputFile, Number, Pair, ResultModel, SheetNumbers, Side, Trust, optional
 from planish.core.sources import is_this_code
 from planish.core.tables import naming_faults
 from planish.flatten import FlatteningQuality
@@ -40,11 +40,11 @@ class SurfaceFacts(ResultModel):
     fringe: Number = Field(description="Phase-contrast fringe as a share of an edge's step; 0 where there is none.")
     fringe_um: Number = Field(description="Distance of the fringe from the edge.")
     cutoff_um: Number = Field(description="Wavelength of the centre surface that the smoothing halves.")
-    bridged_share: Number = Field(default=None, description="Share of the columns where gaps needed a wider cut-off.")
-    bridged_off_rims_share: Number = Field(default=None, description="The same away from holes and their rims.")
+    bridged_share: Number = optional("Share of the columns where gaps needed a wider cut-off.")
+    bridged_off_rims_share: Number = optional("The same away from holes and their rims.")
     rim_um: Number = Field(description="Zone around holes and gaps that is left out.")
     missing_share: Number = Field(description="Share of the voxels that are NaN or infinite.")
-    empty_share: Number = Field(default=None, description="Share of the columns that hold nothing but air.")
+    empty_share: Number = optional("Share of the columns that hold nothing but air.")
     polarity: Number = Field(description="1 where the sheet is brighter than air, -1 where it is darker.")
     grey_air: Number = Field(description="Grey of the air.")
     grey_base: Number = Field(description="Grey of the base.")
@@ -72,14 +72,10 @@ class PropertyFacts(ResultModel):
     median: Number = Field(description="Median.")
     p95: Number = Field(description="95th percentile.")
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-    standard_error: Number = Field(default=None, description="Median of the standard errors of single columns.")
-    n_independent: int | None = Field(
-        default=None, description="How many independent values the columns have: neighbours share their errors."
-    )
-    mean_standard_error: Number = Field(
-        default=None, description="Standard error of the mean over the columns, from the measurement alone."
-    )
-    support_um: Number = Field(default=None, description="Size of the region that one value stands for.")
+    standard_error: Number = optional("Median of the standard errors of single columns.")
+    n_independent: int | None = optional("How many independent values the columns have: neighbours share their errors.")
+    mean_standard_error: Number = optional("Standard error of the mean over the columns, from the measurement alone.")
+    support_um: Number = optional("Size of the region that one value stands for.")
 
 
 class SectionFacts(ResultModel):
@@ -111,18 +107,16 @@ class SheetFacts(ResultModel):
     properties: dict[str, PropertyFacts] = Field(description="Distribution of each property, by name.")
     numbers: SheetNumbers | None = Field(description="None where they are withheld.")
     flatten: FlatteningQuality = Field(description="The flattening.")
-    sections: SectionFacts | None = Field(default=None, description="Where the volume was joined of serial sections.")
+    sections: SectionFacts | None = optional("Where the volume was joined of serial sections.")
 
 
 class ErrorShares(ResultModel):
     """Where the expected error of the places comes from: root mean squares over the map, in um."""
 
-    marks_um: Number = Field(default=None, description="Marks, and what the model of the registration leaves open.")
-    neutral_um: Number = Field(default=None, description="Which surface stays unstrained where the sheet is bent.")
-    smoothing_um: Number = Field(
-        default=None, description="Smoothing of the centre surface, and its bridges over holes."
-    )
-    sections_um: Number = Field(default=None, description="What is left of the poses of serial sections.")
+    marks_um: Number = optional("Marks, and what the model of the registration leaves open.")
+    neutral_um: Number = optional("Which surface stays unstrained where the sheet is bent.")
+    smoothing_um: Number = optional("Smoothing of the centre surface, and its bridges over holes.")
+    sections_um: Number = optional("What is left of the poses of serial sections.")
     rms_um: float = Field(description="Root mean square of the whole.")
     largest: Literal["marks", "neutral", "smoothing", "sections"] = Field(description="The share that is largest.")
     sentence: str = Field(description="The same in words, with what would lower it.")
@@ -136,7 +130,7 @@ class ExpectedError(ResultModel):
     median_um: Number = Field(description="Median over the map.")
     largest_um: Number = Field(description="Largest value of the map.")
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
-    shares: ErrorShares | None = Field(default=None, description="Where it comes from; of a sheet only.")
+    shares: ErrorShares | None = optional("Where it comes from; of a sheet only.")
 
 
 class OrientationFacts(ResultModel):
@@ -164,8 +158,8 @@ class RegistrationFacts(ResultModel):
     matched: int = Field(description="Pairs in use.")
     second_best: int | None = Field(description="Marks that the second-best match has in common.")
     match_sentence: str | None = Field(description="How the marks were matched.")
-    design: str | None = Field(default=None, description="Name of the pattern that was burnt, where one was given.")
-    tilt: HoleTiltFacts | None = Field(default=None, description="What the holes look like through the sheet.")
+    design: str | None = optional("Name of the pattern that was burnt, where one was given.")
+    tilt: HoleTiltFacts | None = optional("What the holes look like through the sheet.")
     model: str = Field(description="Model of the transform that was fitted.")
     model_sentence: str = Field(description="The model and its errors in words.")
     warnings: tuple[str, ...] = Field(description="What to be careful about.")
@@ -177,7 +171,7 @@ class RegistrationFacts(ResultModel):
     shift_um: Pair = Field(description="Shift of the closest similarity, along x and y.")
     mirrored: bool = Field(description="Whether the transform mirrors.")
     orientation: OrientationFacts = Field(description="Side, hand and machine direction.")
-    lag: LagNumbers | None = Field(default=None, description="The image-based check; of a sheet on an image only.")
+    lag: LagNumbers | None = optional("The image-based check; of a sheet on an image only.")
 
 
 class LayerFacts(ResultModel):
@@ -187,10 +181,10 @@ class LayerFacts(ResultModel):
     kind: Literal["sheet", "image"] = Field(description="sheet or image.")
     source: InputFile = Field(description="The file that it was read from.")
     headline: str = Field(description="The map that stands for the layer.")
-    share_of_reference: Number = Field(default=None, description="Share of the reference's pixels that show the layer.")
-    registration: RegistrationFacts | None = Field(default=None, description="None for the reference.")
-    sheet: SheetFacts | None = Field(default=None, description="None for an image.")
-    image: ImageFacts | None = Field(default=None, description="None for a sheet.")
+    share_of_reference: Number = optional("Share of the reference's pixels that show the layer.")
+    registration: RegistrationFacts | None = optional("None for the reference.")
+    sheet: SheetFacts | None = optional("None for an image.")
+    image: ImageFacts | None = optional("None for a sheet.")
 
 
 class LinkedArea(ResultModel):
@@ -236,12 +230,10 @@ class Results(ResultModel):
         default=(), description="The headline correlation by projection and flattening."
     )
     evidence: tuple[EvidenceFacts, ...] = Field(default=(), description="What stands beside the headline correlation.")
-    linked: LinkedArea | None = Field(default=None, description="How much of the reference is valid; of a link only.")
-    regions: RegionsFacts | None = Field(default=None, description="Declared artefacts, where there are any.")
+    linked: LinkedArea | None = optional("How much of the reference is valid; of a link only.")
+    regions: RegionsFacts | None = optional("Declared artefacts, where there are any.")
     mottle: tuple[Mottle, ...] = Field(default=(), description="Unevenness of the image by octaves of wavelength.")
-    refinement: RefinementFacts | None = Field(
-        default=None, description="Where the registration was refined by the maps."
-    )
+    refinement: RefinementFacts | None = optional("Where the registration was refined by the maps.")
     checks: tuple[Check, ...] = Field(description="Every check with its state.")
     parameters: dict[str, Any] = Field(description="Every parameter of the study; paths are left out.")
 

@@ -10,11 +10,22 @@ from typing import Literal, Self
 
 from pydantic import Field
 
+from planish.analyze.agreement import Agreement
 from planish.analyze.between_sheets import Equivalence, SetDifference
 from planish.analyze.sheets import SheetMean
 from planish.core.checks import State
 from planish.core.errors import FileError
-from planish.core.facts import KnownPair, Number, ResultModel, Trust, Value, is_known, optional
+from planish.core.facts import (
+    KnownPair,
+    Number,
+    ResultModel,
+    Trust,
+    Unsaved,
+    UnsavedInterval,
+    Value,
+    is_known,
+    optional,
+)
 from planish.core.tables import read_text
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
@@ -32,8 +43,8 @@ class Member(ResultModel):
     factors: dict[str, str] = Field(default_factory=dict, description="Factors, such as paper, sheet and treatment.")
     state: MemberState = Field(default="open", description="whole, withheld, refused, damaged or open.")
     message: str = Field(default="", description="Why there is no run, or what a check refuted, and what to do.")
-    seconds: float | None = Field(default=None, description="Time that the link took.")
-    run: str | None = Field(default=None, description="Folder of its run, relative to that of the series.")
+    seconds: float | None = optional("Time that the link took.")
+    run: str | None = optional("Folder of its run, relative to that of the series.")
 
     def folder(self, home: Path) -> Path | None:
         """Folder of its run."""
@@ -56,7 +67,7 @@ class Quantity(ResultModel):
     what: What = Field(description="mean, sd, thin_share, or r with the other map.")
     other_layer: str = Field(default="", description="Layer of the other map of r; empty as for layer.")
     other_map: str = Field(default="", description="The other map of r.")
-    at_um: Number = Field(default=None, description="Limit of a thin share, or edge of the points of r.")
+    at_um: Number = optional("Limit of a thin share, or edge of the points of r.")
     unit: str = Field(description="Of its values; 1 for a share and for r.")
     title: str = Field(description="The same in words.")
     map_title: str = Field(description="Title of the map.")
@@ -65,11 +76,11 @@ class Quantity(ResultModel):
 class Cell(ResultModel):
     """A quantity of one specimen."""
 
-    value: Number = Field(default=None, description="None where it was not measured, or is withheld.")
-    low: Number = Field(default=None, description="Lower end of its 95 % interval, of r only.")
-    high: Number = Field(default=None, description="Upper end of it.")
-    n_eff: Number = Field(default=None, description="Independent points, of r only.")
-    n_eff_interval: Number = Field(default=None, description="Independent points that would give the interval of r.")
+    value: Number = optional("None where it was not measured, or is withheld.")
+    low: Number = optional("Lower end of its 95 % interval, of r only.")
+    high: Number = optional("Upper end of it.")
+    n_eff: Number = optional("Independent points, of r only.")
+    n_eff_interval: Number = optional("Independent points that would give the interval of r.")
     trust: Trust = Field(default="ok", description="What the checks leave of it.")
     counts: bool = Field(default=False, description="Whether it takes part in means and comparisons.")
     why_not: str = Field(default="", description="Why it does not; empty where it does.")
@@ -79,19 +90,15 @@ class SeriesSpecimen(ResultModel):
     """One specimen: what it is, what was found, and what its checks say."""
 
     member: Member = Field(description="Name, factors, state and run.")
-    kind: RunKind | None = Field(default=None, description="None where there is no run.")
+    kind: RunKind | None = optional("None where there is no run.")
     sheet: str = Field(default="", description="Sheet that it counts as a field of, among those of its paper.")
-    light: State | None = Field(default=None, description="Worst state of its checks.")
+    light: State | None = optional("Worst state of its checks.")
     spoken: dict[State, tuple[str, ...]] = Field(
         default_factory=dict, description="Names of the checks that fail, ask for a look, or could not be answered."
     )
-    marks_used: int | None = Field(default=None, description="Pairs of marks in use; the fewest of its layers.")
-    leave_one_out_um: Number = Field(
-        default=None, description="Root mean square of the leave-one-out errors; the largest of its layers."
-    )
-    expected_error_um: Number = Field(
-        default=None, description="Median of the expected error of a pixel; the largest of its layers."
-    )
+    marks_used: int | None = optional("Pairs of marks in use; the fewest of its layers.")
+    leave_one_out_um: Number = optional("Root mean square of the leave-one-out errors; the largest of its layers.")
+    expected_error_um: Number = optional("Median of the expected error of a pixel; the largest of its layers.")
     cells: tuple[Cell, ...] = Field(default=(), description="One for each quantity of the series.")
 
     @property
@@ -140,24 +147,21 @@ class DifferenceFacts(SetDifference, _OfLevels):
         return "differ" if self.p_of_table < 0.05 else "not after Holm"
 
 
-class InstrumentFacts(ResultModel):
-    """Two measurements of one sheet, b less a."""
-
+class _OfTwoLayers(ResultModel):
     specimen: str = Field(description="Name of the specimen.")
     a: str = Field(description="First layer.")
     b: str = Field(description="Second layer.")
     map: str = Field(description="The map that both show.")
     unit: str = Field(description="Of bias and limits.")
-    point_um: Number = Field(default=None, description="Edge of the points.")
-    n: int | None = Field(default=None, description="Points.")
-    bias: Number = Field(default=None, description="Mean difference.")
-    bias_interval: KnownPair = Field(default=None, description="In which the bias lies with 95 %.")
-    limits: KnownPair = Field(default=None, description="Between them lie 95 % of normal differences.")
-    limit_intervals: tuple[KnownPair, KnownPair] = Field(
-        default=(None, None), description="In which each limit lies with 95 %."
-    )
-    slopes: KnownPair = Field(default=None, description="Slope of b over a, and 1 over that of a over b.")
-    shared_um: Number = Field(default=None, description="Both show the same in waves of this length and longer.")
+
+
+class InstrumentFacts(Agreement, _OfTwoLayers):
+    """Two measurements of one sheet, b less a."""
+
+    sd: Unsaved = optional("Standard deviation of b - a.")
+    sd_interval: UnsavedInterval = optional("In which the standard deviation lies with 95 %.")
+    slopes: KnownPair = optional("Slope of b over a, and 1 over that of a over b.")
+    shared_um: Number = optional("Both show the same in waves of this length and longer.")
     sentence: str = Field(default="", description="What the rings of waves say, in words.")
     trust: Trust = Field(default="ok", description="What the checks leave of it.")
 
@@ -172,7 +176,7 @@ class SeriesResults(ResultModel):
     headline_declared: bool = Field(description="Whether the maps were declared; else they are those of the runs.")
     factors: tuple[str, ...] = Field(default=(), description="All factors of the table.")
     grouped_by: tuple[str, ...] = Field(default=(), description="Factors that make the groups.")
-    compared_by: str | None = Field(default=None, description="Factor that is compared; None where there is none.")
+    compared_by: str | None = optional("Factor that is compared; None where there is none.")
     sheets_given: bool = Field(description="Whether the table names the sheet of every specimen.")
     specimens: tuple[SeriesSpecimen, ...] = Field(description="In the order of the table.")
     groups: tuple[GroupFacts, ...] = Field(default=(), description="By group and quantity.")

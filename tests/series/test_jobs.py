@@ -29,6 +29,11 @@ def book(folder: Path, *specimens: PlannedSpecimen, changes: tuple[str, ...] = (
     return SeriesState(home, Plan(specimens=specimens, home=folder, changes=changes))
 
 
+def closed(one: SeriesState, specimen: PlannedSpecimen, state: str, message: str) -> Member:
+    job = opened(one, specimen)
+    return one.close(specimen, job, job.note.model_copy(update={"state": state, "message": message, "seconds": 1.0}))
+
+
 def opened(one: SeriesState, specimen: PlannedSpecimen) -> jobs.Job:
     job = one.open(specimen, COMPUTE)
     assert isinstance(job, jobs.Job)
@@ -37,11 +42,9 @@ def opened(one: SeriesState, specimen: PlannedSpecimen) -> jobs.Job:
 
 def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), jobs.JobOutcome(state="damaged", message="memory", seconds=1.0))
+    closed(one, specimen, "damaged", "memory")
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), jobs.Job)
-    refused = one.close(
-        specimen, opened(one, specimen), jobs.JobOutcome(state="refused", message="no hole", seconds=1.0)
-    )
+    refused = closed(one, specimen, "refused", "no hole")
     assert (refused.state, refused.message, refused.run) == ("refused", "no hole", None)
     again = book(tmp_path, specimen).open(specimen, COMPUTE)
     assert isinstance(again, Member)
@@ -54,7 +57,7 @@ def test_refused_jobs_wait_for_a_change_but_not_those_without_memory(tmp_path: P
 
 def test_same_bytes_are_the_same_whatever_their_date(tmp_path: Path, specimen: PlannedSpecimen) -> None:
     one = book(tmp_path, specimen)
-    one.close(specimen, opened(one, specimen), jobs.JobOutcome(state="refused", message="no hole", seconds=1.0))
+    closed(one, specimen, "refused", "no hole")
     os.utime(tmp_path / "i.tif", (1e9, 1e9))
     assert isinstance(book(tmp_path, specimen).open(specimen, COMPUTE), Member)
 
@@ -81,7 +84,7 @@ def test_a_volume_whose_values_changed_is_done_again(tmp_path: Path, kind: str) 
     """The file that changed has as many bytes as before and an older date than the header: a copy that was put back."""
     path, data = in_parts_or_two_files(tmp_path, kind)
     one, specimen = book(tmp_path), PlannedSpecimen(name="A", files=(path,))
-    one.close(specimen, opened(one, specimen), jobs.JobOutcome(state="refused", message="no sheet", seconds=1.0))
+    closed(one, specimen, "refused", "no sheet")
     assert isinstance(one.open(specimen, COMPUTE), Member)
     changed = bytearray(data.read_bytes())
     changed[-1] ^= 1

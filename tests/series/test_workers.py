@@ -23,17 +23,17 @@ class Workers:
     def __init__(self, at_once: int, **doomed: int) -> None:
         self.at_once, self.doomed, self.begun = at_once, doomed, list[str]()
 
-    def start(self, job: jobs.Job) -> Future[jobs.JobOutcome]:
+    def start(self, job: jobs.Job) -> Future[jobs.Note]:
         self.begun.append(job.name)
-        future: Future[jobs.JobOutcome] = Future()
+        future: Future[jobs.Note] = Future()
         if self.doomed.get(job.name, 0):
             self.doomed[job.name] -= 1
             future.set_exception(Death())
         else:
-            future.set_result(jobs.JobOutcome(state="whole", seconds=1.0))
+            future.set_result(job.note.model_copy(update={"state": "whole", "seconds": 1.0}))
         return future
 
-    def forget(self, future: Future[jobs.JobOutcome]) -> None:
+    def forget(self, future: Future[jobs.Note]) -> None:
         assert future.exception() is not None
 
 

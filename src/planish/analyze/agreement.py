@@ -47,6 +47,7 @@ class Agreement(ResultModel):
     The line of a perfect relation lies between ``slope`` (b on a) and that of a on b.
     """
 
+    point_um: Value = optional("Edge of a point.")
     n: int | None = optional("Points of which bias and scatter are.")
     bias: Value = optional("Mean of b - a at the larger points.")
     bias_interval: Interval = optional("In which it lies with 95 %.")
@@ -56,10 +57,10 @@ class Agreement(ResultModel):
     limit_intervals: tuple[Interval, Interval] = Field(
         default=(NULL, NULL), description="In which the lower and the upper limit lie with 95 %."
     )
-    n_eff: Unsaved = Field(default=NULL, exclude=True, description="Independent points of the mean difference.")
-    n_eff_sd: Unsaved = Field(default=NULL, exclude=True, description="Independent points of its standard deviation.")
-    slope: Unsaved = Field(default=NULL, exclude=True, description="Least squares of b on a.")
-    slope_x_on_y: Unsaved = Field(default=NULL, exclude=True, description="Least squares of a on b: a per b.")
+    n_eff: Unsaved = optional("Independent points of the mean difference.")
+    n_eff_sd: Unsaved = optional("Independent points of its standard deviation.")
+    slope: Unsaved = optional("Least squares of b on a.")
+    slope_x_on_y: Unsaved = optional("Least squares of a on b: a per b.")
 
 
 def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel) -> Agreement:
@@ -212,11 +213,7 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     return Deming(slope=slope, intercept=intercept, interval=interval, error_ratio=error_ratio)
 
 
-class _WithPoint(ResultModel):
-    point_um: Value = optional("Edge of a point.")
-
-
-class Twice(Agreement, _WithPoint, RingCorrelation):
+class Twice(Agreement, RingCorrelation):
     """Two measurements of one quantity: down to which wavelength they agree, and how far they differ."""
 
     units: str = Field(default="1", description="Of the values.")

@@ -46,9 +46,9 @@ class SetDifference(ResultModel):
 class SheetDifference(SetDifference):
     """Difference of a property between two sets of sheets, the second minus the first, and how sure it is."""
 
-    sd: Unsaved = Field(default=NULL, exclude=True, description="Of the differences of single sheets where they pair.")
-    standard_error: Unsaved = Field(default=NULL, exclude=True, description="Of the difference.")
-    free: Unsaved = Field(default=NULL, exclude=True, description="Degrees of freedom of its interval.")
+    sd: Unsaved = optional("Of the differences of single sheets where they pair.")
+    standard_error: Unsaved = optional("Of the difference.")
+    free: Unsaved = optional("Degrees of freedom of its interval.")
     unpaired: tuple[str, ...] = Field(default=(), description="Sheets without a partner, where sheets pair.")
     reason: str = Field(default="", description="Why there is no interval.")
 

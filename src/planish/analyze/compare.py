@@ -36,10 +36,7 @@ class _Judged(Correlation):
     trust: Trust = Field(default="ok", description="What the checks leave of the figures.")
 
 
-_NUMBERS_OF_R = (
-    "r", "r2", "rho", "slope", "intercept", "slope_x_on_y", "mean_a", "mean_b", "n_eff", "p", "interval",
-    "n_eff_interval",
-)  # fmt: skip
+_NUMBERS_OF_R = tuple(name for name in Correlation.model_fields if name not in ("point_um", "n", "warnings"))
 
 
 class CorrelationRow(_Judged):

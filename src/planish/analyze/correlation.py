@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator
-from typing import Any
+from typing import Any, Self
 
 import numpy as np
 import xarray as xr
@@ -63,6 +63,22 @@ class Correlation(ResultModel):
         """1 or -1 where the interval of r excludes 0, else 0."""
         low, high = self.interval
         return 1 if low > 0 else -1 if high < 0 else 0
+
+
+class PointsCorrelation(ResultModel):
+    """Correlation over points of one size that stands beside another one."""
+
+    point_um: float = Field(description="Edge of the points.")
+    n: int | None = optional("Points that are valid in all maps.")
+    r: Value = optional("Pearson's correlation.")
+    n_eff: Value = optional("Independent points.")
+    interval: Interval = optional("In which this r lies with 95 %.")
+
+    @classmethod
+    def of(cls, row: Correlation, **more: Any) -> Self:
+        """Take what stands beside another r of a correlation, and what the class has more."""
+        numbers: dict[str, Any] = {"point_um": row.point_um, "n": row.n, "r": row.r, "n_eff": row.n_eff}
+        return cls(**numbers | {"interval": row.interval} | more)
 
 
 class PairSums:

@@ -14,7 +14,7 @@ from planish.analyze.correlation import LEAST_CLAIMED, check_varying, on_one_gri
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import normal_tail
 from planish.analyze.ncc import MaskedNcc
-from planish.core.errors import CannotMeasure, PlanishError, SizeError
+from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Interval, ResultModel, Value, is_known
 from planish.core.numbers import fixed, plain
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
@@ -229,10 +229,7 @@ def _limits(maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools) -> t
 def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
     """The correlogram with its profiles through lag 0; nothing where there are too few lags."""
     is_valid = pair.lags.is_valid
-    try:
-        whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
-    except PlanishError:
-        return {}
+    whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
     return {"correlogram": CorrelogramProfiles.holding(whole)}
 
 

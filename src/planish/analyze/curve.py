@@ -23,8 +23,8 @@ from planish.analyze.correlation import (
 )
 from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
-from planish.core.errors import CannotMeasure, InputError, PlanishError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.errors import CannotMeasure, InputError
+from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.numbers import fixed, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
@@ -90,9 +90,7 @@ class Curvature(ResultModel):
     point_um: Value = optional("Edge of the points.")
     n: int = Field(description="Points that are valid in both.")
     n_eff: Value = Field(description="Independent points.")
-    n_eff_square: Unsaved = Field(
-        default=NULL, exclude=True, description="Independent points that the interval of the curvature counts."
-    )
+    n_eff_square: Unsaved = optional("Independent points that the interval of the curvature counts.")
     slope: Value = Field(description="Slope of the straight line.")
     slope_interval: Interval = Field(description="In which the slope lies with 95 %.")
     curvature: Value = Field(description="Coefficient of the square.")
@@ -204,11 +202,8 @@ def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
     if not (pair.has_points and pair.is_sheet_on_image):
         return {}
     x, y = pair.points
-    try:
-        count = independent_points(x, y, pixel_um=pair.point_um)
-        bent = straight_or_curved(x, y, n_eff=count.n_eff, n_eff_square=count.n_eff_square)
-    except PlanishError:
-        return {}
+    count = independent_points(x, y, pixel_um=pair.point_um)
+    bent = straight_or_curved(x, y, n_eff=count.n_eff, n_eff_square=count.n_eff_square)
     return {"curve": Curvature.holding(bent, point_um=pair.point_um)}
 
 

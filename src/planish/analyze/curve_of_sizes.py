@@ -7,33 +7,22 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from pydantic import Field
 
-from planish.analyze.correlation import Correlation, correlate, valid_pixels
+from planish.analyze.correlation import Correlation, PointsCorrelation, correlate, valid_pixels
 from planish.analyze.distributions import normal_quantile
 from planish.core.area import AreaMeans
 from planish.core.errors import SizeError
-from planish.core.facts import Interval, ResultModel, Value, optional
-from planish.core.typing import Array, Bools, Floats, Pair, Pixel
+from planish.core.facts import Interval, optional
+from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps
 
 
-class SizeRow(ResultModel):
+class SizeRow(PointsCorrelation):
     """Correlation over points of one size, as one of many."""
 
-    point_um: float = Field(description="Edge of the points.")
-    n: int = Field(description="Points that are valid in both.")
-    r: Value = Field(description="Pearson's correlation.")
-    n_eff: Value = Field(description="Independent points.")
-    interval: Interval = Field(description="In which this r lies with 95 %.")
     band: Interval = optional("In which the r of all sizes lie together with 95 %.")
-
-    @classmethod
-    def of(cls, row: Correlation, band: Pair = (math.nan, math.nan)) -> SizeRow:
-        """Take what a curve shows of a correlation."""
-        return cls(point_um=row.point_um, n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, band=band)
 
 
 def size_curve(
@@ -86,7 +75,7 @@ def size_curve(
         if not math.isnan(row.interval[0]) and abs(row.r) < 1:
             z, (low, high) = math.atanh(row.r), (math.atanh(v) for v in row.interval)
             band = math.tanh(z + wider * (low - z)), math.tanh(z + wider * (high - z))
-        curve.append(SizeRow.of(row, band))
+        curve.append(SizeRow.of(row, band=band))
     return tuple(curve)
 
 

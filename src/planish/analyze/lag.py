@@ -71,31 +71,9 @@ class LagNumbers(ResultModel):
 class Lag:
     """Where the last map's texture lies, relative to that of the first ones.
 
-    Attributes
-    ----------
-    lag_um : (float, float)
-        ``(x, y)``: what the first maps show at p, the last one shows at p + lag. NaN unless distinct.
-    covariance_um2 : ndarray, shape (2, 2)
-        Of ``lag_um``; NaN unless distinct.
-    r : float
-        Multiple correlation of the last map with the first ones at the peak, with the sign of that of the very first.
-        It was searched for: no measure of the relation of the maps.
-    r_at_zero : float
-        The same without any lag.
-    limit_r : float
-        ``|r|`` that unrelated maps of the same texture exceed somewhere in the search in 1 of 1000 cases.
-    silence : {"few", "texture", "border", "rival", "light"} or None
-        Why the lag is inconclusive; None if the peak is distinct.
-    light : float
-        Share of what is explained at the peak that needs the slopes of the surface.
-    reach_um : float
-        Largest lag that was searched.
-    pixel_um : (float, float)
-        Pixel of the maps that were compared, along y and x.
-    n : int
-        Pixels that are known.
-    field : LagField or None
-        Lags of tiles, if asked for.
+    Its numbers are those of :class:`LagNumbers`. ``r`` is a multiple correlation, with the sign of that of the very
+    first map; ``lag_um`` and ``covariance_um2`` (2, 2) are NaN unless distinct; ``field`` holds the lags of tiles, if
+    asked for.
     """
 
     reach_um: float

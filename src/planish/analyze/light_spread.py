@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 from scipy import fft
 
-from planish.analyze.correlation import correlate, valid_pixels
+from planish.analyze.correlation import PointsCorrelation, correlate, valid_pixels
 from planish.analyze.differences import paired_difference
 from planish.core.area import area_mean
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
@@ -23,15 +23,13 @@ if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
 
-class LightSpread(ResultModel):
+class _Spread(ResultModel):
+    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
+
+
+class LightSpread(PointsCorrelation, _Spread):
     """The headline correlation with the coating blurred as light is that spreads in paper."""
 
-    width_um: float = Field(description="Length over which the point spread function falls to 1/e, as it was given.")
-    point_um: float = Field(description="Edge of a point.")
-    n: int | None = optional("Points that are valid in both maps.")
-    r: Value = optional("Correlation.")
-    n_eff: Value = optional("Independent points.")
-    interval: Interval = optional("In which this r lies with 95 %.")
     difference: Value = optional("This r minus that of the coating as it is, at the same points.")
     difference_interval: Interval = optional("In which the difference lies with 95 %.")
     silence: str | None = optional("Why there is no such r.")
@@ -116,9 +114,8 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
         return {"light_spread": spread_r(silence=error.text)}
     if math.isnan(row.r):
         return {"light_spread": spread_r(n=row.n, silence=" ".join(row.warnings))}
-    return {"light_spread": spread_r(
-        n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval, difference=change.difference,
-        difference_interval=change.interval,
+    return {"light_spread": LightSpread.of(
+        row, width_um=width_um, point_um=point_um, difference=change.difference, difference_interval=change.interval
     )}  # fmt: skip
 
 

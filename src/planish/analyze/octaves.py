@@ -13,7 +13,7 @@ from scipy import fft, ndimage
 from planish.analyze.correlation import valid_pixels
 from planish.analyze.detrend import without_trend
 from planish.core.errors import CannotMeasure
-from planish.core.facts import NULL, ResultModel, Unsaved, Value
+from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ class Band(ResultModel):
     shortest_um: float = Field(description="Shortest wavelength of the octave.")
     longest_um: float = Field(description="Longest wavelength of the octave.")
     coherence: Value = Field(description="Squared, put right for chance; a little below 0 where there is nothing.")
-    p: Unsaved = Field(default=NULL, exclude=True, description="Of the test that there is nothing in common.")
+    p: Unsaved = optional("Of the test that there is nothing in common.")
     p_of_bands: Value = Field(description="p of all octaves together, after Sidak.")
     phase_deg: Value = Field(description="Phase of b against a; 0 or 180 where one simply follows the other.")
     gain: Value = Field(description="Change of b per change of a, with its sign.")

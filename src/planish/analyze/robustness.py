@@ -15,6 +15,7 @@ from pydantic import Field
 from planish.analyze.correlation import (
     LEAST,
     Correlation,
+    PointsCorrelation,
     check_varying,
     correlate,
     valid_pixels,
@@ -25,7 +26,7 @@ from planish.analyze.texture import low_pass
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import InputError, PlanishError, SizeError
-from planish.core.facts import Interval, ResultModel, Value, is_known, optional
+from planish.core.facts import ResultModel, is_known, optional
 from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
@@ -33,15 +34,13 @@ if TYPE_CHECKING:
     from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
 
 
-class Partial(ResultModel):
+class _Given(ResultModel):
+    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
+
+
+class Partial(PointsCorrelation, _Given):
     """Correlation of what other maps of the sheet do not explain of two maps, by least squares."""
 
-    given: tuple[str, ...] = Field(description="Maps of the sheet whose part was taken off both.")
-    point_um: float = Field(description="Edge of the points.")
-    n: int | None = optional("Points that are valid in all maps.")
-    r: Value = optional("Partial correlation.")
-    n_eff: Value = optional("Independent points of what is left.")
-    interval: Interval = optional("In which r lies with 95 %.")
     silence: str | None = optional("Why there is no partial correlation.")
 
 
@@ -299,7 +298,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
         shares = commonality(image, dict(zip(names, sheet, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
         return {"partial": rest(silence=error.text)}
-    return {"partial": rest(n=row.n, r=row.r, n_eff=row.n_eff, interval=row.interval), "commonality": shares}
+    return {"partial": Partial.of(row, given=covariates, point_um=point_um), "commonality": shares}
 
 
 def say_partial(rest: Partial, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:

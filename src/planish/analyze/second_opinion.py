@@ -24,7 +24,7 @@ from planish.analyze.correlation import (
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value
+from planish.core.facts import Interval, ResultModel, Unsaved, Value, optional
 from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Pair, Pixel
 
@@ -36,7 +36,7 @@ class SecondOpinion(ResultModel):
     """Interval of r that asks nothing of the covariances of the maps (Conley 1999), at the larger points."""
 
     point_um: float = Field(description="Edge of a point.")
-    r: Unsaved = Field(default=NULL, exclude=True, description="Pearson's correlation.")
+    r: Unsaved = optional("Pearson's correlation.")
     interval: Interval = Field(description="In which r lies with 95 %.")
     standard_error: Value = Field(description="Of Fisher's z.")
     critical: Value = Field(description="Standard errors to either side.")

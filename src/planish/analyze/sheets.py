@@ -17,7 +17,7 @@ from pydantic.json_schema import SkipJsonSchema
 
 from planish.analyze.distributions import f_quantile, f_tail, t_95
 from planish.core.errors import InputError
-from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
+from planish.core.facts import Interval, ResultModel, Unsaved, UnsavedInterval, Value, optional
 from planish.core.typing import Floats
 
 LEAST_SHEETS = 3
@@ -87,12 +87,10 @@ class RandomEffects(ResultModel):
     i2: Value = Field(description="Share of the variance of z that is between them.")
     q: Value = Field(description="Cochran's Q.")
     p: Value = Field(description="Of the test that all are the same.")
-    mean: Unsaved = Field(default=NULL, exclude=True, description="With weights of 1 over the sum of both variances.")
-    standard_error: Unsaved = Field(default=NULL, exclude=True, description="Of the mean, from the weights.")
-    between: Unsaved = Field(default=NULL, exclude=True, description="Variance of the true effects.")
-    interval: SkipJsonSchema[Interval] = Field(
-        default=NULL, exclude=True, description="In which the mean lies with 95 %; none with fewer than 3 effects."
-    )
+    mean: Unsaved = optional("With weights of 1 over the sum of both variances.")
+    standard_error: Unsaved = optional("Of the mean, from the weights.")
+    between: Unsaved = optional("Variance of the true effects.")
+    interval: UnsavedInterval = optional("In which the mean lies with 95 %; none with fewer than 3 effects.")
 
 
 class SheetVariances(ResultModel):
@@ -120,7 +118,7 @@ class SheetMean(ResultModel):
     between_sheets: RandomEffects | None = optional("Of r, over sheets.")
     between_fields: RandomEffects | None = optional("Of r, over all fields as if each were of a sheet of its own.")
     missing: SkipJsonSchema[int] = Field(default=0, exclude=True, description="Fields without a value.")
-    standard_error: Unsaved = Field(default=NULL, exclude=True, description="Of the mean of a property.")
+    standard_error: Unsaved = optional("Of the mean of a property.")
 
 
 def over_sheets(fields: Fields) -> SheetMean:

@@ -279,7 +279,7 @@ def _show(results: SeriesResults) -> None:
             lines.append([in_ascii(q.title), levels, difference, interval, p, words.verdict(d)])
         table("Differences (p after Holm)", ("", "levels", "difference", "95 %", "p", ""), lines)
     for pair in results.instruments:
-        bias, limits = _number(pair.bias, "mean"), _ends(pair.limits, "mean") if pair.limits else "-"
+        bias, limits = _number(pair.bias, "mean"), _ends(pair.limits, "mean")
         sentence(
             f"{pair.specimen}: {pair.b} less {pair.a}, {pair.map}: bias {bias} {pair.unit}, limits {limits} "
             f"{pair.unit}. {pair.sentence}".rstrip()

@@ -8,7 +8,7 @@ from typing import Any, Literal
 
 from pydantic import Field
 
-from planish.core.facts import Number, ResultModel, Trust
+from planish.core.facts import Number, ResultModel, Trust, optional
 
 State = Literal["pass", "look", "fail", "unknown"]
 """``look``: the figures are doubtful; ``fail``: they are wrong and withheld; ``unknown``: nothing can be said."""
@@ -28,8 +28,8 @@ class Check(ResultModel):
     name: str = Field(description="Short and unique in a run, as 'slices along z'.")
     state: State = Field(description="pass, look, fail or unknown.")
     sentence: str = Field(description="What was found; with unknown, why nothing can be said.")
-    value: Number = Field(default=None, description="What was compared.")
-    limit: Number = Field(default=None, description="The limit that the state was judged by.")
+    value: Number = optional("What was compared.")
+    limit: Number = optional("The limit that the state was judged by.")
     units: str = Field(default="", description="Of value and limit; 'share' for a part of 1.")
     advice: str = Field(default="", description="What to do; empty where nothing has to be done.")
     figures: tuple[str, ...] = Field(

@@ -55,8 +55,9 @@ Value = Annotated[
 Interval = Annotated[
     Pair, BeforeValidator(_nan_pair), PlainSerializer(_null), WithJsonSchema({"anyOf": [_PAIR, _NULL]})
 ]
-# A number that stands beside a result in memory and, as a field with ``exclude=True``, in no file.
-Unsaved = SkipJsonSchema[Value]
+# A number, or an interval, that stands beside a result in memory and in no file.
+Unsaved = Annotated[SkipJsonSchema[Value], Field(exclude=True)]
+UnsavedInterval = Annotated[SkipJsonSchema[Interval], Field(exclude=True)]
 NULL: Any = None  # default of a value or interval: null in JSON and its schema, NaN in memory
 
 
@@ -109,35 +110,29 @@ class ThinFacts(ResultModel):
 class RoughnessFacts(ResultModel):
     """Areal roughness numbers (ISO 25178-2) of one face, or the reason why there are none."""
 
-    sa: Number = Field(default=None, description="Mean absolute height, um.")
-    sq: Number = Field(default=None, description="Root mean square height, um.")
-    ssk: Number = Field(default=None, description="Skewness of the heights.")
-    sku: Number = Field(default=None, description="Kurtosis of the heights.")
-    sz: Number = Field(default=None, description="Highest less lowest height, um; grows with the field.")
-    sdq: Number = Field(default=None, description="Root mean square slope.")
-    n: int | None = Field(default=None, description="Columns with a height.")
-    s_filter_um: Number = Field(default=None, description="Shorter waves were left out.")
-    l_filter_um: Number = Field(default=None, description="Longer waves were left out.")
-    reason: str | None = Field(default=None, description="Why there are no numbers; None where there are.")
+    sa: Number = optional("Mean absolute height, um.")
+    sq: Number = optional("Root mean square height, um.")
+    ssk: Number = optional("Skewness of the heights.")
+    sku: Number = optional("Kurtosis of the heights.")
+    sz: Number = optional("Highest less lowest height, um; grows with the field.")
+    sdq: Number = optional("Root mean square slope.")
+    n: int | None = optional("Columns with a height.")
+    s_filter_um: Number = optional("Shorter waves were left out.")
+    l_filter_um: Number = optional("Longer waves were left out.")
+    reason: str | None = optional("Why there are no numbers; None where there are.")
 
 
 class TwoSidesFacts(ResultModel):
     """Top against bottom."""
 
-    coating_difference_um: Number = Field(default=None, description="Mean coating of the top less that of the bottom.")
-    coating_sd_ratio: Number = Field(
-        default=None, description="Standard deviation of the top's coating over that of the bottom's."
-    )
-    coating_correlation: Number = Field(default=None, description="r of both coatings.")
-    coating_n: int | None = Field(default=None, description="Columns with both coatings.")
-    topography_difference_um: Number = Field(
-        default=None, description="Mean topography of the top less that of the bottom."
-    )
-    topography_sd_ratio: Number = Field(
-        default=None, description="Standard deviation of the top's topography over that of the bottom's."
-    )
-    topography_correlation: Number = Field(default=None, description="r of both topographies, outward heights.")
-    topography_n: int | None = Field(default=None, description="Columns with both topographies.")
+    coating_difference_um: Number = optional("Mean coating of the top less that of the bottom.")
+    coating_sd_ratio: Number = optional("Standard deviation of the top's coating over that of the bottom's.")
+    coating_correlation: Number = optional("r of both coatings.")
+    coating_n: int | None = optional("Columns with both coatings.")
+    topography_difference_um: Number = optional("Mean topography of the top less that of the bottom.")
+    topography_sd_ratio: Number = optional("Standard deviation of the top's topography over that of the bottom's.")
+    topography_correlation: Number = optional("r of both topographies, outward heights.")
+    topography_n: int | None = optional("Columns with both topographies.")
 
 
 class ProfileFacts(ResultModel):
@@ -153,9 +148,7 @@ class SheetNumbers(ResultModel):
     thin: dict[Side, ThinFacts] = Field(description="Thin and bare shares of the coating, by side.")
     roughness: dict[Side, RoughnessFacts] = Field(description="Roughness of the face, by side.")
     two_sides: TwoSidesFacts = Field(description="Top against bottom.")
-    profiles: ProfileFacts | None = Field(
-        default=None, description="Porosity and filler over the depth, where their maps were measured."
-    )
+    profiles: ProfileFacts | None = optional("Porosity and filler over the depth, where their maps were measured.")
 
 
 class HoleTiltFacts(ResultModel):
@@ -174,8 +167,6 @@ class HoleTiltFacts(ResultModel):
     to_face_um: tuple[float, float] = Field(
         default=(0.0, 0.0), description="What was added to the places in the layer to have them at the face."
     )
-    tilt_deg: tuple[Number, Number] | None = Field(
-        default=None, description="The same offset as an angle, along x and y."
-    )
+    tilt_deg: tuple[Number, Number] | None = optional("The same offset as an angle, along x and y.")
     side: Side = Field(description="Side whose rims were used.")
     sentence: str = Field(description="The same in words.")

@@ -39,14 +39,6 @@ _START_S, _PER_VOXEL_S, _PER_PIXEL_S = 4.0, 0.2e-6, 2.5e-6
 _PER_COLUMN, _PER_PIXEL = 150, 110  # bytes
 
 
-class JobOutcome(ResultModel):
-    """What became of a job."""
-
-    state: MemberState
-    message: str = ""
-    seconds: float | None = None
-
-
 class Note(ResultModel):
     """What is remembered of a specimen beside its run: what was asked for, and why there is no run."""
 
@@ -119,7 +111,7 @@ class SeriesState:
             study = self.plan.study(specimen)
             note = self._note_of(study, specimen)
         except PlanishError as error:
-            return _without_run(specimen, _outcome_of(error))
+            return specimen.member.model_copy(update=_reason_of(error))
         k = 1
         while True:  # another folder where there is a run with other files or options
             name = specimen.name if k == 1 else f"{specimen.name}-{k}"
@@ -135,12 +127,12 @@ class SeriesState:
             return _without_run(specimen, earlier)
         return Job(name=specimen.name, study=study, folder=folder, compute=compute, note=note)
 
-    def close(self, specimen: PlannedSpecimen, job: Job, outcome: JobOutcome) -> Member:
+    def close(self, specimen: PlannedSpecimen, job: Job, note: Note) -> Member:
         """Remember what became of a job."""
         # The same words wherever the series stands.
-        outcome = outcome.model_copy(update={"message": outcome.message.replace(f"{self.home}{os.sep}", "")})
-        self._write(job.folder, job.note.model_copy(update=outcome.model_dump()))
-        return self.member(specimen, job.folder) if is_run(job.folder) else _without_run(specimen, outcome)
+        note = note.model_copy(update={"message": note.message.replace(f"{self.home}{os.sep}", "")})
+        self._write(job.folder, note)
+        return self.member(specimen, job.folder) if is_run(job.folder) else _without_run(specimen, note)
 
     def member(self, specimen: PlannedSpecimen, folder: Path) -> Member:
         """A specimen with its run, as its results judge it."""
@@ -150,7 +142,7 @@ class SeriesState:
             results = open_results(folder)
         except PlanishError as error:
             message = f"{error.text} Remove {run} to have it done again."
-            return _without_run(specimen, JobOutcome(state="damaged", message=message))
+            return specimen.member.model_copy(update={"state": "damaged", "message": message})
         return as_judged(specimen.member.model_copy(update={"run": run}), results)
 
     def estimate(self, specimen: PlannedSpecimen, compute: Compute) -> Estimate:
@@ -210,38 +202,37 @@ class SeriesState:
         write_whole(path, json.dumps(note.model_dump(), indent=1).encode(), over=True)
 
 
-def do(job: Job) -> JobOutcome:
-    """Link the layers of a specimen, or map its volume; whatever goes wrong is an outcome, too."""
-    begin = time.perf_counter()
+def do(job: Job) -> Note:
+    """Link the layers of a specimen, or map its volume; whatever goes wrong is noted, too."""
+    begin, reason = time.perf_counter(), {"state": "damaged", "message": ""}
     try:
         # Of a worker that was lost when all was written, there is a run.
         passed = is_run(job.folder) or run_study(job.study, job.folder, compute=job.compute).passed
-        outcome = JobOutcome(state="whole" if passed else "withheld")
+        reason["state"] = "whole" if passed else "withheld"
     except PlanishError as error:
-        outcome = _outcome_of(error)
+        reason = _reason_of(error)
     except MemoryError:
-        outcome = JobOutcome(state="damaged", message="The memory is used up. Give fewer --jobs, or more --memory.")
+        reason["message"] = "The memory is used up. Give fewer --jobs, or more --memory."
     except Exception as error:  # noqa: BLE001  one specimen stops no other
-        message = f"A fault of planish: {type(error).__name__}: {error}. Please report it."
-        outcome = JobOutcome(state="damaged", message=message)
-    return outcome.model_copy(update={"seconds": round(time.perf_counter() - begin, 1)})
+        reason["message"] = f"A fault of planish: {type(error).__name__}: {error}. Please report it."
+    return job.note.model_copy(update={**reason, "seconds": round(time.perf_counter() - begin, 1)})
 
 
-# Outcome of a job whose process ended again and again
-KILLED = JobOutcome(
-    state="damaged",
-    message="Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a "
+# State and message of a job whose process ended again and again
+KILLED = {
+    "state": "damaged",
+    "message": "Its process ended without a word, most likely because the memory was used up. Give fewer --jobs or a "
     "limit (--memory), and give the same command again.",
-)
+}
 
 
-def _outcome_of(error: PlanishError) -> JobOutcome:
+def _reason_of(error: PlanishError) -> dict[str, str]:
     state = "damaged" if isinstance(error, ResourceError) else "refused"
-    return JobOutcome(state=state, message=in_study_words(error.text))
+    return {"state": state, "message": in_study_words(error.text)}
 
 
-def _without_run(specimen: PlannedSpecimen, outcome: JobOutcome | Note) -> Member:
-    return specimen.member.model_copy(update={"state": outcome.state, "message": outcome.message})
+def _without_run(specimen: PlannedSpecimen, note: Note) -> Member:
+    return specimen.member.model_copy(update={"state": note.state, "message": note.message})
 
 
 def stamp_of(path: Path) -> str:

@@ -20,7 +20,7 @@ from typing import Final
 
 from planish.core.threads import count_threads
 from planish.run.compute import Compute, engine
-from planish.series.jobs import KILLED, Job, JobOutcome, SeriesState, do
+from planish.series.jobs import KILLED, Job, Note, SeriesState, do
 from planish.series.plan import Plan, PlannedSpecimen
 from planish.series_results import Member
 
@@ -65,9 +65,9 @@ def run_series(
                 tell(job, None)
 
     with _workers(compute, jobs) as workers:
-        for job, outcome in _run_jobs(opened(), workers):
-            members[job.name] = state.close(specimens[job.name], job, outcome)
-            tell(members[job.name], outcome.seconds)
+        for job, note in _run_jobs(opened(), workers):
+            members[job.name] = state.close(specimens[job.name], job, note)
+            tell(members[job.name], note.seconds)
 
 
 @contextmanager
@@ -85,9 +85,9 @@ def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
         processes.stop()
 
 
-def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, JobOutcome]]:
+def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, Note]]:
     """Keep all workers busy with jobs, taken as there is room (None: none as yet); give outcomes as they come."""
-    busy: dict[Future[JobOutcome], Job] = {}
+    busy: dict[Future[Note], Job] = {}
     tries: Counter[str] = Counter()
     again: deque[Job] = deque()
     more = True
@@ -114,7 +114,7 @@ def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> 
                 if tries[job.name] < workers.tries:
                     again.append(job)
                 else:
-                    yield job, KILLED
+                    yield job, job.note.model_copy(update=KILLED)
 
 
 class _Cluster:
@@ -128,10 +128,10 @@ class _Cluster:
         self._executor, self.at_once = executor, at_once
         self.deaths: tuple[type[BaseException], ...] = (KilledWorker,)
 
-    def start(self, job: Job) -> Future[JobOutcome]:
+    def start(self, job: Job) -> Future[Note]:
         return self._executor.submit(do, job)
 
-    def forget(self, future: Future[JobOutcome]) -> None:
+    def forget(self, future: Future[Note]) -> None:
         """Nothing: the scheduler starts no worker."""
 
 
@@ -144,9 +144,9 @@ class _Processes:
     def __init__(self, at_once: int) -> None:
         self.at_once = at_once
         self._free: list[ProcessPoolExecutor] = []
-        self._used: dict[Future[JobOutcome], ProcessPoolExecutor] = {}
+        self._used: dict[Future[Note], ProcessPoolExecutor] = {}
 
-    def start(self, job: Job) -> Future[JobOutcome]:
+    def start(self, job: Job) -> Future[Note]:
         self._free += [self._used.pop(future) for future in [*self._used] if future.done()]
         # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
         spawn = multiprocessing.get_context("spawn")
@@ -157,7 +157,7 @@ class _Processes:
                 self._used[future] = pool
                 return future
 
-    def forget(self, future: Future[JobOutcome]) -> None:
+    def forget(self, future: Future[Note]) -> None:
         self._used.pop(future).shutdown(wait=False)
 
     def stop(self) -> None:
