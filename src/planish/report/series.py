@@ -121,9 +121,10 @@ class SmallMap:
     """A map of one specimen, small; None where there is none, or it cannot be read."""
 
     specimen: str
-    shown: ShownMap | None = None
-    title: str = ""
-    unit: str = ""
+    values: Array | None = None
+    width_um: float = 0.0
+    height_um: float = 0.0
+    label: str = ""
 
 
 def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> SmallMap:
@@ -133,9 +134,11 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
     y, x = (data[d].values.astype(np.float64) for d in data.dims)
     ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0]))))
     shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
-    values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
-    shown = ShownMap(values, shown.extent)
-    return SmallMap(specimen=specimen, shown=shown, title=text.title_of(data), unit=text.unit_of(data))
+    values = np.round(shown.values.astype(np.float32), 6)  # a page needs no more
+    return SmallMap(
+        specimen=specimen, values=values.astype(np.float64), width_um=shown.width, height_um=shown.height,
+        label=text.label_of(data),
+    )  # fmt: skip
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
@@ -156,7 +159,7 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
     # The colours of all small maps, and a length on them.
     canvas, first = Canvas(HALF, 62), next(m for m in maps if m.specimen in drawn)
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, axis_label(first.title, first.unit))
+    canvas.text(8, 54, first.label)
     length = round_step(0.5 * _WIDE * um)
     canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
     canvas.text(350, 32, plain(length), size=SMALL)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import combinations
 from typing import Any
 
@@ -100,12 +100,6 @@ def _varies(gathered: Gathered, factor: str) -> bool:
     return len(levels - {""}) > 1
 
 
-def _in_order(levels: Iterable[str]) -> list[str]:
-    """Levels in the order of the table; before comes before after."""
-    ordered = [*dict.fromkeys(level for level in levels if level)]
-    return ordered[::-1] if [level.casefold() for level in ordered] == ["after", "before"] else ordered
-
-
 def _specimens(
     gathered: Gathered, rows: Sequence[FigureRow], quantities: Sequence[Quantity], declared: Declared
 ) -> list[SeriesSpecimen]:
@@ -167,7 +161,9 @@ def _pairs(
 ) -> Iterator[tuple[dict[str, Any], analyze.SheetDifference]]:
     """Compare every quantity of every two levels of a factor, within each level of the others that make groups."""
     other_factors = [name for name in grouped_by if name != factor]
-    levels = _in_order(specimen.factor(factor) for specimen in specimens)
+    levels = [*dict.fromkeys(level for specimen in specimens if (level := specimen.factor(factor)))]
+    if [level.casefold() for level in levels] == ["after", "before"]:
+        levels.reverse()
     if not 2 <= len(levels) <= _MOST_LEVELS:
         return
     strata = dict[tuple[str, ...], dict[str, list[SeriesSpecimen]]]()
