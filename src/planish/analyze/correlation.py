@@ -78,7 +78,8 @@ class PointsCorrelation(ResultModel):
     def of(cls, row: Correlation, **more: Any) -> Self:
         """Take what stands beside another r of a correlation, and what the class has more."""
         numbers: dict[str, Any] = {"point_um": row.point_um, "n": row.n, "r": row.r, "n_eff": row.n_eff}
-        return cls(**numbers | {"interval": row.interval} | more)
+        numbers["interval"] = row.interval
+        return cls(**{**numbers, **more})
 
 
 class PairSums:
