@@ -26,7 +26,7 @@ from planish.core.facts import (
     is_known,
     optional,
 )
-from planish.core.tables import read_text
+from planish.core.tables import naming_faults, read_text
 
 # ``whole``: linked, no check failed. ``withheld``: linked, and a check failed. ``refused``: its input cannot be used.
 # ``damaged``: a fault of the machine or of planish: memory, disk, a process that ended. ``open``: not done yet.

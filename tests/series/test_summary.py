@@ -8,7 +8,7 @@ from scipy import stats
 
 from planish.core.errors import InputError
 from planish.core.facts import is_known
-from planish.series import Declared, declared_of, gather, summary_of
+from planish.series import Declared, gather, summary_of
 from planish.series_results import Member
 from series.runs import results_of, series, two_volumes
 

@@ -158,7 +158,7 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
     curves: list[Variogram] = []
     for values, (layer, name), units in zip((pair.x, pair.y), (pair.a, pair.b), pair.units, strict=True):
         try:
-            whole = variogram_of(values, pair.lags, pair.md_deg)
+            curve = variogram_of(values, pair.lags, pair.md_deg)
         except PlanishError:
             continue
         # At up to 60 distances, closer for short ones.

@@ -13,6 +13,7 @@ import click
 from planish.cli.console import sentence, table, warn
 from planish.cli.options import PATH, Option, build_params, existing, json_option, options, out_option, verb
 from planish.core.facts import is_known
+from planish.core.numbers import in_ascii
 from planish.run.compute import Compute
 from planish.series.declared import Declared
 

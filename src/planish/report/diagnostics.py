@@ -15,7 +15,7 @@ from planish.core.facts import is_known
 from planish.core.numbers import NONE, capital, count, in_words, number, plain
 from planish.report.draw import ACCENT, FULL, POINT, SOFT, Axes, Canvas, Picture, Table, columns, or_blank
 from planish.report.relation import Points, as_drawn, draw_dots, draw_fit, points_table
-from planish.report.text import HOLES, NONE, REGISTERED, capital, count, in_words, number, plain
+from planish.report.text import HOLES, REGISTERED
 from planish.results import CorrelationRow, EvidenceFacts, Mottle
 
 _TOP, _HIGH, _WIDE = 40.0, 235.0, 400.0

@@ -16,10 +16,11 @@ import numpy as np
 import xarray as xr
 
 from planish.core.facts import is_known
+from planish.core.numbers import NONE, axis_label, plain, round_step
 from planish.report import series_words as words
 from planish.report import statement, text
-from planish.report.colours import Array, image_uri, limits
-from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, multiples, reduced, round_step
+from planish.report.colours import image_uri, limits
+from planish.report.draw import ACCENT, HALF, INK, POINT, SMALL, SOFT, Canvas, Picture, ShownMap, multiples, reduced
 from planish.series_results import SeriesResults, SeriesSpecimen
 
 _SOURCES = (
@@ -121,10 +122,9 @@ class SmallMap:
     """A map of one specimen, small; None where there is none, or it cannot be read."""
 
     specimen: str
-    values: Array | None = None
-    width_um: float = 0.0
-    height_um: float = 0.0
-    label: str = ""
+    shown: ShownMap | None = None
+    title: str = ""
+    unit: str = ""
 
 
 def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> SmallMap:
@@ -134,11 +134,9 @@ def small_map(specimen: str, data: xr.DataArray | None, *, pixels: float) -> Sma
     y, x = (data[d].values.astype(np.float64) for d in data.dims)
     ratio = min(1.0, data.shape[1] * abs(float(x[1] - x[0])) / (data.shape[0] * abs(float(y[1] - y[0]))))
     shown = reduced(data.values, y, x, width=pixels * ratio / 1.35)
-    values = np.round(shown.values.astype(np.float32), 6)  # a page needs no more
-    return SmallMap(
-        specimen=specimen, values=values.astype(np.float64), width_um=shown.width, height_um=shown.height,
-        label=text.label_of(data),
-    )  # fmt: skip
+    values = np.round(shown.values.astype(np.float32), 6).astype(np.float64)  # a page needs no more
+    shown = ShownMap(values, shown.extent)
+    return SmallMap(specimen=specimen, shown=shown, title=text.title_of(data), unit=text.unit_of(data))
 
 
 def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:

@@ -7,9 +7,9 @@ from collections.abc import Mapping, Sequence
 from itertools import groupby
 
 from planish.core.facts import is_known
+from planish.core.numbers import NONE, axis_label, capital, count, fixed, number, to_spread, typeset, unit
 from planish.report.statement import decimals_of_r, p_text
 from planish.report.summary import KeyFigure
-from planish.report.text import NONE, axis_label, beside, capital, count, fixed, number, typeset, unit
 from planish.series_results import Cell, DifferenceFacts, GroupFacts, Quantity, SeriesResults
 
 _LED = 2  # differences of one quantity in the first sentences

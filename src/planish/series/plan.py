@@ -13,7 +13,7 @@ from pydantic import ValidationError
 
 from planish.core.errors import FileError, InputError, StudyError
 from planish.core.files import fault_of_name
-from planish.core.mistakes import KeyLines, key_lines, mistakes, toml_mistake
+from planish.core.mistakes import key_lines, mistakes
 from planish.core.tables import parse_table, raise_faults, read_text
 from planish.io import find_place
 from planish.run.build import study_of

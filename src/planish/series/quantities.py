@@ -6,6 +6,7 @@ from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 
 from planish.core.errors import InputError
+from planish.core.numbers import in_words
 from planish.core.text import likely
 from planish.measure import registered
 from planish.series.declared import Declared
