@@ -157,7 +157,7 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
     # The colours of all small maps, and a length on them.
     canvas, first = Canvas(HALF, 62), next(m for m in maps if m.specimen in drawn)
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, first.label)
+    canvas.text(8, 54, axis_label(first.title, first.unit))
     length = round_step(0.5 * _WIDE * um)
     canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
     canvas.text(350, 32, plain(length), size=SMALL)
