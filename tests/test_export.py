@@ -101,7 +101,7 @@ def test_large_maps_are_read_part_by_part_with_the_same_bytes(linked_run, tmp_pa
     formats = {"tiff": ".tif", "netcdf": ".nc", "csv": ".csv"}
     for to, suffix in formats.items():
         pl.export(linked_run, tmp_path / f"one{suffix}", to=to, maps=["coating_top", "valid"])
-    monkeypatch.setattr(map_store, "LARGE", 1)
+    monkeypatch.setattr(map_store, "LARGE_BYTES", 1)
     for to, suffix in formats.items():
         pl.export(linked_run, tmp_path / f"two{suffix}", to=to, maps=["coating_top", "valid"])
         assert files_of(tmp_path / f"one{suffix}").popitem()[1] == files_of(tmp_path / f"two{suffix}").popitem()[1]
@@ -137,7 +137,7 @@ def stored_run(linked_run, tmp_path):
         {name: (("y", "x"), values, {"units": "um"}) for name, values in names.items()}, coords=grid.coords
     )
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(map_store, "LARGE", 1)
+        patch.setattr(map_store, "LARGE_BYTES", 1)
         sink = map_store.StoredMaps(run / "maps.zarr")
         for tile in map_store.map_tiles(grid.shape):
             sink.add("linked", grid, tile, maps.isel(y=tile.rows, x=tile.cols))

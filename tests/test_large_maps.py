@@ -27,7 +27,7 @@ def test_tiles_and_a_store_change_nothing(planish, passes, linked_run, specimen_
     layers = [linked_run, image] if what == "sheet and image" else [f"one={image}", f"two={image}"]
     names = ["linked"] if what == "sheet and image" else ["layers/one", "layers/two"]
     assert planish("link", *layers, "-o", tmp_path / "whole")[0] in (0, 4)
-    monkeypatch.setattr(map_store, "LARGE", 1)
+    monkeypatch.setattr(map_store, "LARGE_BYTES", 1)
     monkeypatch.setattr(map_store, "_TILE", (128, 192))
     monkeypatch.setattr(bands, "BAND", 100)
     passes("link", *layers, "-o", tmp_path / "tiles", codes=(0, 4))

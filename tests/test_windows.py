@@ -184,7 +184,7 @@ def test_the_memory_is_asked_of_windows():
         return 1
 
     assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=answer)) == 5 * 2**30
-    assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.MEMORY_UNKNOWN_BYTES
+    assert guard._available_on_windows(SimpleNamespace(GlobalMemoryStatusEx=lambda _: 0)) == guard.UNKNOWN_BYTES
 
 
 @pytest.mark.study

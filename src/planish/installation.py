@@ -21,6 +21,7 @@ from packaging.requirements import Requirement
 import planish
 from planish.core.checks import Check
 from planish.core.files import longest_path
+from planish.core.memory import FREE_SHARE
 from planish.core.threads import available
 from planish.io.guard import default_memory_limit
 
@@ -64,7 +65,7 @@ def check_installation() -> Iterator[Check]:
     yield _command()
     yield _libraries()
     yield _compile_cache()
-    free = int(default_memory_limit() / 0.75)
+    free = int(default_memory_limit() / FREE_SHARE)
     sentence = f"{free / 1e9:.1f} GB are free; a run takes half of that where --memory is not given."
     low = f"Close other programs; volumes of more than {free / 3e9:.1g} GB want 'planish import' first."
     yield _check("memory", sentence, advice=low if free < 2e9 else "", value=free / 1e9, units="GB")

@@ -37,7 +37,7 @@ def test_every_kth_row_and_column_whatever_the_bands(data, monkeypatch):
     k, (all_of_it,) = thinned(values)
     assert k == 1
     np.testing.assert_array_equal(all_of_it, values)
-    monkeypatch.setattr(bands, "_SAMPLE", 1300 * 70 // 40)
+    monkeypatch.setattr(bands, "SAMPLE_PIXELS", 1300 * 70 // 40)
     k, found = thinned(values, where)
     assert k == 7
     np.testing.assert_array_equal(found[0], values[::7, ::7])

@@ -142,7 +142,7 @@ def test_a_matlab_file_of_version_7_3(tmp_path):
 def test_maps_beyond_2_gb_take_version_7_3(monkeypatch):
     content = maps((60, 110))
     assert matlab.chosen_version(content, ExportParams(to="mat")) == "5"
-    monkeypatch.setattr(matlab, "_USUAL_5", 1000)
+    monkeypatch.setattr(matlab, "WHOLE_BYTES", 1000)
     assert matlab.chosen_version(content, ExportParams(to="mat")) == "7.3"
     monkeypatch.setattr(matlab, "MOST_5", 1000)
     with pytest.raises(ResourceError, match=r"holds 2 GB. Leave out mat_version="):

@@ -15,7 +15,7 @@ from planish.analyze.detrend import shared_trend
 from planish.analyze.distributions import normal_quantile, ranks, student_tail, t_95
 from planish.core.area import AreaMeans
 from planish.core.arrays import step_um
-from planish.core.bands import Rows, band_of, bands
+from planish.core.bands import Rows, read_bands
 from planish.core.errors import CannotMeasure, InputError, SizeError
 from planish.core.facts import Interval, ResultModel, Value, optional
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
@@ -221,9 +221,7 @@ def correlate(
         raise SizeError(f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a larger one.")
     cells = 0 if point_um is not None else most_cells
     pair = PairAtSizes((a.shape[0], a.shape[1]), pixel_um=pixel, point_um=point_um, most_cells=cells)
-    for rows in bands(a.shape[0]):
-        x, y = band_of(a, rows), band_of(b, rows)
-        pair.add(rows.start, x if mask is None else np.where(band_of(mask, rows), x, np.nan), y)
+    pair.add_maps(a, b, *([] if mask is None else [mask]))
     return pair.at_pixel() if point_um is None else pair.at_points()
 
 
@@ -289,6 +287,11 @@ class PairAtSizes:
         self._cells = AreaMeans(shape, (self._factor, self._factor)) if self._factor else None
         self._sums = PairSums()
         self._ranked: list[Floats] = []
+
+    def add_maps(self, a: Rows, b: Rows, *masks: Rows) -> None:
+        """Add all rows of both maps, where all masks are true."""
+        for rows, (x, y, *parts) in read_bands(a, b, *masks):
+            self.add(rows.start, np.where(np.logical_and.reduce(parts), x, np.nan) if parts else x, y)
 
     def add(self, begin: int, x: Array, y: Array) -> None:
         """Add the rows from ``begin`` on of both maps; NaN is missing."""

@@ -41,7 +41,6 @@ from planish.analyze.split_half import Reliability, SheetColumns
 from planish.analyze.thin_regions import RegionDifference, answer_thin, say_thin
 from planish.analyze.variograms import Variogram, answer_variograms, say_variograms
 from planish.core.area import area_mean
-from planish.core.bands import band_of, bands
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.facts import Number, ResultModel, optional
 from planish.core.grid import Grid
@@ -250,9 +249,7 @@ def correlation_diagnostics(
     pair = PairAtSizes(
         grid.shape, pixel_um=grid.pixel_um, point_um=params.point_um if is_repeated else None, most_cells=CELLS
     )  # fmt: skip
-    for rows in bands(grid.shape[0]):
-        use = band_of(first["valid"], rows) & band_of(second["valid"], rows)
-        pair.add(rows.start, np.where(use, band_of(first[a[1]], rows), np.nan), band_of(second[b[1]], rows))
+    pair.add_maps(first[a[1]], second[b[1]], first["valid"], second["valid"])
     (x, y), cell_um = pair.cells()
     is_valid = np.isfinite(x) & np.isfinite(y)
     if np.count_nonzero(is_valid) < 3 or not (np.ptp(x[is_valid]) > 0 and np.ptp(y[is_valid]) > 0):

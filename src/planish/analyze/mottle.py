@@ -15,8 +15,7 @@ from numpy.typing import ArrayLike
 from pydantic import Field
 
 from planish.analyze.image_values import known_pixels, smooth
-from planish.core.area import AreaMeans
-from planish.core.bands import band_of, bands
+from planish.core.area import common_means
 from planish.core.errors import CannotMeasure, PlanishError, SizeError
 from planish.core.facts import ResultModel, Value, optional
 from planish.core.grid import Grid
@@ -129,13 +128,10 @@ def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:
     """How uneven an image is over its valid pixels, or why that cannot be said; ``quantity`` names its values."""
     grid = Grid.of(data)
     factor = max(1, int(15.0 / max(grid.pixel_um)))  # means over up to 15 um keep 0.99 of the shortest waves
-    means = AreaMeans(grid.shape, (factor, factor))
-    for rows in bands(grid.shape[0]):
-        image = band_of(data["image"], rows)
-        means.add(rows.start, band_of(data["valid"], rows) & np.isfinite(image), image)
+    (image,) = common_means([data["image"]], (factor, factor), masks=[data["valid"]])
     cell_um = grid.pixel_um[0] * factor, grid.pixel_um[1] * factor
     try:
-        mottle = print_mottle(means.means()[0], pixel_um=cell_um, quantity=quantity)
+        mottle = print_mottle(image, pixel_um=cell_um, quantity=quantity)
     except PlanishError as error:
         return Mottle(layer=name, silence=error.text)
     return Mottle.holding(mottle, layer=name)

@@ -23,8 +23,7 @@ from planish.analyze.correlation import (
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.analyze.detrend import without_trend
 from planish.analyze.texture import low_pass
-from planish.core.area import AreaMeans
-from planish.core.bands import band_of, bands
+from planish.core.area import common_means
 from planish.core.errors import InputError, PlanishError, SizeError
 from planish.core.facts import ResultModel, is_known, optional
 from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
@@ -281,12 +280,8 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
         why = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
         return {"partial": rest(silence=why)}
     names = (pair.a[1], *covariates)
-    means = AreaMeans(grid.shape, factor)
-    for rows in bands(grid.shape[0]):
-        maps = [band_of(first[name], rows) for name in names] + [band_of(second[pair.b[1]], rows)]
-        use = band_of(first["valid"], rows) & band_of(second["valid"], rows)
-        means.add(rows.start, np.logical_and.reduce([use, *map(np.isfinite, maps)]), *maps)
-    *sheet, image = means.means()
+    maps = [*(first[name] for name in names), second[pair.b[1]]]
+    *sheet, image = common_means(maps, factor, masks=(first["valid"], second["valid"]))
     is_valid = np.isfinite(image)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
     flat = [name for name, m in zip(names, sheet, strict=True) if n < LEAST or not np.ptp(m[is_valid]) > 0]

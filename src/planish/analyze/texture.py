@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy import fft, ndimage
 
-from planish.core.area import AreaMeans
-from planish.core.bands import Rows, band_of, bands
+from planish.core.area import common_means
+from planish.core.bands import Rows
 from planish.core.errors import CannotMeasure, SizeError
 from planish.core.typing import Bools, Floats, Ints, Pair
 
@@ -128,11 +128,7 @@ def _means(data: Rows, valid: Bools, factor: int) -> Floats:
     """Means of a map over so many valid pixels a side."""
     if factor == 1:
         return np.where(valid, data, np.nan).astype(np.float64)
-    means = AreaMeans((valid.shape[0], valid.shape[1]), (factor, factor))
-    for rows in bands(valid.shape[0]):
-        part = band_of(data, rows)
-        means.add(rows.start, valid[rows] & np.isfinite(part), part)
-    return means.means()[0]
+    return common_means([data], (factor, factor), masks=[valid])[0]
 
 
 def relate(

@@ -14,7 +14,7 @@ import weakref
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any, Literal
 
@@ -238,7 +238,7 @@ class ComputedLevels:
 
     def levels(self) -> list[LazyArray]:
         """One array a level; reading the first coarse one waits until all of them are made."""
-        return [_Level(self, k, shape) for k, shape in enumerate(self._shapes)]
+        return [LazyArray(shape, self.dtype, partial(self.read, k)) for k, shape in enumerate(self._shapes)]
 
     def read(self, k: int, where: Where) -> NDArray[Any]:
         """A window of a level."""
@@ -300,16 +300,6 @@ class ComputedLevels:
                     targets[k][r : r + part.shape[0], c : c + part.shape[1]] = part
         for target in targets.values():
             target.flush()
-
-
-class _Level(LazyArray):
-    def __init__(self, of: ComputedLevels, k: int, shape: tuple[int, int]) -> None:
-        self._of, self._k = of, k
-        self.shape, self.dtype = shape, of.dtype
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a window."""
-        return self._of.read(self._k, where)
 
 
 def trim(root: Path, *, keep: Path, most_bytes: int = CACHE_BYTES) -> None:

@@ -21,9 +21,10 @@ from planish.core.area import count_of, middles
 from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
+from planish.core.memory import TILE_BYTES
 from planish.io import ImageParams
 from planish.io.image import across, channel_of
-from planish.io.map_store import CHUNK, OVERVIEWS, stored_group
+from planish.io.map_store import CHUNK, overviews_of, stored_group
 from planish.io.picture import DecodedPicture, is_mapped, load_picture
 from planish.io.sizes import PIXEL, agreed_size
 from planish.run.gathering import LINKED
@@ -118,9 +119,7 @@ def group_pictures(run: Path, group: str, *, plane: Plane, layer: str, prefix: s
     path = run / MAPS
     if not (path / group).is_dir():
         return
-    full, smaller = stored_group(path, group), list[xr.Dataset]()
-    while (path / (overview := f"{OVERVIEWS}/{group}/{len(smaller) + 1}")).is_dir():
-        smaller.append(stored_group(path, overview))
+    full, *smaller = (stored_group(path, level) for level in (group, *overviews_of(path, group)))
     shape = tuple(full.sizes.values())
     # Codes have no mean: no smaller copies.
     maps = {str(n): data for n, data in full.data_vars.items() if data.ndim == 2 and data.dtype.kind in "fb"}
@@ -186,9 +185,6 @@ class _ImageValues(LazyArray):
         return channel_of(part, self._channel, file_name=self._path.name)[0]
 
 
-BLOCKS_BYTES = 96 * 2**20
-"""Bytes of blocks that are held."""
-
 Key = tuple[str, int, int, int]
 
 
@@ -201,7 +197,7 @@ class Tiles:
         Of all blocks that were read so far.
     """
 
-    def __init__(self, pictures: Pictures, *, most_bytes: int = BLOCKS_BYTES) -> None:
+    def __init__(self, pictures: Pictures, *, most_bytes: int = TILE_BYTES) -> None:
         self.pictures, self._most_bytes = pictures, most_bytes
         self._lock, self._blocks, self._held = threading.Lock(), OrderedDict[Key, Future[NDArray[Any]]](), 0
         self.read_bytes = 0

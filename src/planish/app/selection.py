@@ -7,6 +7,7 @@ import math
 import threading
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -17,10 +18,11 @@ from planish.analyze import correlate
 from planish.analyze.compare import CELLS
 from planish.app.picture import PlanePicture, finite_or_none
 from planish.app.pictures import Tiles
-from planish.core.bands import band_of, bands
+from planish.core.area import valid_in_all
+from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.facts import is_known
-from planish.core.lazy import LazyArray, Where, replaced
+from planish.core.lazy import Where, computed
 from planish.core.typing import Bools, Floats
 
 MOST_SAMPLES = 2000
@@ -197,21 +199,18 @@ def select(
     """
     stop, pixel = stop or threading.Event(), a.grid.pixel_um
     window: Window = (slice(None), slice(None)) if region is None else region.on(a)
-    x, y = (replaced(p.full[window], _Stoppable(p.full[window], stop)) for p in (a, b))
+    x, y = (computed(p.full[window], partial(_read_until, stop, p.full[window])) for p in (a, b))
     masks = [p.full[window] for p in tiles.pictures.valid_of(a, b)]
     if brushes:
-        brushed = [(brush, brush.picture.full[window]) for brush in brushes]
+        brushed = [brush.picture.full[window] for brush in brushes]
         n = 0
-        for rows in bands(x.shape[0]):
-            use = np.isfinite(band_of(x, rows)) & np.isfinite(band_of(y, rows))
-            for mask in masks:
-                use &= band_of(mask, rows)
-            for brush, values in brushed:
-                band = band_of(values, rows)
-                use &= (band >= brush.low) & (band <= brush.high)
+        for _, (p, q, *parts) in read_bands(x, y, *brushed, *masks):
+            use = valid_in_all((p, q), parts[len(brushes) :])
+            for brush, values in zip(brushes, parts, strict=False):
+                use &= (values >= brush.low) & (values <= brush.high)
             n += int(np.count_nonzero(use))
         return {"n": n, "pixel_um": pixel, "r": None, "n_eff": None, "interval": None, "warnings": []}
-    every = replaced(masks[0], _AllMasks(masks)) if masks else None
+    every = computed(masks[0], partial(_read_all, masks)) if masks else None
     row = correlate(x, y, mask=every, pixel_um=pixel, most_cells=CELLS)  # as a run does: its whole map gives its n_eff
     return {
         "n": row.n, "pixel_um": pixel, "r": finite_or_none(row.r), "n_eff": finite_or_none(row.n_eff),
@@ -219,29 +218,16 @@ def select(
     }  # fmt: skip
 
 
-class _AllMasks(LazyArray):
+def _read_all(masks: Sequence[xr.DataArray], where: Where) -> Bools:
     """True where all masks are."""
-
-    def __init__(self, masks: Sequence[xr.DataArray]) -> None:
-        self._masks, self.shape, self.dtype = masks, masks[0].shape, np.dtype(np.bool_)
-
-    def read(self, where: Where) -> Bools:
-        """Read a part."""
-        return np.logical_and.reduce([mask[where].values for mask in self._masks])
+    return np.logical_and.reduce([mask[where].values for mask in masks])
 
 
-class _Stoppable(LazyArray):
-    """Values of which none are read any more once they are not wanted."""
-
-    def __init__(self, values: xr.DataArray, stop: threading.Event) -> None:
-        self._values, self._stop = values, stop
-        self.shape, self.dtype = values.shape, values.dtype
-
-    def read(self, where: Where) -> NDArray[np.floating]:
-        """Read a part."""
-        if self._stop.is_set():
-            raise Stopped
-        return self._values[where].values
+def _read_until(stop: threading.Event, values: xr.DataArray, where: Where) -> NDArray[np.floating]:
+    """Values of a part, unless they are not wanted any more."""
+    if stop.is_set():
+        raise Stopped
+    return values[where].values
 
 
 def _overview(tiles: Tiles, *pictures: PlanePicture) -> tuple[int, list[Floats]]:

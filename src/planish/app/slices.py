@@ -17,13 +17,14 @@ from planish.app.picture import Answer, Codes, layer_run
 from planish.core.errors import FileError, InputError
 from planish.core.frame import Axis, Frame
 from planish.core.grid import pitch
+from planish.core.memory import LOOK_BYTES
 from planish.core.typing import Floats
 from planish.io import find_place, read_volume
-from planish.io.info import LOOK_BYTES
 from planish.io.map_store import stored_group
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder
 from planish.measure.rays import directions, meet, slopes_of
+from planish.measure.straighten import voxels_around
 from planish.run.run import MAPS
 from planish.run.study import Study
 from planish.surface import Corrections, preview_faces, uncorrected
@@ -270,16 +271,9 @@ class SlicedSheet:
         values = np.full((s.size, centre.size), np.nan)
         if not is_sheet.any():
             return values
-        box: dict[str, slice] = {}
-        where: list[Floats] = []
-        for axis in map(str, self.volume.dims):
-            coords = self.places(axis)
-            pixel = float(coords[1] - coords[0])
-            index_of = (places[axis][is_sheet] + s[:, None] * normal[axis][is_sheet] - coords[0]) / pixel
-            start = int(np.clip(np.floor(index_of.min()), 0, coords.size - 1))
-            box[axis] = slice(start, int(np.clip(np.ceil(index_of.max()) + 1, start + 1, coords.size)))
-            where.append(index_of - start)
-        block = self.volume.isel(box).values.astype(np.float32)
+        along = {axis: places[axis][is_sheet] + s[:, None] * normal[axis][is_sheet] for axis in places}
+        block, where = voxels_around(self.volume, along)
+        block = block.astype(np.float32)
         values[:, is_sheet] = ndimage.map_coordinates(block, where, order=1, cval=np.nan, prefilter=False)
         return values
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from planish.app.picture import layer_run
 from planish.core.bands import bands
 from planish.core.frame import Frame
-from planish.core.lazy import LazyArray, Where, replaced
+from planish.core.lazy import Where, computed
 from planish.io.map_store import stored_group
 from planish.io.run_folder import read_group
 from planish.run.run import MAPS
@@ -53,27 +54,19 @@ def sheet_run(run: Path, layer: str) -> Path | None:
     return folder if is_flattened else None
 
 
-class _CellValues(LazyArray):
-    """Values of the mesh's cells on the pixels of a flat map: those of the cell in which a pixel lies."""
-
-    def __init__(self, cells: xr.DataArray, shown: StrainDisplay, rows_at: xr.DataArray, cols_at: xr.DataArray) -> None:
-        self._cells = (shown.factor * (np.asarray(cells.values) - shown.unstrained)).astype(np.float32)
-        self._coordinates = rows_at, cols_at
-        self._places = tuple(np.asarray(cells[axis].values, dtype=np.float64) for axis in ("y", "x"))
-        self.shape, self.dtype = rows_at.shape, np.dtype(np.float32)
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        indices: list[NDArray[np.intp]] = []
-        is_on_mesh = True
-        for coordinates, places in zip(self._coordinates, self._places, strict=True):
-            um = np.asarray(coordinates[where].values, dtype=np.float64)
-            step = (places[-1] - places[0]) / (places.size - 1)
-            index = (um - places[0]) / step
-            inside = (index > -0.5) & (index < places.size - 0.5)  # False where it is NaN
-            indices.append(np.where(inside, np.rint(index), 0).astype(np.intp))
-            is_on_mesh = is_on_mesh & inside
-        return np.where(is_on_mesh, self._cells[indices[0], indices[1]], np.float32(np.nan))
+def _on_pixels(cells: xr.DataArray, coordinates: tuple[xr.DataArray, xr.DataArray], where: Where) -> NDArray[Any]:
+    """Values of the mesh's cells in which the pixels of a part of a flat map lie; ``coordinates`` are the places."""
+    indices: list[NDArray[np.intp]] = []
+    is_on_mesh = True
+    for axis, pixels in zip(("y", "x"), coordinates, strict=True):
+        places = np.asarray(cells[axis].values, dtype=np.float64)
+        um = np.asarray(pixels[where].values, dtype=np.float64)
+        step = (places[-1] - places[0]) / (places.size - 1)
+        index = (um - places[0]) / step
+        inside = (index > -0.5) & (index < places.size - 0.5)  # False where it is NaN
+        indices.append(np.where(inside, np.rint(index), 0).astype(np.intp))
+        is_on_mesh = is_on_mesh & inside
+    return np.where(is_on_mesh, cells.values[indices[0], indices[1]], np.float32(np.nan))
 
 
 def strains(
@@ -94,8 +87,9 @@ def strains(
     for name, shown in STRAINS.items():
         if name not in strain or min(strain[name].shape) < 2 or not np.isfinite(strain[name].values).any():
             continue
-        levels = [replaced(a, _CellValues(strain[name], shown, a, b)) for a, b in zip(rows, cols, strict=True)]
-        yield name, shown, levels
+        cells = (shown.factor * (strain[name] - shown.unstrained)).astype(np.float32)
+        levels = zip(rows, cols, strict=True)
+        yield name, shown, [computed(pair[0], partial(_on_pixels, cells, pair), np.float32) for pair in levels]
 
 
 def mesh_lines(run: Path) -> tuple[list[list[tuple[float, float]]], int]:

@@ -5,6 +5,7 @@ Each axis is looked at through a window: all slices along it, some 300 x 300 vox
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any, NamedTuple
 
@@ -14,6 +15,8 @@ from numpy.typing import NDArray
 
 from planish.checks import _kernels
 from planish.core.frame import Axis
+from planish.core.lazy import chunks_of
+from planish.core.memory import WINDOW_BYTES
 from planish.core.threads import map_threads
 from planish.core.typing import Array, Bools, Floats, Ints
 
@@ -23,7 +26,6 @@ Sums = tuple[Floats, Floats, NDArray[np.float32]]
 
 BLOCK = 5  # voxels along the edge of a block mean
 _EDGE = 300  # voxels along the edge of a window, more where it is narrow the other way
-_PIECE = 8e6  # bytes of a piece of a window
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -153,10 +155,9 @@ def _join(parts: list[_Part]) -> _Part:
 
 def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[slice]:
     """Cut a piece along its axis, too, where the chunks of the file make it long along z."""
-    chunks = volume.encoding.get("chunks")
-    unit = int(chunks["zyx".index(axis)]) if chunks else 1
+    unit = chunks_of(volume)["zyx".index(axis)]
     slice_voxels = int(np.prod([s.stop - s.start for k, s in place.items() if k != axis]))
-    size = max(int(_PIECE / (4 * slice_voxels)) // unit, 1) * unit
+    size = max(int(WINDOW_BYTES / (4 * slice_voxels)) // unit, 1) * unit
     start, stop = place[axis].start, place[axis].stop
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
@@ -176,9 +177,8 @@ def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet: tuple[int, in
 def _pieces(volume: xr.DataArray, places: dict[Axis, dict[str, slice]], reach: slice) -> list[slice]:
     """Cut along z: blocks are whole, chunks of the file are read once where memory allows."""
     largest = max(np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in places.values())
-    chunks = volume.encoding.get("chunks")
-    unit = int(np.lcm(BLOCK, chunks[0])) if chunks else BLOCK
-    size = max(int(_PIECE / (4 * largest)) // unit, 1) * unit
+    unit = math.lcm(BLOCK, chunks_of(volume)[0])
+    size = max(int(WINDOW_BYTES / (4 * largest)) // unit, 1) * unit
     size = size if size <= 40 * BLOCK else 8 * BLOCK
     return [slice(k, min(k + size, reach.stop)) for k in range(reach.start, reach.stop, size)]
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import sparse
 
-from planish.core.bands import Rows, band_of, bands
+from planish.core.bands import Rows, read_bands
 from planish.core.typing import Bools, Floats, Pair
 
 
@@ -67,11 +67,25 @@ def area_mean(values: Rows, factor: Pair, *, least: float = 0.5) -> Floats:
     (int(rows / factor), int(cols / factor))
         Cells as of :class:`AreaMeans`.
     """
-    area_means = AreaMeans((values.shape[0], values.shape[1]), factor, least=least)
-    for rows in bands(values.shape[0]):
-        part = band_of(values, rows)
-        area_means.add(rows.start, np.isfinite(part), part)
-    return area_means.means()[0] if values.shape[0] else np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
+    if not values.shape[0]:
+        return np.empty((0, int(values.shape[1] / factor[1] + 1e-9)))
+    return common_means([values], factor, least=least)[0]
+
+
+def common_means(
+    maps: Sequence[Rows], factor: Pair, *, masks: Sequence[Rows] = (), least: float = 0.5
+) -> list[Floats]:  # fmt: skip
+    """Means of maps on one grid over the pixels that have a value in all of them and where all masks are true."""
+    area_means = AreaMeans((maps[0].shape[0], maps[0].shape[1]), factor, least=least)
+    for rows, parts in read_bands(*maps, *masks):
+        values = parts[: len(maps)]
+        area_means.add(rows.start, valid_in_all(values, parts[len(maps) :]), *values)
+    return area_means.means()
+
+
+def valid_in_all(maps: Sequence[NDArray[Any]], masks: Sequence[NDArray[Any]]) -> Bools:
+    """Where all maps have a value and all masks are true."""
+    return np.logical_and.reduce([*map(np.isfinite, maps), *(mask.astype(bool) for mask in masks)])
 
 
 def _overlap(count: int, factor: float) -> sparse.csr_array:

@@ -10,11 +10,12 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
+from planish.core.memory import SAMPLE_PIXELS
+
 # A map (rows, cols) of which some rows are asked for at a time; it may lie in a store.
 Rows = xr.DataArray | NDArray[Any]
 
 BAND = 512  # rows of a band, and of a chunk of a stored map: each chunk is read once
-_SAMPLE = 2**22  # pixels that show how the values of a map are distributed
 
 
 def bands(rows: int) -> Iterator[slice]:
@@ -26,6 +27,12 @@ def bands(rows: int) -> Iterator[slice]:
 def band_of(data: Rows, rows: slice) -> NDArray[Any]:
     """Some rows of a map."""
     return np.asarray(data[rows])
+
+
+def read_bands(*maps: Rows) -> Iterator[tuple[slice, list[NDArray[Any]]]]:
+    """Rows of maps on one grid, and the maps there, band by band."""
+    for rows in bands(maps[0].shape[0]):
+        yield rows, [band_of(data, rows) for data in maps]
 
 
 def any_finite(data: Rows, where: Rows | None = None) -> bool:
@@ -53,7 +60,7 @@ def thinned(*maps: Rows) -> tuple[int, list[NDArray[Any]]]:
     For figures and medians, whose own uncertainty is larger than what this leaves out.
     """
     rows, cols = maps[0].shape
-    k = max(1, math.ceil(math.sqrt(rows * cols / _SAMPLE)))
+    k = max(1, math.ceil(math.sqrt(rows * cols / SAMPLE_PIXELS)))
     if k == 1:
         return 1, [np.asarray(data) for data in maps]
     # The band's own rows, so that a stored map is read chunk by chunk and once.

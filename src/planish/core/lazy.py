@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Any
 
@@ -17,11 +16,17 @@ from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexed
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
 
-class LazyArray(ABC):
-    """An array of which parts are read with integers and slices; several threads may read at the same time."""
+class LazyArray:
+    """An array of which parts are read with integers and slices; several threads may read at the same time.
 
-    shape: tuple[int, ...]
-    dtype: np.dtype[Any]  # in the byte order of the machine
+    ``read`` gives a part in the type ``dtype``, which is in the byte order of the machine.
+    """
+
+    chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
+    whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
+
+    def __init__(self, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]) -> None:
+        self.shape, self.dtype, self._read = shape, dtype, read
 
     @property
     def ndim(self) -> int:
@@ -33,9 +38,9 @@ class LazyArray(ABC):
         """Size of the whole array."""
         return math.prod(self.shape) * self.dtype.itemsize
 
-    @abstractmethod
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part, in the array's own type."""
+        return self._read(where)
 
     def guarded(self) -> AbstractContextManager[None]:
         """Context in which parts are read, which may turn errors into others."""
@@ -71,26 +76,33 @@ class LazyArray(ABC):
 
 def labelled(
     values: NDArray[Any] | LazyArray, dims: Sequence[str], size_um: Sequence[float], *, name: str,
-    attrs: Mapping[str, Any], encoding: Mapping[str, Any] | None = None,
+    attrs: Mapping[str, Any],
 ) -> xr.DataArray:  # fmt: skip
     """Give an array coordinates in um: place i of an axis has its centre at i × size.
 
-    A :class:`LazyArray` stays one: ``isel`` moves the borders of the part, and ``values`` reads it.
+    A :class:`LazyArray` stays one: ``isel`` moves the borders of the part, and ``values`` reads it. Its ``encoding``
+    says how it is best read.
     """
     coords = {
         axis: (axis, np.arange(n) * um, {"units": "um"})
         for axis, n, um in zip(dims, values.shape, size_um, strict=True)
     }
-    array = xr.DataArray(xr.Variable(tuple(dims), held(values)), coords=coords, name=name, attrs=dict(attrs))
-    array.encoding.update(encoding or {})
+    array = xr.DataArray(xr.Variable(tuple(dims), held(values)), coords=coords, name=name, attrs=attrs)
+    if isinstance(values, LazyArray):
+        array.encoding.update(chunks=values.chunks, whole_slices=values.whole_slices)
     return array
 
 
-def replaced(volume: xr.DataArray, values: LazyArray) -> xr.DataArray:
-    """Give the same volume with other values."""
-    variable = xr.Variable(volume.dims, held(values), volume.attrs)
-    array = xr.DataArray(variable, coords=volume.coords, name=volume.name)
-    array.encoding.update(volume.encoding)
+def chunks_of(volume: xr.DataArray) -> tuple[int, ...]:
+    """Voxels along z, y and x that are decoded together; 1 where the file is not chunked."""
+    return volume.encoding.get("chunks") or (1, 1, 1)
+
+
+def computed(like: xr.DataArray, read: Callable[[Where], NDArray[Any]], dtype: Any = None) -> xr.DataArray:
+    """Give the same array with other values, of which ``read`` gives the part that is asked for."""
+    values = LazyArray(like.shape, np.dtype(dtype or like.dtype), read)
+    array = xr.DataArray(xr.Variable(like.dims, held(values), like.attrs), coords=like.coords, name=like.name)
+    array.encoding.update(like.encoding)
     return array
 
 

@@ -12,7 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError
-from planish.core.lazy import LazyArray, Where, replaced
+from planish.core.lazy import Where, computed
 from planish.core.threads import count_threads
 from planish.core.typing import Floats
 from planish.correct.cupping import factor, find_cupping, middle_factor
@@ -64,20 +64,13 @@ class Change(NamedTuple):
         return out, int(clipped)
 
 
-class CorrectedArray(LazyArray):
-    """A volume whose parts are corrected when they are read; a voxel does not depend on the part."""
-
-    def __init__(self, inner: xr.DataArray, change: Change) -> None:
-        self.inner, self.change = inner.variable, change
-        self.shape, self.dtype = inner.shape, inner.dtype
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part and correct it."""
-        order = self.change.turning.order
-        places = [np.arange(w.start, w.stop, w.step) for w in where]
-        values = np.transpose(self.inner[where].values, order)
-        out, _ = self.change.apply(values, *(places[axis] for axis in order))
-        return np.transpose(out, np.argsort(order))
+def _read_corrected(volume: xr.Variable, change: Change, where: Where) -> NDArray[Any]:
+    """Read a part of a volume and correct it; a voxel does not depend on the part."""
+    order = change.turning.order
+    places = [np.arange(w.start, w.stop, w.step) for w in where]
+    values = np.transpose(volume[where].values, order)
+    out, _ = change.apply(values, *(places[axis] for axis in order))
+    return np.transpose(out, np.argsort(order))
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -192,7 +185,7 @@ def correct_volume(
         trends=tuple(replace(t, after=losses.get(t.material)) for t in record.trends),
         clipped=clipped[0] / clipped[1],
     )
-    corrected = _with_record(replaced(volume, CorrectedArray(volume, change)), record)
+    corrected = _with_record(computed(volume, partial(_read_corrected, volume.variable, change)), record)
     return Corrected(volume=corrected, record=record, turning=turning, before=before, after=after, change=change)
 
 

@@ -84,16 +84,16 @@ class Maps:
         return ("v", "u") if "v" in self.data.dims else ("y", "x")
 
     @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns."""
-        rows, cols = self.dims
-        return self.data.sizes[rows], self.data.sizes[cols]
-
-    @property
     def at_um(self) -> tuple[Floats, Floats]:
         """Places of the middles of rows and of columns."""
         rows, cols = self.dims
         return self.data[rows].values, self.data[cols].values
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        y, x = self.at_um
+        return y.size, x.size
 
     @property
     def pixel_um(self) -> tuple[float, float]:

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from scipy import io
 
 from planish.core.errors import ResourceError
+from planish.core.memory import WHOLE_BYTES
 from planish.core.threads import thread_pool
 from planish.exports.content import ExportHistory, Maps, plain_type
 from planish.exports.formats import ExportParams

@@ -18,6 +18,7 @@ from planish.core.area import count_of, halved_values
 from planish.core.bands import BAND, bands
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams
+from planish.io.store import multiscale
 
 
 def write(maps: Maps, path: Path, history: ExportHistory, _params: ExportParams) -> None:
@@ -84,29 +85,13 @@ def _alike(source: Path, target: Path) -> bool:
 
 def _attributes(maps: Maps, windows: list[dict[str, float]], levels: int, history: ExportHistory) -> dict[str, Any]:
     names = maps.names
-    several = len(names) > 1
-    axes = [{"name": "c", "type": "channel"}] * several
-    axes += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "yx"]
-    datasets: list[dict[str, Any]] = []
-    for k in range(levels):
-        scale = [pitch * 2**k for pitch in maps.pixel_um]
-        first = [um + pitch * (2**k - 1) / 2 for um, pitch in zip(maps.origin_um, maps.pixel_um, strict=True)]
-        transformations = [
-            {"type": "scale", "scale": [1.0] * several + scale},
-            {"type": "translation", "translation": [0.0] * several + first},
-        ]
-        datasets.append({"path": str(k), "coordinateTransformations": transformations})
-    multiscale = {
-        "name": maps.group if several else names[0],
-        "axes": axes,
-        "datasets": datasets,
-        "type": "mean of 2 x 2 known pixels",
-    }
+    name, axes = (maps.group, "cyx") if len(names) > 1 else (names[0], "yx")
+    image = multiscale(name, axes, maps.pixel_um, maps.origin_um, levels, kind="mean of 2 x 2 known pixels")
     channels = [
         {"label": f"{name} ({units})", "color": "FFFFFF", "active": name == names[0], "window": window}
         for (name, units), window in zip(maps.units.items(), windows, strict=True)
     ]
     return {
-        "ome": {"version": "0.5", "multiscales": [multiscale], "omero": {"channels": channels}},
+        "ome": {"version": "0.5", "multiscales": [image], "omero": {"channels": channels}},
         "planish": {"history": history.json(**maps.facts()), "units": maps.units, "titles": maps.titles},
     }

@@ -58,12 +58,10 @@ def colormap_of(scale: Scale) -> Colormap:
 
 def _reduced(maps: Maps, name: str) -> tuple[NDArray[np.float32], float]:
     """Values of a map at most as fine as a picture shows them, and by how much they were reduced."""
-    variable = maps.data[name]
     times = max(1.0, max(maps.shape) / MOST)
     if times > 1:
-        return area_mean(variable, (times, times)).astype(np.float32), times
-    parts = [band_of(variable, rows) for rows in bands(maps.shape[0])]
-    return np.concatenate(parts).astype(np.float32), times
+        return area_mean(maps.data[name], (times, times)).astype(np.float32), times
+    return np.concatenate([band for _, band in maps.bands(name, np.float32)]), times
 
 
 def _figure(maps: Maps, pixels: NDArray[np.float32], times: float, scale: Scale) -> Figure:

@@ -22,7 +22,7 @@ from planish.core.transform import Affine, Similarity
 from planish.exports.content import ExportHistory
 from planish.exports.transforms import DirectedTransform, TransformPair
 from planish.io import VolumeParams, find_place, fingerprint
-from planish.io.map_store import OVERVIEWS
+from planish.io.map_store import overviews_of
 from planish.io.run_folder import group_names, read_group
 from planish.marks.exchange import LayerPixels
 from planish.measure import straightened
@@ -160,9 +160,7 @@ class ExportSource:
         """Folders of a map and its overviews in the store of the run, the finest first; none where it has no store."""
         if self.store is None:
             return []
-        levels = [self.store / group / name]
-        while (overview := self.store / OVERVIEWS / group / str(len(levels)) / name).is_dir():
-            levels.append(overview)
+        levels = [self.store / level / name for level in (group, *overviews_of(self.store, group, name))]
         return levels if levels[0].is_dir() else []
 
     def scale_of(self, maps: xr.Dataset, name: str) -> Scale:

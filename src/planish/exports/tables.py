@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from planish.core.area import AreaMeans
 from planish.core.bands import band_of, bands
 from planish.core.errors import StudyError
+from planish.core.memory import TABLE_VALUES, TEXT_VALUES
 from planish.core.typing import Floats
 from planish.exports.content import ExportHistory, Maps, column_of
 from planish.exports.formats import ExportParams
@@ -36,7 +37,7 @@ def write_matrix(maps: Maps, path: Path, history: ExportHistory, _params: Export
     with path.open("w", encoding="utf-8", newline="\n") as file:
         file.writelines(f"# {line}\n" for line in head)
         for _, band in maps.bands(name, np.float32):
-            step = max(1, 200_000 // band.shape[1])  # numbers that are texts at a time
+            step = max(1, TEXT_VALUES // band.shape[1])
             for begin in range(0, len(band), step):
                 file.writelines("\t".join(row) + "\n" for row in _texts(band[begin : begin + step]))
 
@@ -74,7 +75,7 @@ def _pixels(maps: Maps, names: list[str]) -> Iterator[Floats]:
     """Give the columns (x, y and every map; n) of the pixels that show anything, band by band."""
     y, x = maps.at_um
     rows, cols = maps.shape
-    step = max(1, 2_000_000 // (cols * len(names)))  # numbers in memory
+    step = max(1, TABLE_VALUES // (cols * len(names)))
     every = [k for k, name in enumerate(names) if name != "valid"] or slice(None)
     for begin in range(0, rows, step):
         band = slice(begin, min(begin + step, rows))

@@ -17,6 +17,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import ResourceError
+from planish.core.memory import STACK_BYTES
 from planish.exports.content import ExportHistory, Maps, exact
 from planish.exports.formats import ExportParams
 
@@ -137,7 +138,7 @@ class _Stack:
                     yield k, rows.start, band
             return
         deep, high, wide = self.content.shape
-        step = max(1, 2**26 // (4 * deep * wide))  # bytes that are in memory at a time
+        step = max(1, STACK_BYTES // (4 * deep * wide))
         for begin in range(0, high, step):
             block = np.asarray(self.content[:, begin : begin + step, :].values, dtype=self.dtype)
             for k in range(deep):

@@ -6,7 +6,6 @@ from .inspection import as_text as as_text
 from .inspection import best_section as best_section
 from .inspection import middle_sections as middle_sections
 from .inspection import write_picture as write_picture
-from .map_store import HeldMaps as HeldMaps
 from .map_store import StoredMaps as StoredMaps
 from .map_store import map_tiles as map_tiles
 from .map_store import stored_group as stored_group

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -68,11 +69,9 @@ def volume(
     elif isinstance(inner, np.ndarray) and not isinstance(inner, np.memmap):
         values = inner.astype(dtype)
     else:
-        values = HeldArray(named.variable, dtype)
+        values = _lazy(named.variable, dtype)
     attrs = {"full_scale": full_scale(named.dtype, 64), "long_name": "Grey value"} | named.attrs | frame.lies()
-    grey = _labelled(values, named, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
-    grey.encoding |= {"whole_slices": False, "chunks": values.chunks} if isinstance(values, HeldArray) else {}
-    return grey
+    return _labelled(values, named, VOLUME, voxel_um, attrs, override=override_size, unusual=unusual_size)
 
 
 def image(
@@ -128,18 +127,17 @@ def image(
     return _labelled(values, named, IMAGE, pixel_um, attrs, override=override_size, unusual=unusual_size)
 
 
-class HeldArray(LazyArray):
+def _lazy(inner: Any, dtype: np.dtype[Any]) -> LazyArray:
     """An array of another library, of which parts are read as they are asked for."""
+    array = LazyArray(tuple(map(int, inner.shape)), dtype, partial(_read_part, inner, dtype))
+    # Those of dask hold the size of each chunk.
+    chunks: Any = getattr(inner, "chunks", None) or getattr(inner, "encoding", {}).get("chunks") or ()
+    array.chunks = tuple(max(chunk) if isinstance(chunk, tuple) else chunk for chunk in chunks) or None
+    return array
 
-    def __init__(self, inner: Any, dtype: np.dtype[Any]) -> None:
-        self.inner, self.dtype, self.shape = inner, dtype, tuple(int(n) for n in inner.shape)
-        # Those of dask hold the size of each chunk.
-        chunks: Any = getattr(inner, "chunks", None) or getattr(inner, "encoding", {}).get("chunks") or ()
-        self.chunks = tuple(max(chunk) if isinstance(chunk, tuple) else chunk for chunk in chunks) or None
 
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        return np.asarray(self.inner[where], self.dtype)
+def _read_part(inner: Any, dtype: np.dtype[Any], where: Where) -> NDArray[Any]:
+    return np.asarray(inner[where], dtype)
 
 
 def _array(array: Any, kind: Kind) -> xr.DataArray:
@@ -151,9 +149,9 @@ def _array(array: Any, kind: Kind) -> xr.DataArray:
         raise not_taken(array, "an array", instead, f"pl.{kind.name}(")
     named: Any = array
     if not isinstance(array, xr.DataArray):
-        inner = array if isinstance(array, np.ndarray) else HeldArray(array, array.dtype.newbyteorder("="))
+        inner = array if isinstance(array, np.ndarray) else _lazy(array, array.dtype.newbyteorder("="))
         named = xr.DataArray(xr.Variable([f"dim_{k}" for k in range(len(array.shape))], held(inner)))
-        named.encoding |= {"chunks": inner.chunks} if isinstance(inner, HeldArray) else {}
+        named.encoding |= {"chunks": inner.chunks} if isinstance(inner, LazyArray) else {}
     dims, coloured = [str(name) for name in named.dims], kind is IMAGE and named.shape[2:] in ((3,), (4,))
     if set(kind.axes) < set(dims) or sorted(dims) == sorted(kind.axes):
         named = named.transpose(*kind.axes, ...)

@@ -13,7 +13,7 @@ from planish.core.errors import FileError, VolumeError
 from planish.io.formats import LoadedVolume, Place
 from planish.io.guard import quiet, reading
 from planish.io.headed import Header, axes_of, packing_of, unpacked_head, values_behind
-from planish.io.lazy import ChangedArray, FileArray, stored_planes
+from planish.io.lazy import FileArray, ViewArray, stored_planes
 from planish.io.sizes import Stated, stated_in
 from planish.io.tiff import damaged
 
@@ -62,7 +62,7 @@ def _load_nifti(path: Path) -> LoadedVolume:
     values = values_behind(header)
     if slope is not None and intercept is not None and (slope, intercept) != (1.0, 0.0):
         inner = values if isinstance(values, FileArray) else stored_planes(path, header.shape, stored, offset=offset)
-        values = ChangedArray(inner, partial(_scaled, slope=slope, intercept=intercept), np.dtype(np.float32))
+        values = ViewArray(inner, range(3), partial(_scaled, slope=slope, intercept=intercept), np.dtype(np.float32))
     hand = {"hand": "left, by the affine"} if mirrored else {}
     return header.volume(values, attrs=hand, notes=[MIRRORED.format(path.name)] if mirrored else [])
 

@@ -13,9 +13,8 @@ from pathlib import Path
 from typing import Any
 
 from planish.core.errors import FileError, PlanishError, ResourceError
+from planish.core.memory import FREE_SHARE, UNKNOWN_BYTES
 from planish.core.threads import control_groups
-
-MEMORY_UNKNOWN_BYTES = 8 * 2**30  # what is assumed where the system does not report it
 
 
 class _Quiet:
@@ -130,9 +129,8 @@ def default_memory_limit() -> int:
         try:
             available_bytes = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
         except (AttributeError, ValueError, OSError):
-            available_bytes = MEMORY_UNKNOWN_BYTES
-    # The rest is for the work on it.
-    return int(0.75 * min(available_bytes, _control_group_limit_bytes()))
+            available_bytes = UNKNOWN_BYTES
+    return int(FREE_SHARE * min(available_bytes, _control_group_limit_bytes()))
 
 
 class _MemoryStatus(ctypes.Structure):
@@ -148,7 +146,7 @@ def _available_on_windows(kernel: Any) -> int:
     """Physical memory that is free, as the library kernel32 reports it."""
     status = _MemoryStatus(length=ctypes.sizeof(_MemoryStatus))
     available_bytes = kernel.GlobalMemoryStatusEx(ctypes.byref(status)) and int(status.available)
-    return available_bytes or MEMORY_UNKNOWN_BYTES
+    return available_bytes or UNKNOWN_BYTES
 
 
 def _control_group_limit_bytes(

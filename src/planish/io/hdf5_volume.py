@@ -11,6 +11,7 @@ import os
 import re
 from collections.abc import Generator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from itertools import count
 from pathlib import Path
 from typing import Any
@@ -169,7 +170,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
 def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     """Return an array that reads a data set in parts, and what looks wrong; refuse one without values."""
     check_storage(dataset, path)
-    chunks, array = dataset.chunks, Hdf5Array(path, dataset)
+    chunks, shape = dataset.chunks, tuple(int(n) for n in dataset.shape)
+    array = FileArray(path, shape, dataset.dtype.newbyteorder("="), partial(_read_part, path, dataset.name, shape))
+    array.piece_bytes = 0 if chunks is None else math.prod(chunks) * array.dtype.itemsize
     if dataset.is_virtual:
         return array, ()
     if dataset.id.get_storage_size() == 0:
@@ -187,24 +190,16 @@ def lazy_dataset(dataset: Any, path: Path) -> tuple[FileArray, tuple[str, ...]]:
     return array, check_chunks(present, array.shape, chunks, name=f"{path.name}: {dataset.name}")
 
 
-class Hdf5Array(FileArray):
-    """A data set, whose file is open only while it is read."""
-
-    def __init__(self, path: Path, dataset: Any) -> None:
-        self.path, self.name, self.shape = path, dataset.name, tuple(int(n) for n in dataset.shape)
-        self.dtype = dataset.dtype.newbyteorder("=")
-        self.piece_bytes = 0 if dataset.chunks is None else math.prod(dataset.chunks) * dataset.dtype.itemsize
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        with opened(self.path) as file:
-            # Parts of a virtual data set are looked for beside the file first, wherever planish was started.
-            access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
-            access.set_virtual_prefix(b"${ORIGIN}")
-            dataset: Any = h5py.Dataset(h5py.h5d.open(file.id, self.name.encode(), access))
-            if tuple(dataset.shape) != self.shape:
-                raise FileError(f"{self.path.name} was changed while planish read it. Start again.")
-            return np.asarray(dataset[where], self.dtype)
+def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
+    """Read a part of a data set, whose file is open only meanwhile."""
+    with opened(path) as file:
+        # Parts of a virtual data set are looked for beside the file first, wherever planish was started.
+        access = h5py.h5p.create(h5py.h5p.DATASET_ACCESS)
+        access.set_virtual_prefix(b"${ORIGIN}")
+        dataset: Any = h5py.Dataset(h5py.h5d.open(file.id, name.encode(), access))
+        if tuple(dataset.shape) != shape:
+            raise FileError(f"{path.name} was changed while planish read it. Start again.")
+        return np.asarray(dataset[where], dataset.dtype.newbyteorder("="))
 
 
 def _default_dataset(file: h5py.File, path: Path) -> str | None:

@@ -14,13 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import FileError, VolumeError
+from planish.core.memory import PACKED_BYTES, UNPACKED_BYTES
 from planish.io.formats import ADVICE, LoadedVolume
 from planish.io.guard import check_blown_up, head_of, reading, size_of_file
 from planish.io.lazy import Values, WholeArray, mapped
 from planish.io.sizes import Stated
 from planish.io.tiff import damaged, size_words
-
-READ_BYTES = 4 * 2**20
 
 
 class Header(NamedTuple):
@@ -51,7 +50,7 @@ def unpacked_head(path: Path, most: int) -> bytes:
     if not packing:
         return head_of(path, most)
     with reading(path):
-        return _unpacker(packing).decompress(head_of(path, READ_BYTES), most)
+        return _unpacker(packing).decompress(head_of(path, PACKED_BYTES), most)
 
 
 def packing_of(path: Path) -> str:
@@ -98,10 +97,10 @@ def unpacked_parts(header: Header) -> Iterator[bytes]:
         while not unpacker.eof and filled <= needed:
             # What is unpacked at once is limited, and so some input may be left, here or inside the unpacker.
             if not packed and not (bzip2 and not unpacker.needs_input):
-                packed = file.read(READ_BYTES)
+                packed = file.read(PACKED_BYTES)
                 if not packed:
                     break
-            part = unpacker.decompress(packed, min(needed - filled + 1, 64 * 2**20))
+            part = unpacker.decompress(packed, min(needed - filled + 1, UNPACKED_BYTES))
             packed = b"" if bzip2 else unpacker.unconsumed_tail
             filled += len(part)
             if 0 < filled <= needed:

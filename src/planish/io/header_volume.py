@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import tomllib
 from collections.abc import Mapping
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -50,7 +51,9 @@ def load(place: Place, _channel: str | None, memory_bytes: int | None) -> Loaded
         # SimpleITK reads on behind the end of values that are shorter than declared.
         for _ in unpacked_parts(header):
             pass
-        values = MetaArray(path, header.shape, header.stored.newbyteorder("="))
+        extra("SimpleITK", path)
+        values = FileArray(path, header.shape, header.stored.newbyteorder("="), partial(_read_meta, path))
+        values.piece_bytes = values.nbytes // header.shape[0]
     return header.volume(values)
 
 
@@ -179,29 +182,21 @@ def _meta_header(head: bytes, path: Path) -> Header:
     )
 
 
-class MetaArray(FileArray):
-    """Compressed values, of which SimpleITK reads parts."""
-
-    def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        extra("SimpleITK", path)
-        self.path, self.shape, self.dtype = path, shape, dtype
-        self.piece_bytes = shape[1] * shape[2] * dtype.itemsize
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        itk: Any = extra("SimpleITK", self.path)
-        reader = itk.ImageFileReader()
-        reader.SetImageIO("MetaImageIO")
-        reader.SetFileName(str(self.path))
-        reader.ReadImageInformation()
-        # Axes of length 1 that were left out above lie before the others or after them; here they come back.
-        sizes = [int(n) for n in reader.GetSize()]
-        parts = iter(reversed(where))
-        spans = [next(parts) if n > 1 else slice(0, 1) for n in sizes]
-        reader.SetExtractIndex([span.start for span in spans])
-        reader.SetExtractSize([span.stop - span.start for span in spans])
-        values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape([s.stop - s.start for s in where])
-        return values[tuple(slice(None, None, s.step) for s in where)]
+def _read_meta(path: Path, where: Where) -> NDArray[Any]:
+    """Read a part of compressed values by SimpleITK."""
+    itk: Any = extra("SimpleITK", path)
+    reader = itk.ImageFileReader()
+    reader.SetImageIO("MetaImageIO")
+    reader.SetFileName(str(path))
+    reader.ReadImageInformation()
+    # Axes of length 1 that were left out above lie before the others or after them; here they come back.
+    sizes = [int(n) for n in reader.GetSize()]
+    parts = iter(reversed(where))
+    spans = [next(parts) if n > 1 else slice(0, 1) for n in sizes]
+    reader.SetExtractIndex([span.start for span in spans])
+    reader.SetExtractSize([span.stop - span.start for span in spans])
+    values = np.asarray(itk.GetArrayFromImage(reader.Execute())).reshape([s.stop - s.start for s in where])
+    return values[tuple(slice(None, None, s.step) for s in where)]
 
 
 RAW_TYPES = ("uint8", "int8", "uint16", "int16", "uint32", "int32", "uint64", "int64", "float16", "float32", "float64")

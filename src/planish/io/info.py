@@ -13,7 +13,15 @@ import numpy as np
 
 from planish.core.errors import FileError, InputError, ResourceError, SizeError
 from planish.core.frame import likely_through
-from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, bytes_to_map
+from planish.core.memory import (
+    LINK_BYTES,
+    LOOK_BYTES,
+    PIXEL_BYTES,
+    PROGRAM_BYTES,
+    SAMPLE_VALUES,
+    bytes_to_hold,
+    bytes_to_map,
+)
 from planish.core.typing import Pair
 from planish.io.formats import SLICES, TIFF, Place, find_place, format_of
 from planish.io.guard import size_of_file
@@ -29,9 +37,6 @@ from planish.io.volume import declared_volume, load_volume
 
 # Voxel sizes that show a sheet of paper: smaller, and its field is too small; larger, and the sheet is blurred.
 USUAL_VOXEL_UM = (0.3, 20.0)
-# What ``planish link`` takes for each pixel of the image, which is held with the search for its holes, and in any case.
-PIXEL_BYTES, LINK_BYTES = 16, 400 * 10**6
-LOOK_BYTES = 64 * 2**20  # what is decoded at once for a look: several copies of it, and the program, take 400 MiB
 
 Agreed = Callable[..., tuple[tuple[float, ...], str]]  # finds the size and its source, or raises SizeError
 Look = Callable[[Values], None]
@@ -183,7 +188,7 @@ def _describe_image(
     picture = picture or load_picture(path, decode=False)
     whole, shape = picture.values, picture.values.shape[:2]
     # Of a larger image, some rows and columns are looked at.
-    step = max(1, math.ceil(math.sqrt(math.prod(shape) / 4_000_000)))
+    step = max(1, math.ceil(math.sqrt(math.prod(shape) / SAMPLE_VALUES)))
     picture = picture._replace(values=whole[::step, ::step])
     try:
         values, _ = pick_channel(picture, "luminance", file_name=path.name)

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.files import write_whole
+from planish.core.memory import EAGER_BYTES, SAMPLE_BYTES, SAMPLE_VALUES
 from planish.core.typing import Ints
-from planish.io.lazy import EAGER_BYTES, Values
+from planish.io.lazy import Values
 from planish.io.slice_volume import first_few
 
 PERCENTILES = (1, 5, 25, 50, 75, 95, 99)
-SAMPLE_BYTES = 256 * 2**20  # what is read of a volume that is too large to be read for a look
 
 
 class _Statistics:
@@ -66,9 +66,8 @@ def inspect_values(
     if values.ndim > 2 and values.nbytes > EAGER_BYTES:  # evenly spread ones, where reading all would take long
         count = max(8, SAMPLE_BYTES // (values.nbytes // total))
         numbers = numbers if count >= total else [int(n) for n in np.linspace(0, total - 1, count).round()]
-    # Percentiles are taken from four million values.
     share = len(numbers) / total
-    stride = max(1, math.ceil((math.prod(values.shape) * share / 4_000_000) ** (1 / values.ndim)))
+    stride = max(1, math.ceil((math.prod(values.shape) * share / SAMPLE_VALUES) ** (1 / values.ndim)))
     statistics = _Statistics(full_scale, stride)
     for index, number in enumerate(numbers):
         statistics.add(number, np.asarray(values[number]), sampled=index % stride == 0)

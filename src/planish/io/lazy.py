@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from functools import lru_cache
@@ -14,20 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.lazy import LazyArray, Where
+from planish.core.memory import DECODED_BYTES, EAGER_BYTES
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.tiff import damaged
 
-EAGER_BYTES = 2**30  # up to this size what can be read in parts is read at once: it then never waits for the disk again
-CACHE_BYTES = 256 * 2**20  # decoded slices that are kept, because the next part often lies in the same ones
-
 
 class FileArray(LazyArray):
-    """An array in a file."""
+    """An array in a file, of which ``piece_bytes`` are decoded at least, however small the part."""
 
-    path: Path  # for the messages
-    piece_bytes: int = 0  # what is decoded at least, however small the part
-    whole_slices: bool = False  # whether a few rows of a slice cost as much as all of them
-    chunks: tuple[int, ...] | None = None  # what is decoded together, where the file is chunked
+    piece_bytes: int = 0
+
+    def __init__(
+        self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], read: Callable[[Where], NDArray[Any]]
+    ) -> None:
+        super().__init__(shape, dtype, read)
+        self.path = path  # for the messages
 
     def guarded(self) -> AbstractContextManager[None]:
         """Turn what a decoder raises into a FileError."""
@@ -35,20 +35,28 @@ class FileArray(LazyArray):
 
 
 Values = NDArray[Any] | FileArray  # values in memory, mapped, or left in their file
+Change = Callable[[NDArray[Any]], NDArray[Any]]
 
 
 class PagedArray(FileArray):
-    """A volume stored page by page, in strips of `unit_rows` rows, the last of which stay decoded."""
+    """A volume stored page by page, in strips of `unit_rows` rows, the last of which stay decoded.
 
-    def __init__(self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], unit_rows: int) -> None:
-        self.path, self.shape, self.dtype, self.unit_rows = path, shape, dtype, unit_rows
+    ``rows(page, start, stop)`` decodes rows of a page; start and stop lie on borders of strips or at the end of the
+    page.
+    """
+
+    def __init__(
+        self, path: Path, shape: tuple[int, ...], dtype: np.dtype[Any], unit_rows: int,
+        rows: Callable[[int, int, int], NDArray[Any]],
+    ) -> None:  # fmt: skip
+        self.path, self.shape, self.dtype, self.unit_rows, self.rows = path, shape, dtype, unit_rows, rows
         self.piece_bytes = min(unit_rows, shape[1]) * math.prod(shape[2:]) * dtype.itemsize
         self.whole_slices = unit_rows >= shape[1]
-        self._strip = lru_cache(max(CACHE_BYTES // self.piece_bytes, 1))(self._decoded)
+        self._strip = lru_cache(max(DECODED_BYTES // self.piece_bytes, 1))(self._decoded)
 
-    @abstractmethod
-    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        """Decode rows of a page; start and stop lie on borders of strips or at the end of the page."""
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Another process decodes anew."""
+        return PagedArray, (self.path, self.shape, self.dtype, self.unit_rows, self.rows)
 
     def read(self, where: Where) -> NDArray[Any]:
         """Read a part page by page."""
@@ -138,44 +146,32 @@ class WholeArray(FileArray):
         return self.decode()[where]
 
 
-class ChangedArray(FileArray):
-    """An array whose parts pass a function, which can be pickled and changes each value for itself.
+class ViewArray(FileArray):
+    """An array with its axes in another order, whose parts pass a function that changes each value for itself.
 
-    ``inner`` may have a further last axis, the samples of a pixel, which ``change`` takes away.
+    Axes left out of `order` are of length 1, or the samples of a pixel, which ``change`` takes away; it can be pickled.
     """
 
-    def __init__(self, inner: FileArray, change: Callable[[NDArray[Any]], NDArray[Any]], dtype: np.dtype[Any]) -> None:
-        self.inner, self.change, self.dtype, self.path = inner, change, dtype, inner.path
-        self.shape, self.chunks = inner.shape[:3], None if inner.chunks is None else inner.chunks[:3]
-        self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part and change its values."""
-        samples = [slice(0, n, 1) for n in self.inner.shape[3:]]
-        return np.asarray(self.change(self.inner.read((*where, *samples))), self.dtype)
-
-
-class TransposedArray(FileArray):
-    """An array with its axes in another order, without those of length 1 that are left out of `order`."""
-
-    def __init__(self, inner: FileArray, order: Sequence[int]) -> None:
-        self.inner, self.order, self.dtype, self.path = inner, tuple(order), inner.dtype, inner.path
-        self.shape = tuple(inner.shape[axis] for axis in order)
+    def __init__(
+        self, inner: FileArray, order: Sequence[int], change: Change = np.asarray, dtype: np.dtype[Any] | None = None
+    ) -> None:
+        self.inner, self.order, self.change, self.path = inner, tuple(order), change, inner.path
+        self.shape, self.dtype = tuple(inner.shape[axis] for axis in order), dtype or inner.dtype
         self.chunks = None if inner.chunks is None else tuple(inner.chunks[axis] for axis in order)
         self.piece_bytes, self.whole_slices = inner.piece_bytes, inner.whole_slices
 
     def read(self, where: Where) -> NDArray[Any]:
-        """Read a part and turn it."""
-        inside = [slice(0, 1, 1)] * len(self.inner.shape)
+        """Read a part, turn it and change its values."""
+        inside = [slice(0, n, 1) for n in self.inner.shape]
         for part, axis in zip(where, self.order, strict=True):
             inside[axis] = part
         turned = np.moveaxis(self.inner.read(tuple(inside)), self.order, range(len(self.order)))
-        return turned.reshape(lengths(where))
+        return np.asarray(self.change(turned), self.dtype).reshape(lengths(where))
 
 
 def transposed(inner: FileArray, order: Sequence[int]) -> FileArray:
     """Return the array itself where the order is its own."""
-    return inner if tuple(order) == tuple(range(len(inner.shape))) else TransposedArray(inner, order)
+    return inner if tuple(order) == tuple(range(inner.ndim)) else ViewArray(inner, order)
 
 
 def supported_type(dtype: np.dtype[Any]) -> np.dtype[Any]:
@@ -202,7 +198,7 @@ def read_if_small(array: Values, *, memory_bytes: int | None) -> Values:
 def widened(array: FileArray) -> FileArray:
     """An array whose values the kernels can compute with."""
     dtype = supported_type(array.dtype)
-    return array if dtype == array.dtype else ChangedArray(array, np.asarray, dtype)
+    return array if dtype == array.dtype else ViewArray(array, range(array.ndim), dtype=dtype)
 
 
 def is_small(array: FileArray, limit: int) -> bool:

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Generator, Iterator, Mapping
+from collections.abc import Generator, Mapping
 from contextlib import contextmanager
+from itertools import count, takewhile
 from pathlib import Path
 from typing import Any
 
@@ -18,13 +19,12 @@ from planish.core.errors import FileError, PlanishError
 from planish.core.files import writing
 from planish.core.grid import Grid
 from planish.core.lazy import LazyArray, Where, held
+from planish.core.memory import LARGE_BYTES
 from planish.core.tiles import Tile, tiles_of
-from planish.core.typing import Floats
 
 CHUNK = 512  # pixels along the edge of a chunk of a map
 COMPLETE = "every_chunk_is_written"  # attribute of a store: one that is not there is a damage, not a missing value
 OVERVIEWS = "overviews"  # group of a store with smaller copies of its maps, which are read where they are shown
-LARGE = 2**29  # bytes of a group of maps from which on it stays in its store and is read part by part
 
 # Maps hold noise: with their bytes sorted by weight they take a fifth less room than by zstd, in a fifth of the time.
 # The sum tells a damaged chunk.
@@ -37,39 +37,11 @@ def map_tiles(shape: tuple[int, int]) -> list[Tile]:
     return tiles_of(shape, _TILE)
 
 
-class HeldMaps:
-    """Groups of maps (y, x) on one grid, of which tiles are added; in memory."""
+class StoredMaps:
+    """Groups of maps (y, x) on one grid, of which tiles are added: in memory, or in a store with overviews.
 
-    def __init__(self) -> None:
-        self._arrays: dict[str, dict[str, Any]] = {}
-        self._groups: dict[str, xr.Dataset] = {}
-
-    def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
-        """Add a tile of all maps of a group; the first one says which there are."""
-        if name not in self._arrays:
-            self._arrays[name] = self._create_arrays(name, grid, maps)
-        for key, data in maps.data_vars.items():
-            self._arrays[name][str(key)][tile.rows, tile.cols] = data.values
-
-    def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
-        """Make the arrays of a group for maps like these."""
-        variables = {k: (data.dims, np.empty(grid.shape, data.dtype), data.attrs) for k, data in maps.data_vars.items()}
-        self._groups[name] = group = xr.Dataset(variables, coords=_coords(grid, maps), attrs=maps.attrs)
-        return {str(k): data.values for k, data in group.data_vars.items()}
-
-    def group(self, name: str) -> xr.Dataset:
-        """Give a group of which all tiles were added."""
-        return self._groups[name]
-
-    def overviews(self) -> dict[str, xr.Dataset]:
-        """Smaller copies of groups that are too large to be drawn as they are, ``overviews/GROUP/1`` and so on."""
-        return {}
-
-
-class StoredMaps(HeldMaps):
-    """Maps in memory, and larger groups in a store at ``path``, with overviews.
-
-    Of what is read back, the first ``keep_bytes`` stay in memory: most maps are read several times.
+    Small groups stay in memory, and all where there is no ``path``. Of what is read back from the store, the first
+    ``keep_bytes`` stay in memory: most maps are read several times.
 
     Raises
     ------
@@ -79,60 +51,62 @@ class StoredMaps(HeldMaps):
         If the disk is full.
     """
 
-    def __init__(self, path: Path, *, keep_bytes: int = 0) -> None:
-        super().__init__()
+    def __init__(self, path: Path | None = None, *, keep_bytes: int = 0) -> None:
         self.path = path
         self.stored: list[str] = []  # names of the groups in the store, overviews among them
+        self._arrays: dict[str, dict[str, Any]] = {}
+        self._groups: dict[str, xr.Dataset] = {}
         self._cache = PartCache(keep_bytes)
 
     def add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
-        """Add a tile of all maps of a group, and of its overviews."""
+        """Add a tile of all maps of a group, and of its overviews; the first one says which maps there are."""
+        if self.path is None:
+            self._add(name, grid, tile, maps)
+            return
         with writing(self.path):
-            super().add(name, grid, tile, maps)
-            if name not in self.stored:
-                return
-            coarser = grid
-            for k in range(1, count_of(grid.shape) + 1):
+            self._add(name, grid, tile, maps)
+            for k in range(1, count_of(grid.shape) + 1 if name in self.stored else 1):
                 # Tiles begin at multiples of more pixels than there are in one of the last overview.
                 maps = halved(maps)
                 part = Tile(tile.r0 >> k, (tile.r0 >> k) + maps.sizes["y"], tile.c0 >> k, 0)
                 part = part._replace(c1=part.c0 + maps.sizes["x"])
-                coarser = Grid(y_um=middles(coarser.y_um), x_um=middles(coarser.x_um))
-                super().add(f"{OVERVIEWS}/{name}/{k}", coarser, part, maps)
+                grid = Grid(y_um=middles(grid.y_um), x_um=middles(grid.x_um))
+                self._add(f"{OVERVIEWS}/{name}/{k}", grid, part, maps)
+
+    def _add(self, name: str, grid: Grid, tile: Tile, maps: xr.Dataset) -> None:
+        if name not in self._arrays:
+            self._arrays[name] = self._create_arrays(name, grid, maps)
+        for key, data in maps.data_vars.items():
+            self._arrays[name][str(key)][tile.rows, tile.cols] = data.values
 
     def _create_arrays(self, name: str, grid: Grid, maps: xr.Dataset) -> dict[str, Any]:
         size = sum(data.dtype.itemsize for data in maps.data_vars.values()) * grid.shape[0] * grid.shape[1]
-        if size < LARGE and not name.startswith(f"{OVERVIEWS}/"):
-            return super()._create_arrays(name, grid, maps)
+        if self.path is None or (size < LARGE_BYTES and not name.startswith(f"{OVERVIEWS}/")):
+            variables = {k: (v.dims, np.empty(grid.shape, v.dtype), v.attrs) for k, v in maps.data_vars.items()}
+            coords = {k: (k, um, dict(maps[k].attrs)) for k, um in (("y", grid.y_um), ("x", grid.x_um))}
+            self._groups[name] = xr.Dataset(variables, coords=coords, attrs=maps.attrs)
+            return {str(k): data.values for k, data in self._groups[name].data_vars.items()}
         group = zarr.open_group(self.path, mode="a", attributes={COMPLETE: True}).require_group(name)
         group.attrs.update(_json_attrs(maps.attrs))
 
-        def create(key: str, dims: tuple[str, ...], attrs: Mapping[Any, Any], **more: Any) -> Any:
-            more |= {"dimension_names": dims, "compressors": CODECS, "attributes": _json_attrs(attrs)}
-            return group.create_array(key, **more)
+        def create(key: str, dims: tuple[str, ...], shape: tuple[int, ...], like: Any, **how: Any) -> Any:
+            how |= {"dimension_names": dims, "compressors": CODECS, "attributes": _json_attrs(like.attrs)}
+            return group.create_array(key, shape=shape, dtype=like.dtype, **how)
 
-        for axis, places, attrs in _coords(grid, maps).values():
-            create(axis, (axis,), attrs, shape=places.shape, dtype=places.dtype)[:] = places
+        for axis, places in (("y", grid.y_um), ("x", grid.x_um)):
+            create(axis, (axis,), places.shape, maps[axis])[:] = places
+        self.stored.append(name)
         arrays: dict[str, Any] = {}
+        how = {"chunks": tuple(min(n, CHUNK) for n in grid.shape), "config": {"write_empty_chunks": True}}
         for key, data in maps.data_vars.items():
             fill = np.nan if data.dtype.kind == "f" else 0
-            chunks, how = tuple(min(n, CHUNK) for n in grid.shape), {"write_empty_chunks": True}
-            arrays[str(key)] = create(
-                str(key),
-                tuple(map(str, data.dims)),
-                data.attrs,
-                shape=grid.shape,
-                dtype=data.dtype,
-                chunks=chunks,
-                fill_value=fill,
-                config=how,
-            )
-        self.stored.append(name)
+            arrays[str(key)] = create(str(key), ("y", "x"), grid.shape, data, fill_value=fill, **how)
         return arrays
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
-        return stored_group(self.path, name, self._cache) if name in self.stored else super().group(name)
+        in_store = self.path is not None and name in self.stored
+        return stored_group(self.path, name, self._cache) if in_store else self._groups[name]
 
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
@@ -155,7 +129,8 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
         coords: dict[str, Any] = {}
         variables: dict[str, Any] = {}
         other_coords: set[str] = set()  # coordinates that are no axis, as xarray notes them
-        for key, array in sorted(_arrays(group)):
+        arrays: Any = sorted(group.arrays())
+        for key, array in arrays:
             dims = tuple(map(str, array.metadata.dimension_names or ()))
             attrs = {k: v for k, v in array.attrs.items() if k not in ("_FillValue", "coordinates")}
             other_coords |= {*str(array.attrs.get("coordinates", "")).split()}
@@ -168,25 +143,12 @@ def stored_group(path: Path, name: str, cache: PartCache | None = None) -> xr.Da
 
 def is_large(group: xr.Dataset) -> bool:
     """True if the maps of a group stay in their store."""
-    return sum(data.nbytes for data in group.data_vars.values() if data.ndim == 2) >= LARGE
+    return sum(data.nbytes for data in group.data_vars.values() if data.ndim == 2) >= LARGE_BYTES
 
 
-def large_groups(path: Path) -> Iterator[str]:
-    """Names of the groups of a store whose maps should stay there, and of their overviews."""
-    with readable(path):
-        members = zarr.open_group(path, mode="r").members(max_depth=None)
-        groups = [(name, node) for name, node in members if isinstance(node, zarr.Group)]
-        sizes = {name: sum(array.nbytes for _, array in _arrays(node) if array.ndim == 2) for name, node in groups}
-        for name, size in sizes.items():
-            # An overview, ``overviews/GROUP/LEVEL``, is as large as its group.
-            if size and name.startswith(f"{OVERVIEWS}/"):
-                size = max(size, sizes[name.split("/", 1)[1].rpartition("/")[0]])
-            if size >= LARGE:
-                yield name
-
-
-def _arrays(group: zarr.Group) -> list[tuple[str, Any]]:
-    return [*group.arrays()]
+def overviews_of(path: Path, group: str, name: str = "") -> list[str]:
+    """Names of a group's smaller copies in a store, or of those of its map ``name``, the finest first."""
+    return list(takewhile(lambda copy: (path / copy / name).is_dir(), (f"{OVERVIEWS}/{group}/{k}" for k in count(1))))
 
 
 class PartCache:
@@ -231,12 +193,6 @@ def readable(path: Path) -> Generator[None]:
         # Some reasons hold the whole file.
         reason = " ".join(str(error).split())[:160] or type(error).__name__
         raise FileError(f"{path} cannot be read: {reason}. It may be damaged; repeat the run.") from error
-
-
-def _coords(grid: Grid, maps: xr.Dataset) -> dict[str, tuple[str, Floats, dict[str, Any]]]:
-    """Coordinates of all of a grid, with the attributes of those of some maps on it."""
-    axes = zip(("y", "x"), (grid.y_um, grid.x_um), strict=True)
-    return {axis: (axis, values, dict(maps[axis].attrs)) for axis, values in axes}
 
 
 def _json_attrs(attrs: Mapping[Any, Any]) -> dict[str, Any]:

@@ -21,7 +21,7 @@ from zarr.errors import ZarrUserWarning
 from planish.core.errors import FileError
 from planish.core.files import DiskFull, check_length, check_name, delete, disk_full, move, writing
 from planish.io.formats import find_place
-from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, large_groups, readable, stored_group
+from planish.io.map_store import CHUNK, CODECS, COMPLETE, OVERVIEWS, is_large, overviews_of, readable, stored_group
 
 WORK_MARKER = "planish-work-folder"  # file that marks a folder as one that planish made and may remove
 _METADATA = "zarr.json"
@@ -250,8 +250,7 @@ def read_groups(path: Path, names: Iterable[str]) -> dict[str, xr.Dataset]:
         root = zarr.open_group(path, mode="r")
         present = [name for name in names if name in root]
         _check_chunks(path, present)
-        groups = {name: stored_group(path, name) for name in present}
-        return {name: group if is_large(group) else group.load() for name, group in groups.items()}
+    return {name: read_group(path, name) for name in present}
 
 
 def read_tree(path: Path) -> dict[str, xr.Dataset]:
@@ -265,14 +264,9 @@ def read_tree(path: Path) -> dict[str, xr.Dataset]:
     FileError
         If there is no store, or it is damaged.
     """
-    names = group_names(path)
-    with readable(path), xr.open_datatree(path, engine="zarr") as tree:
-        large = {name: stored_group(path, name) for name in large_groups(path)}
-        return large | {
-            node.path.strip("/"): node.to_dataset(inherit=False).load()
-            for node in tree.subtree
-            if node.path.strip("/") in names and node.path.strip("/") not in large
-        }
+    groups = {name: read_group(path, name) for name in group_names(path)}
+    copies = [copy for name, group in groups.items() if is_large(group) for copy in overviews_of(path, name)]
+    return groups | {name: stored_group(path, name) for name in copies}
 
 
 def group_names(path: Path) -> list[str]:
@@ -295,11 +289,9 @@ def read_group(path: Path, name: str, variables: Iterable[str] | None = None) ->
         If it is damaged.
     """
     with readable(path):
-        if name in large_groups(path):
-            group = stored_group(path, name)
-            return group if variables is None else group[list(variables)]
-        with xr.open_dataset(path, engine="zarr", group=name, chunks=None) as data:
-            return (data if variables is None else data[list(variables)]).load()
+        group = stored_group(path, name)
+        part = group if variables is None else group[list(variables)]
+        return part if is_large(group) else part.load()
 
 
 def _check_chunks(path: Path, groups: Iterable[str] = ("",)) -> None:

@@ -11,6 +11,7 @@ import re
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -21,11 +22,12 @@ from tifffile import PHOTOMETRIC
 
 from planish.core.arrays import agree
 from planish.core.errors import FileError, SizeError, VolumeError
+from planish.core.memory import EAGER_BYTES
 from planish.core.tables import finite
 from planish.core.typing import Pair
 from planish.io.formats import LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
-from planish.io.lazy import EAGER_BYTES, PagedArray, StoredArray, Values, supported_type, widened
+from planish.io.lazy import PagedArray, StoredArray, Values, supported_type, widened
 from planish.io.picture import ADVICE, PLUGINS, DecodedPicture, kind_of, load_picture
 from planish.io.sizes import Stated
 from planish.io.tiff import open_series, size_words
@@ -304,30 +306,21 @@ def load_pictures(
             planes.append((file, offset))
     if len(planes) == len(files):
         return widened(StoredArray(planes, shape, stored)), first
-    return SliceFiles(files, channel, shape, dtype), first
+    return PagedArray(folder, shape, dtype, shape[1], partial(_slice_rows, files, channel, grey.shape)), first
 
 
-class SliceFiles(PagedArray):
-    """Slices as the pages of a volume, each decoded whole."""
-
-    def __init__(self, files: list[Path], channel: str | None, shape: tuple[int, ...], dtype: np.dtype[Any]) -> None:
-        self.files, self.channel = files, channel
-        super().__init__(files[0].parent, shape, dtype, shape[1])
-
-    def __reduce__(self) -> tuple[Any, ...]:
-        """Another process decodes anew."""
-        return SliceFiles, (self.files, self.channel, self.shape, self.dtype)
-
-    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        """Decode a slice."""
-        file = self.files[page]
-        grey = _grey_values(load_picture(file), file, self.channel)
-        if grey.shape != self.shape[1:]:
-            raise VolumeError(
-                f"{file.name} is {size_words(grey.shape)} pixels, {size_words(self.shape[1:])} when the folder was "
-                "opened. Leave the slices alone while planish reads them."
-            )
-        return grey[start:stop]
+def _slice_rows(
+    files: list[Path], channel: str | None, shape: tuple[int, ...], page: int, start: int, stop: int
+) -> NDArray[Any]:
+    """Decode a slice, of which rows are taken."""
+    file = files[page]
+    grey = _grey_values(load_picture(file), file, channel)
+    if grey.shape != shape:
+        raise VolumeError(
+            f"{file.name} is {size_words(grey.shape)} pixels, {size_words(shape)} when the folder was opened. Leave "
+            "the slices alone while planish reads them."
+        )
+    return grey[start:stop]
 
 
 def _slice_header(file: Path) -> tuple[tuple[Any, ...], np.dtype[Any], int | None]:

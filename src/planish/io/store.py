@@ -11,7 +11,7 @@ import json
 import math
 import os
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ALL_COMPLETED, FIRST_COMPLETED, Executor, Future, wait
 from contextlib import nullcontext
 from itertools import pairwise
@@ -26,7 +26,7 @@ from zarr.codecs import ZstdCodec
 
 from planish.core.errors import InputError, ResourceError
 from planish.core.files import delete, move, writing
-from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
+from planish.core.memory import BLOCKS_AT_WORK, PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.core.threads import count_threads, limit_threads, thread_pool
 from planish.io.hashes import Array, ShardLists, Where
 from planish.io.run_folder import acquire_lock, claim_folder, is_link, refuse_existing, remove
@@ -37,7 +37,6 @@ SHARD = (64, 384, 384)  # voxels that lie in one file
 _SOURCE = "source.json"
 _LOCK = "lock"
 _SMALLEST, _LEAST_DEPTH = 256, 16  # voxels along the longest and the shortest axis of the last level
-_AT_WORK = 2  # blocks: one is read while the other is compressed
 _OPENING = threading.Lock()  # what zarr is set to holds for all threads
 
 Progress = Callable[[str, int, int], None]
@@ -50,7 +49,7 @@ def write_store(
     memory_bytes: int = 2**31,
     threads: int | None = None,
     executor: Executor | None = None,
-    workers: int = _AT_WORK,
+    workers: int = BLOCKS_AT_WORK,
     ome: Literal["0.5", "0.4"] = "0.5",
     progress: Progress | None = None,
 ) -> None:
@@ -129,7 +128,7 @@ def _write_finest_levels(
     progress: Progress | None,
 ) -> None:
     """Write the volume and its half in one pass over the input."""
-    most = min(_AT_WORK, count_threads()) if executor is None else workers
+    most = min(BLOCKS_AT_WORK, count_threads()) if executor is None else workers
     block, at_once = _plan_blocks(levels[0], memory_bytes, most)
     wheres = list(_blocks(levels[0].shape, block))
     pending = [where for where in wheres if not all(done.has(*part) for part in _parts(levels, where))]
@@ -243,15 +242,8 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
         shapes.append(tuple(-(-n // 2) for n in shapes[-1]))
     voxel = [float(v) for v in volume.attrs["voxel_um"]]
     first = [float(volume[axis].values[0]) for axis in "zyx"]
-    datasets: list[dict[str, Any]] = []
-    for k in range(len(shapes)):
-        scale = {"type": "scale", "scale": [v * 2**k for v in voxel]}
-        corner = [f + v * (2**k - 1) / 2 for f, v in zip(first, voxel, strict=True)]
-        translation = {"type": "translation", "translation": corner}
-        datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
-    axes = [{"name": axis, "type": "space", "unit": "micrometer"} for axis in "zyx"]
     name = str(volume.attrs.get("file_name", "volume"))
-    scales = {"name": name, "axes": axes, "datasets": datasets, "type": "mean of 2 x 2 x 2"}
+    scales = multiscale(name, "zyx", voxel, first, len(shapes), kind="mean of 2 x 2 x 2")
     attributes: dict[str, Any] = {"ome": {"version": ome, "multiscales": [scales]}}
     how: dict[str, Any] = {"compressors": ZstdCodec(level=1, checksum=True), "dimension_names": list("zyx")}
     if ome == "0.4":
@@ -267,6 +259,25 @@ def _make_levels(folder: Path, volume: xr.DataArray, ome: str) -> list[Array]:
         if str(k) not in group:
             group.create_array(str(k), shape=size, dtype=volume.dtype, chunks=CHUNK, fill_value=0, **how)
     return [_level(folder, k) for k in range(len(shapes))]
+
+
+def multiscale(
+    name: str, axes: str, pitch_um: Sequence[float], first_um: Sequence[float], levels: int, *, kind: str
+) -> dict[str, Any]:
+    """Describe an image of several levels, each half as fine, as OME-Zarr does; an axis c lies before those of space.
+
+    ``pitch_um`` and ``first_um`` are size and place of the first voxel along the axes of space.
+    """
+    channels = axes.count("c")
+    datasets: list[dict[str, Any]] = []
+    for k in range(levels):
+        scale = {"type": "scale", "scale": [1.0] * channels + [v * 2**k for v in pitch_um]}
+        corner = [f + v * (2**k - 1) / 2 for f, v in zip(first_um, pitch_um, strict=True)]
+        translation = {"type": "translation", "translation": [0.0] * channels + corner}
+        datasets.append({"path": str(k), "coordinateTransformations": [scale, translation]})
+    listed = [{"name": "c", "type": "channel"}] * channels
+    listed += [{"name": axis, "type": "space", "unit": "micrometer"} for axis in axes if axis != "c"]
+    return {"name": name, "axes": listed, "datasets": datasets, "type": kind}
 
 
 def _level(folder: Path, k: int) -> Array:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -16,15 +15,15 @@ from planish.core.errors import FileError, VolumeError
 from planish.io.formats import ADVICE, LoadedVolume, Place, check_type, colour_attrs, grey_of
 from planish.io.guard import check_memory, memory_limit, reading
 from planish.io.lazy import (
-    ChangedArray,
+    Change,
     FileArray,
     PagedArray,
     StoredArray,
     Values,
+    ViewArray,
     is_small,
     mapped,
     stored_planes,
-    transposed,
 )
 from planish.io.picture import kind_of
 from planish.io.sizes import stated_by_tiff
@@ -40,7 +39,6 @@ from planish.io.tiff import (
 )
 
 SLICE_AXES = "ZIQ"  # letters for an axis of slices: declared as such, or pages without a declared meaning
-Change = Callable[[NDArray[Any]], NDArray[Any]]
 MEANINGS = {"C": "channels", "T": "time points", "S": "colour samples"}
 
 
@@ -96,9 +94,8 @@ def _series_values(series: TiffPageSeries, path: Path, axes: str, change: Change
             return whole
         check_memory(path, needed_bytes=whole.nbytes + math.prod(shape) // 3, limit_bytes=limit)
         return np.stack([change(np.moveaxis(plane, 0, -1) if axes[1] == "S" else plane) for plane in whole])
-    if axes[1] == "S":
-        array = transposed(array, (0, 2, 3, 1))
-    return array if change is None else ChangedArray(array, change, array.dtype)
+    order = (0, 2, 3) if axes[1] == "S" else (0, 1, 2)
+    return array if change is None else ViewArray(array, order, change)
 
 
 def _is_joined(page: TiffPage | TiffFrame) -> bool:
@@ -141,14 +138,14 @@ class TiffPages(PagedArray):
         self._decode: Any = key.decode
         self._across = -(-key.imagewidth // key.tilewidth) if key.is_tiled else 1
         strip_rows = key.tilelength if key.is_tiled else min(key.rowsperstrip, key.imagelength)
-        super().__init__(path, (len(pages), *key.shape), np.dtype(key.dtype).newbyteorder("="), strip_rows)
+        shape, dtype = (len(pages), *key.shape), np.dtype(key.dtype).newbyteorder("=")
+        super().__init__(path, shape, dtype, strip_rows, self._decoded_rows)
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Open the file again in another process."""
         return _open_pages, (self.path,)
 
-    def rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
-        """Decode rows of a page."""
+    def _decoded_rows(self, page: int, start: int, stop: int) -> NDArray[Any]:
         values = np.empty((stop - start, *self.shape[2:]), self.dtype)
         pixels = values.reshape(*values.shape[:2], -1)
         offsets, counts, tables = self._segments[page]

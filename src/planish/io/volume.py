@@ -9,7 +9,6 @@ from planish.core.arrays import check_path
 from planish.core.frame import Axis, End, Frame
 from planish.core.lazy import labelled
 from planish.io.formats import LoadedVolume, Place, check_channel, checked_volume, find_place, format_of, loader
-from planish.io.lazy import FileArray
 from planish.io.sizes import VOXEL, agreed_size
 
 if TYPE_CHECKING:
@@ -93,10 +92,7 @@ def read_volume(
         **loaded.attrs,
         **lies,
     }
-    # How it is best read, for those who read it in tiles.
-    lazy = loaded.values if isinstance(loaded.values, FileArray) else None
-    encoding = {} if lazy is None else {"whole_slices": lazy.whole_slices, "chunks": lazy.chunks}
-    return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs, encoding=encoding)
+    return labelled(loaded.values, VOXEL.axes, size, name="volume", attrs=attrs)
 
 
 def declared_volume(place: Place, *, channel: str | None = None) -> LoadedVolume:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections.abc import Iterator, Mapping
+from functools import partial
 from itertools import product
 from pathlib import Path
 from typing import Any
@@ -52,7 +53,9 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
         chunk = tuple(int(n) for n in (array.shards or array.chunks))
         notes = check_chunks(_stored_chunks(path / name, files), shape, chunk, name=path.name)
         check_type(np.dtype(array.dtype), path)
-        lazy = ZarrArray(path, name, array)
+        lazy = FileArray(path, shape, np.dtype(array.dtype).newbyteorder("="), partial(_read_part, path, name, shape))
+        lazy.chunks = tuple(int(n) for n in array.chunks)
+        lazy.piece_bytes = math.prod(lazy.chunks) * lazy.dtype.itemsize
     stated: list[Stated] = []
     if multiscale is not None:
         # The scale transformations of the level and of the whole image.
@@ -66,24 +69,16 @@ def load(place: Place, _channel: str | None, _memory_bytes: int | None) -> Loade
     )
 
 
-class ZarrArray(FileArray):
-    """An array of a zarr store."""
-
-    def __init__(self, path: Path, name: str, array: Any) -> None:
-        self.path, self.name, self.shape = path, name, tuple(int(n) for n in array.shape)
-        self.chunks, dtype = tuple(int(n) for n in array.chunks), np.dtype(array.dtype)
-        self.dtype, self.piece_bytes = dtype.newbyteorder("="), math.prod(self.chunks) * dtype.itemsize
-
-    def read(self, where: Where) -> NDArray[Any]:
-        """Read a part."""
-        array = _open_node(self.path, self.name)
-        if tuple(array.shape) != self.shape:
-            raise FileError(f"{self.path.name} was changed while planish read it. Start again.")
-        # In shards, and behind other codecs, a checksum guards the chunks.
-        codecs = [type(codec).__name__.casefold() for codec in array.compressors]
-        if array.shards is None and codecs and "blosc" in codecs[-1]:
-            _check_blosc(array, where, self.path / self.name, self.path)
-        return np.asarray(array[where], self.dtype)
+def _read_part(path: Path, name: str, shape: tuple[int, ...], where: Where) -> NDArray[Any]:
+    """Read a part of an array, which is opened anew."""
+    array = _open_node(path, name)
+    if tuple(array.shape) != shape:
+        raise FileError(f"{path.name} was changed while planish read it. Start again.")
+    # In shards, and behind other codecs, a checksum guards the chunks.
+    codecs = [type(codec).__name__.casefold() for codec in array.compressors]
+    if array.shards is None and codecs and "blosc" in codecs[-1]:
+        _check_blosc(array, where, path / name, path)
+    return np.asarray(array[where], array.dtype.newbyteorder("="))
 
 
 def _part_of(path: Path, part: str) -> str:

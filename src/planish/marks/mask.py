@@ -9,7 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from planish.core.bands import band_of, bands, thinned
+from planish.core.bands import read_bands, thinned
 from planish.core.grid import Grid
 from planish.core.typing import Bools, Floats, Ints, Pair
 from planish.marks.candidates import Raster, reduce_to
@@ -75,7 +75,7 @@ def _border_regions(image: xr.DataArray, grid: Grid, centres: Floats, radius: Fl
     floor, sheet = (float(np.nanmedian(greys[use])) if use.any() else np.nan for use in (inner, ~outer))
     if not np.isfinite(floor - sheet) or floor == sheet:
         return
-    parts = (band_of(image, rows) for rows in bands(grid.shape[0]))
+    parts = (part for _, (part,) in read_bands(image))
     is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in parts]
     labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
     border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))

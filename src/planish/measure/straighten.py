@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import partial
 from typing import Any
 
@@ -74,6 +75,19 @@ def straightened(
     return volume_along.assign_attrs(voxel_um=(voxel, *(round(float(p), 9) for p in grid.pixel_um)))
 
 
+def voxels_around(volume: xr.DataArray, places_um: Mapping[str, Floats]) -> tuple[NDArray[Any], list[Floats]]:
+    """Read the part of a volume in which places lie, and give the places in it, in voxels."""
+    places: list[Floats] = []
+    box: dict[str, slice] = {}
+    for axis in map(str, volume.dims):
+        coords = volume[axis].values
+        index = (places_um[axis] - float(coords[0])) / float(coords[1] - coords[0])
+        start = int(np.clip(np.floor(index.min()), 0, coords.size - 1))
+        box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size)))
+        places.append(index - start)
+    return volume.isel(box).values, places
+
+
 class _Straightened(LazyArray):
     """The straightened volume, of which parts are worked out."""
 
@@ -121,16 +135,8 @@ class _Straightened(LazyArray):
         is_inside = np.all([np.isfinite(place[axis]) & np.isfinite(normal[axis]) for axis in place], axis=0)
         if not is_inside.any():
             return
-        places: list[Floats] = []
-        box: dict[str, slice] = {}
-        for axis in map(str, self._volume.dims):
-            coords = self._volume[axis].values
-            size = float(coords[1] - coords[0])
-            index = (place[axis][is_inside] + depths[:, None] * normal[axis][is_inside] - float(coords[0])) / size
-            start = int(np.clip(np.floor(index.min()), 0, coords.size - 1))
-            box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, coords.size)))
-            places.append(index - start)
-        block = self._volume.isel(box).values
+        along = {axis: place[axis][is_inside] + depths[:, None] * normal[axis][is_inside] for axis in place}
+        block, places = voxels_around(self._volume, along)
         if block.dtype.kind != "f" or np.isfinite(self._padding):
             block = block.astype(np.float32)
         if np.isfinite(self._padding):

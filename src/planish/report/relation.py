@@ -9,10 +9,10 @@ from typing import Any, TypeVar
 
 import numpy as np
 import xarray as xr
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
-from planish.core.area import AreaMeans
-from planish.core.bands import band_of, bands, thinned
+from planish.core.area import common_means, valid_in_all
+from planish.core.bands import thinned
 from planish.core.facts import is_known
 from planish.core.numbers import axis_label, capital, count, in_words, number, plain, to_spread, unit
 from planish.core.typing import Bools
@@ -75,11 +75,7 @@ def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Seq
     if min(factors) < 1 - 1e-9:
         return np.empty(0), np.empty(0)
     down, across = (max(factor, 1.0) for factor in factors)
-    means = AreaMeans((a.shape[0], a.shape[1]), (down, across))
-    for rows in bands(a.shape[0]):
-        p, q, *masks = (band_of(data, rows) for data in (a, b, *valid))
-        means.add(rows.start, _valid_in_all(p, q, masks), p, q)
-    first, second = means.means()
+    first, second = common_means((a, b), (down, across), masks=valid)
     is_valid = np.isfinite(first) & np.isfinite(second)
     return first[is_valid], second[is_valid]
 

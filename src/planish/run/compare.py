@@ -8,7 +8,7 @@ import xarray as xr
 from planish.analyze import CorrelateParams
 from planish.analyze.compare import CorrelationRow, correlate_layers
 from planish.core.arrays import check_dataset
-from planish.core.bands import band_of, bands
+from planish.core.bands import read_bands
 from planish.core.errors import InputError
 from planish.core.grid import Grid
 from planish.core.options import params_of
@@ -50,7 +50,7 @@ def correlate_maps(
                 "A screen was taken off the image before the regions were known, and what they hold has reached their "
                 "neighbours. Give --regions to 'planish link' instead."
             )
-        parts = [band_of(linked["valid"], at) & ~regions.inside(grid.part(at)) for at in bands(grid.shape[0])]
+        parts = [valid & ~regions.inside(grid.part(rows)) for rows, (valid,) in read_bands(linked["valid"])]
         linked = linked.assign(valid=(("y", "x"), np.concatenate(parts)))
     layers = {names[0]: linked.drop_vars("image"), names[1]: linked[["image", "valid"]]}
     return tuple(correlate_layers(*names, layers, params.point_um))

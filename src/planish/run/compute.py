@@ -21,7 +21,7 @@ from pydantic import BeforeValidator
 from planish import __version__
 from planish.core.errors import InputError, ResourceError
 from planish.core.frame import Frame
-from planish.core.memory import HELD_TIMES, MAPS_SHARE, PROGRAM_BYTES, bytes_to_map, enough_gb
+from planish.core.memory import HELD_TIMES, MAPS_SHARE, PROGRAM_BYTES, RETURNED_BYTES, bytes_to_map, enough_gb
 from planish.core.options import Params, option
 from planish.core.sources import hash_sources
 from planish.core.tiles import Engine
@@ -40,9 +40,6 @@ def silent(_stage: str, _detail: str) -> None:
 _WIDEST_UM = 12.0  # a column wider than this would be coarser than the maps that are compared with images
 
 _UNITS = {"": 1, "B": 1, "KB": 10**3, "MB": 10**6, "GB": 10**9, "TB": 10**12}
-# Where the memory is less than the first number, freed arrays of so many bytes are given back at once. It takes time,
-# most of all for the small buffers that files are decoded into: those only where nothing else will do.
-_SHORT = ((8 * 10**8, 2**17), (4 * 10**9, 2**20))
 
 
 def _bytes_of(text: Any) -> Any:
@@ -123,7 +120,7 @@ def column_step(volume: xr.DataArray, frame: Frame, column_um: float | None, com
 
 def return_memory(compute: Compute) -> None:
     """Where the memory is short, have glibc give freed arrays back at once: by itself it keeps ever larger ones."""
-    least = next((size for memory, size in _SHORT if compute.memory < memory), None)
+    least = next((size for memory, size in RETURNED_BYTES if compute.memory < memory), None)
     if least is not None:
         with suppress(OSError, AttributeError, TypeError):  # another C library
             ctypes.CDLL(None).mallopt(-3, least)  # M_MMAP_THRESHOLD of malloc.h

@@ -34,7 +34,7 @@ from planish.core.checks import Check
 from planish.core.facts import Side
 from planish.core.sources import hash_sources
 from planish.core.transform import Similarity
-from planish.io.map_store import HeldMaps, map_tiles
+from planish.io.map_store import StoredMaps, map_tiles
 from planish.resample import SheetOnto
 from planish.results import LayerFacts, Results
 from planish.run.layers import Layer, LayerHoles
@@ -61,7 +61,7 @@ class LinkedLayers:
     holes: LayerHoles
     maps: dict[str, xr.Dataset]
     mask: ValidMask
-    sink: HeldMaps
+    sink: StoredMaps
 
     @property
     def reference(self) -> Layer:

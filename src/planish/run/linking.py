@@ -37,7 +37,7 @@ class LinkInputs(NamedTuple):
 
 
 def link_layers(
-    study: Study, inputs: LinkInputs, sheets: Mapping[str, Layer], progress: Progress, sink: HeldMaps
+    study: Study, inputs: LinkInputs, sheets: Mapping[str, Layer], progress: Progress, sink: StoredMaps
 ) -> Run:
     """Register layers to the last one, bring all onto its pixels, and correlate them in pairs.
 

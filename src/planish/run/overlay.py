@@ -13,7 +13,7 @@ from planish.core.errors import CannotRegister, InputError, MarkError
 from planish.core.grid import Grid, check_same_grid
 from planish.core.tiles import Tile
 from planish.core.typing import Bools, Floats
-from planish.io.map_store import HeldMaps, map_tiles
+from planish.io.map_store import StoredMaps, map_tiles
 from planish.marks import cut_holes, hole_mask
 from planish.marks.exchange import about_layer, holes_of
 from planish.marks.regions import Regions
@@ -75,7 +75,7 @@ def _on_tiles(shown: Shown, chain: Chain | None, grid: Grid) -> Callable[[Tile, 
 
 
 def resample_layers(
-    parts: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: HeldMaps, *,
+    parts: Mapping[str, tuple[Shown, Chain | None]], mask: ValidMask, grid: Grid, sink: StoredMaps, *,
     together: str | None = None,
 ) -> dict[str, xr.Dataset]:  # fmt: skip
     """Bring sheets and images onto a grid, tile by tile, and mark what is valid there.
@@ -203,7 +203,7 @@ def resample_maps(
         )
     chain = Chain(fits=(registration.fit,))
     rim_um = float(measured.attrs["rim_um"]) + float(onto.attrs.get("reach_um", 0.0))
-    marks, sink = registration.marks, HeldMaps()
+    marks, sink = registration.marks, StoredMaps()
     circles = hole_circles(marks, "moving", rim_um, chain=chain), hole_circles(marks, "fixed", rim_um, image=onto)
     parts: dict[str, tuple[Shown, Chain | None]] = {
         "sheet": ({"surfaces": measured, "flat": flat}, chain),

@@ -12,9 +12,10 @@ from planish import __version__
 from planish.core.area import overviews
 from planish.core.errors import PlanishError
 from planish.core.files import move
+from planish.core.memory import KEPT_SHARE
 from planish.core.threads import limit_threads
 from planish.io import fingerprint
-from planish.io.map_store import OVERVIEWS, HeldMaps, StoredMaps, stored_group
+from planish.io.map_store import OVERVIEWS, StoredMaps, stored_group
 from planish.io.run_folder import new_folder, refuse_existing, refuse_inside, take_group, work_folder, write_tree
 from planish.marks import write_marks
 from planish.report import FIGURES, write_report
@@ -81,22 +82,21 @@ def run_study(
                 sheets |= ready
             for name in sheets:
                 progress("read", f"{name}, mapped before")
-            store, keep_bytes = None, int(settled.memory * 0.03)  # for maps that are read back
-            if len(study.layers) > 1:
-                store = StoredMaps(work / f".{secrets.token_hex(4)}.partial", keep_bytes=keep_bytes)
+            place = work / f".{secrets.token_hex(4)}.partial" if len(study.layers) > 1 else None
+            store = StoredMaps(place, keep_bytes=int(settled.memory * KEPT_SHARE))
             run = _make(study, sheets, similar, settled, progress, caches=caches, work=work, sink=store)
             progress("write", str(out))
             # About the bytes of its pages, and of its maps, which hold noise, with overviews.
             needed = 5_000_000 + sum(data.nbytes for data in run.groups.values()) * 4 // 3
             with new_folder(out, inside=work, needed=needed) as folder:
                 save_run(run, folder, home=out, store=store, figures=figures)
-            moved = {name: stored_group(out / MAPS, name) for name in store.stored} if store is not None else {}
+            moved = {name: stored_group(out / MAPS, name) for name in store.stored}
             return replace(run, groups=run.groups | moved, unchanged={})
 
 
 def _make(
     study: Study, ready: Mapping[str, Layer], similar: Mapping[str, Layer], compute: Compute, progress: Progress, *,
-    caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None, sink: HeldMaps | None = None,
+    caches: Mapping[str, CachedMaps] | None = None, work: Path | None = None, sink: StoredMaps | None = None,
 ) -> Run:  # fmt: skip
     """Map the volumes that are not ready, and link the layers; maps of a refused link are kept in ``caches``."""
     sheets, tiles, is_link = {**ready}, work and work / "tiles", len(study.layers) > 1
@@ -110,7 +110,7 @@ def _make(
                 sheets[layer.name] = map_layer(layer, compute=compute, progress=progress, tiles=folder, before=before)
         if inputs is None:
             return gather_sheet(sheets[study.layers[0].name], study)
-        return link_layers(study, inputs, sheets, progress, sink or HeldMaps())
+        return link_layers(study, inputs, sheets, progress, sink or StoredMaps())
     except PlanishError as error:
         if not caches or work is None:
             raise
@@ -159,7 +159,7 @@ def save_run(run: Run, folder: Path, *, home: Path, store: StoredMaps | None = N
         figures=folder / FIGURES if figures else None,
     )
     stored = [] if store is None else store.stored
-    if store is not None and stored:
+    if store is not None and store.path is not None and stored:
         move(store.path, folder / MAPS)
     for name, other_store in run.unchanged.items():
         take_group(folder / MAPS, other_store, name)

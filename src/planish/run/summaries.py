@@ -12,7 +12,7 @@ import xarray as xr
 from planish.analyze import LagNumbers
 from planish.analyze.compare import headline_of, is_property
 from planish.analyze.image_values import image_facts
-from planish.core.bands import band_of, bands, thinned
+from planish.core.bands import read_bands, thinned
 from planish.core.checks import concerned
 from planish.core.facts import InputFile, Side, is_known
 from planish.core.grid import Grid, pitch
@@ -107,7 +107,7 @@ def layer_facts(
     ``side`` is that which shows, ``headline`` the map of sheets that the study names.
     """
     shown = maps["volume_z" if layer.kind == "sheet" else "image"]
-    pixels = sum(int(np.count_nonzero(np.isfinite(band_of(shown, rows)))) for rows in bands(shown.shape[0]))
+    pixels = sum(int(np.count_nonzero(np.isfinite(values))) for _, (values,) in read_bands(shown))
     return LayerFacts(
         name=layer.name, kind=layer.kind, source=layer.source, headline=headline_of(maps, side, headline),
         share_of_reference=pixels / shown.size, sheet=layer.facts,
@@ -176,10 +176,9 @@ def _angle(deg: float | None) -> str:
 def linked_area(linked: xr.Dataset, mask: Callable[[Grid], Bools]) -> LinkedArea:
     """How much of the reference shows the sheet, and how much of that is valid; ``mask`` is that of holes."""
     grid, counts = Grid.of(linked), np.zeros(3, dtype=np.int64)
-    for rows in bands(grid.shape[0]):
-        is_sheet = np.isfinite(band_of(linked["u"], rows))
-        parts = is_sheet, is_sheet & mask(grid.part(rows)), band_of(linked["valid"], rows)
-        counts += [np.count_nonzero(part) for part in parts]
+    for rows, (u, valid) in read_bands(linked["u"], linked["valid"]):
+        is_sheet = np.isfinite(u)
+        counts += [np.count_nonzero(part) for part in (is_sheet, is_sheet & mask(grid.part(rows)), valid)]
     (on_sheet, off_holes, valid), pixels = map(int, counts), math.prod(grid.shape)
     return LinkedArea(
         pixels=pixels,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -12,16 +12,14 @@ from numpy.typing import NDArray
 
 from planish.core.errors import InputError, ResourceError, VolumeError
 from planish.core.frame import Frame
-from planish.core.lazy import LazyArray, Where, replaced
-from planish.core.memory import PROGRAM_BYTES, bytes_to_hold, enough_gb
+from planish.core.lazy import Where, computed
+from planish.core.memory import COPIES_OF_SECTIONS, PROGRAM_BYTES, bytes_to_hold, enough_gb
 from planish.io import find_place, read_volume
 from planish.io.params import VolumeParams
 from planish.io.sections import is_section_folder, read_section_stack
 from planish.run.compute import Compute, Progress
 from planish.run.summaries import section_facts
 from planish.sections import SectionSeries, align_sections, fixed_places, normalise_sections, regular_volume
-
-_COPIES_OF_SECTIONS = 2  # the photographs and the volume made from them are in memory at the same time
 
 
 def read_sheet_volume(
@@ -31,7 +29,7 @@ def read_sheet_volume(
     path = find_place(params.path).path
     if is_section_folder(path):
         volume, sections = _join_sections(params, compute, progress)
-        _in_parts(volume, path, compute, _COPIES_OF_SECTIONS, f" --through {params.through}")
+        _in_parts(volume, path, compute, COPIES_OF_SECTIONS, f" --through {params.through}")
         return volume, sections
     if params.fixed_rows is not None or params.fixed_cols is not None:
         raise InputError(f"--fixed-rows and --fixed-cols are for serial sections; {path.name} is a volume.")
@@ -44,17 +42,14 @@ def _read(params: VolumeParams, compute: Compute) -> xr.DataArray:
     """Read a volume that is none of sections, for local threads or for the processes of a cluster."""
     how: dict[str, Any] = params.how | {"memory_bytes": compute.volume_bytes}
     volume = read_volume(params.path, **how)
-    return volume if compute.scheduler is None else replaced(volume, _ByName(volume, params.path, how))
+    if compute.scheduler is None:
+        return volume
+    # It travels to other processes as the name of its file; each of them opens it once.
+    return computed(volume, partial(_read_by_name, params.path, tuple(how.items())))
 
 
-class _ByName(LazyArray):
-    """A volume that travels to other processes as the name of its file; each of them opens it once."""
-
-    def __init__(self, volume: xr.DataArray, path: str, how: dict[str, Any]) -> None:
-        self.path, self.how, self.shape, self.dtype = path, tuple(how.items()), volume.shape, volume.dtype
-
-    def read(self, where: Where) -> NDArray[Any]:
-        return _opened(self.path, self.how).variable[where].values
+def _read_by_name(path: str, how: tuple[tuple[str, Any], ...], where: Where) -> NDArray[Any]:
+    return _opened(path, how).variable[where].values
 
 
 @lru_cache(maxsize=1)

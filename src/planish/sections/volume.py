@@ -96,8 +96,7 @@ def regular_volume(
     }
     if alignment is not None:
         volume_attrs["jitter_left_um"] = [float(v) for v in alignment.jitter_left_um]
-    encoding = {} if isinstance(stack, np.ndarray) else {"whole_slices": True}
-    return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs, encoding=encoding)
+    return labelled(values, "zyx", voxel, name="volume", attrs=volume_attrs)
 
 
 def _place_planes(
@@ -141,6 +140,7 @@ class Planes(LazyArray):
     the kernels.
     """
 
+    whole_slices = True
     stack: Stack
     before: NDArray[np.intp]
     after: NDArray[np.intp]

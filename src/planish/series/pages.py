@@ -6,7 +6,6 @@ import io
 import math
 from collections.abc import Sequence
 from importlib.util import find_spec
-from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ import xarray as xr
 from planish.core.errors import PlanishError
 from planish.core.files import delete, write_whole
 from planish.core.tables import table_text
-from planish.io.map_store import OVERVIEWS
+from planish.io.map_store import overviews_of
 from planish.io.run_folder import read_group
 from planish.report import SmallMap, series_page, small_map
 from planish.run.run import MAPS
@@ -118,11 +117,7 @@ def _read_map(store: Path, kind: RunKind, lead: Quantity) -> xr.DataArray | None
     name, of_layer = lead.map, f"layers/{lead.layer}"
     for group in (f"{of_layer}/maps", of_layer, "maps", *(() if kind == "map" else ("linked",))):
         if (store / group / name).is_dir():
-            smallest = group
-            for k in count(1):
-                if not (store / OVERVIEWS / group / str(k) / name).is_dir():
-                    break
-                smallest = f"{OVERVIEWS}/{group}/{k}"
+            smallest = [group, *overviews_of(store, group, name)][-1]
             data = read_group(store, smallest, [v for v in (name, "valid") if (store / smallest / v).is_dir()])
             values = data[name].values.astype(np.float64)
             if "valid" in data:

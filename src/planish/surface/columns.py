@@ -5,6 +5,7 @@ Only here the surface search meets its voxels. For the fit columns are oriented:
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -14,6 +15,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.frame import Axis, Frame
+from planish.core.lazy import chunks_of
 from planish.core.tiles import Engine, Tile, tiles_of
 from planish.core.typing import Floats
 from planish.surface import _kernels
@@ -104,12 +106,10 @@ class Columns:
         # A voxel of a tile takes 12 bytes while it is worked on, beside its own.
         column = depth * self.step**2 * (self.volume.dtype.itemsize + 12 / self.step**2)
         budget = engine.memory_bytes / (engine.at_once + 1) / 2
-        chunks, edges = self.volume.encoding.get("chunks"), [multiple]
-        if chunks is not None:
-            # Columns in a chunk of the file where they fit into it evenly.
-            sizes = [chunks["zyx".index(axis)] for axis in self.axes[:2]]
-            edges += [n // self.step for n in sizes if n % self.step == 0 and n // self.step <= _TILE]
-        multiple = int(np.lcm.reduce(edges))
+        # Columns in a chunk of the file where they fit into it evenly.
+        sizes = [chunks_of(self.volume)["zyx".index(axis)] for axis in self.axes[:2]]
+        edges = [n // self.step for n in sizes if n % self.step == 0 and n // self.step <= _TILE]
+        multiple = math.lcm(multiple, *edges)
         edge = max(int(np.clip(np.sqrt(budget / column), 8, _TILE)) // multiple, 1) * multiple
         # Along the rows of the file as far as memory allows, so that neighbours in the file are read together.
         wide = max(int(budget / column / edge) // multiple, 1) * multiple

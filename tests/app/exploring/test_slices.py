@@ -24,15 +24,15 @@ class Counted(LazyArray):
 
 def volume(values: np.ndarray, chunk: int) -> tuple[xr.DataArray, Counted]:
     lazy = Counted(values)
-    made = labelled(lazy, "zyx", (3.0, 2.0, 1.0), name="volume", attrs={}, encoding={"chunks": (chunk, 4, 4)})
-    return made, lazy
+    lazy.chunks = (chunk, 4, 4)
+    return labelled(lazy, "zyx", (3.0, 2.0, 1.0), name="volume", attrs={}), lazy
 
 
 @pytest.mark.parametrize("through", ["x", "y", "z"])
 @pytest.mark.parametrize("every", [1, 3])
 @pytest.mark.parametrize("chunk", [1, 5])
 def test_the_voxels_are_those_of_the_volume_and_each_plane_is_read_once(monkeypatch, through, every, chunk):
-    monkeypatch.setattr(slices, "_BLOCK", 100)
+    monkeypatch.setattr(slices, "SLICES_VOXELS", 100)
     values = np.random.default_rng(5).integers(0, 255, (13, 14, 17)).astype(np.uint8)
     data, lazy = volume(values, chunk)
     frame = Frame(through=through)

@@ -19,8 +19,7 @@ from planish.core.facts import Trust
 from planish.core.grid import Grid
 from planish.core.typing import Floats
 from planish.exports.source import IMAGE, ExportSource
-from planish.io.map_store import OVERVIEWS
-from planish.io.run_folder import read_group
+from planish.io.map_store import overviews_of
 from planish.report.colours import Scale, colours_of
 from planish.report.text import title_of, unit_of
 from planish.results import LayerFacts, Results
@@ -304,14 +303,9 @@ def _packed_map(data: xr.DataArray, counted: Floats, layer: LayerFacts, results:
 
 def _halved_maps(source: ExportSource, name: str, names: list[str], halvings: int) -> xr.Dataset:
     """Maps of a group, halved so often: from the store's own smaller copies as far as it has them."""
-    data, stored = source.group(name)[names], 0
-    if (store := source.store) is not None:
-        levels = range(halvings, 0, -1)
-        stored = next((k for k in levels if (store / OVERVIEWS / name / str(k)).is_dir()), 0)
-        if stored:
-            data = read_group(store, f"{OVERVIEWS}/{name}/{stored}", names)
-    data = data.load()
-    for _ in range(halvings - stored):
+    copies = [] if source.store is None else overviews_of(source.store, name)[:halvings]
+    data = (source.group(copies[-1], names) if copies else source.group(name)[names]).load()
+    for _ in range(halvings - len(copies)):
         data = halved(data)
     return data
 

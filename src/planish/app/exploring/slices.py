@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 from planish.app.exploring.maps import Packed, packed
 from planish.core.errors import PlanishError
 from planish.core.frame import Frame
+from planish.core.lazy import chunks_of
+from planish.core.memory import SLICES_VOXELS
 from planish.exports import ExportSource
 from planish.io.sections import is_section_folder
 from planish.report.colours import GREYS, Scale, limits
@@ -28,7 +30,6 @@ BUDGET = 5_000_000
 """Letters that all slices may take."""
 
 _MOST, _WIDEST, _HIGHEST, _POINTS = 320, 1600, 300, 600  # slices; pixels of one along and across; points of a line
-_BLOCK = 2**24  # voxels that are read at a time
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -181,11 +182,10 @@ def _read(
 
 def _blocks(volume: xr.DataArray, frame: Frame, rows: NDArray[np.intp], depth: slice) -> Iterator[slice]:
     """Parts of the volume along z, so that each plane of a file, or chunk of a store, is read once."""
-    chunks = volume.encoding.get("chunks")
-    whole = int(chunks[0]) if chunks else 1
+    whole = chunks_of(volume)[0]
     sizes = {frame.rows: rows.size, frame.cols: volume.sizes[frame.cols], frame.through: depth.stop - depth.start}
     plane = math.prod(size for axis, size in sizes.items() if axis != "z")
-    long = max(_BLOCK // max(plane, 1) // whole, 1) * whole
+    long = max(SLICES_VOXELS // max(plane, 1) // whole, 1) * whole
     first, last = (int(rows[0]), int(rows[-1]) + 1) if frame.rows == "z" else (depth.start, depth.stop)
     for begin in range(first // whole * whole, last, long):
         yield slice(max(begin, first), min(begin + long, last))
