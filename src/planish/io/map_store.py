@@ -105,8 +105,9 @@ class StoredMaps:
 
     def group(self, name: str) -> xr.Dataset:
         """A group of which all tiles were added."""
-        in_store = self.path is not None and name in self.stored
-        return stored_group(self.path, name, self._cache) if in_store else self._groups[name]
+        if self.path is None or name not in self.stored:
+            return self._groups[name]
+        return stored_group(self.path, name, self._cache)
 
     def overviews(self) -> dict[str, xr.Dataset]:
         """Smaller copies of the groups in the store."""
