@@ -70,8 +70,7 @@ def chosen_version(maps: Maps, params: ExportParams) -> str:
             f"The maps take {size / 1e9:.1f} GB, and a MATLAB file of version 5 holds 2 GB. Leave out --mat-version, "
             "choose fewer maps with --map, or give a folder for a file each."
         )
-    # Version 5 is held in memory whole.
-    return params.mat_version or ("5" if size <= 200_000_000 else "7.3")
+    return params.mat_version or ("5" if size <= WHOLE_BYTES else "7.3")
 
 
 def _put_map(file: h5py.File, maps: Maps, name: str) -> None:

@@ -15,7 +15,6 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from planish.core.area import area_mean
-from planish.core.bands import band_of, bands
 from planish.core.numbers import round_step, unit
 from planish.exports.content import ExportHistory, Maps, percentile_limits
 from planish.exports.formats import ExportParams

@@ -12,6 +12,7 @@ import xarray as xr
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from planish.core.memory import SAMPLE_PIXELS
 from planish.core.numbers import count, in_words, length, number, percent, plain
 from planish.report import draw
 from planish.report.colours import Array, Scale, colours_of, limits, partner_of
@@ -64,7 +65,7 @@ class Groups:
         for k in numbers_from(1):
             smaller = self.data.get(f"overviews/{name}/{k}")
             # More pixels than the widest figure has.
-            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= 2**22:
+            if maps is None or smaller is None or maps.sizes["y"] * maps.sizes["x"] <= SAMPLE_PIXELS:
                 break
             maps = smaller
         return maps

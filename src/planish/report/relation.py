@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any, TypeVar
+from typing import TypeVar
 
 import numpy as np
 import xarray as xr
@@ -15,7 +15,6 @@ from planish.core.area import common_means, valid_in_all
 from planish.core.bands import thinned
 from planish.core.facts import is_known
 from planish.core.numbers import axis_label, capital, count, in_words, number, plain, to_spread, unit
-from planish.core.typing import Bools
 from planish.report.colours import PROPERTY, Array, Scale
 from planish.report.draw import ACCENT, FULL, POINT, SMALL, SOFT, THIRD, Axes, Canvas, Picture, ShownMap, Table, pitch
 from planish.report.statement import r_sentence
@@ -80,10 +79,6 @@ def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Seq
     return first[is_valid], second[is_valid]
 
 
-def _valid_in_all(a: Array, b: Array, masks: Sequence[NDArray[Any]]) -> Bools:
-    return np.logical_and.reduce([np.isfinite(a), np.isfinite(b), *(mask.astype(bool) for mask in masks)])
-
-
 def draw_pair(pair: MapPair, *, names: tuple[str, str], without: str = HOLES) -> Picture:
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
@@ -91,7 +86,7 @@ def draw_pair(pair: MapPair, *, names: tuple[str, str], without: str = HOLES) ->
     their mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
     """
     every, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
-    is_valid, density = _valid_in_all(p, q, masks), pair.density
+    is_valid, density = valid_in_all((p, q), masks), pair.density
     units, ends = (unit_of(pair.a), unit_of(pair.b)), (pair.rows[0], pair.coarse)
     points, (fine, coarse), units, labels = as_drawn(pair.points, ends, names, units, density)
     pixels = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)

@@ -14,7 +14,7 @@ import numpy as np
 
 from planish.analyze.image_values import compared_image, reach_um
 from planish.io import read_image
-from planish.io.map_store import HeldMaps
+from planish.io.map_store import StoredMaps
 from planish.marks.regions import Regions
 from planish.register import Chain
 from planish.run.compute import Progress

@@ -90,7 +90,7 @@ def _join_sections(params: VolumeParams, compute: Compute, progress: Progress) -
             f"{path.name} holds sections, which show the sheet edge on: its normal cannot run from section to section. "
             "Give --through y where it runs along the rows of the photographs, x where along their columns."
         )
-    stack = read_section_stack(path, **params.how, memory_bytes=compute.volume_bytes // _COPIES_OF_SECTIONS)
+    stack = read_section_stack(path, **params.how, memory_bytes=compute.volume_bytes // COPIES_OF_SECTIONS)
     progress("align", f"{stack.values.shape[0]} sections")
     series = SectionSeries(stack.values, stack.positions_um, stack.pixel_um)
     fixed = None
