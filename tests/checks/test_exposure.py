@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from planish.checks import exposure_check
+from planish.checks import SheetImage, run_checks
 
 RNG = np.random.default_rng(3)
 GREY = RNG.normal(120.0, 20.0, (300, 200))
@@ -22,11 +22,11 @@ GREY = RNG.normal(120.0, 20.0, (300, 200))
     ],
 )
 def test_states(values: np.ndarray, state: str, words: str) -> None:
-    found = exposure_check(values)
+    found = run_checks(SheetImage(values))[0]
     assert found.state == state
     assert words in found.sentence
 
 
 def test_the_share_is_the_share_of_the_pixels_cut_off() -> None:
-    found = exposure_check(np.where(GREY > 150.0, 150.0, GREY))
+    found = run_checks(SheetImage(np.where(GREY > 150.0, 150.0, GREY)))[0]
     assert found.value == pytest.approx(np.mean(GREY > 150.0), abs=1e-12)

@@ -206,7 +206,7 @@ class SlicedSheet:
         f = self.frame
         other: Axis = f.cols if direction == f.rows else f.rows
         along, down = _window(self.places(other), near_um[0]), _window(self.places(f.through), near_um[1])
-        values = self._voxels({f.through: down, other: along, direction: slice(index, index + 1)})
+        values = read_box(self.volume, {f.through: down, other: along, direction: slice(index, index + 1)})[..., 0]
         depth = self.places(f.through)[down]
         if f.top == "high":
             values, depth = values[::-1], depth[::-1]
@@ -222,7 +222,7 @@ class SlicedSheet:
         """A slice along the sheet, with the contours of its surfaces."""
         f = self.frame
         cols, rows = _window(self.places(f.cols), near_um[0]), _window(self.places(f.rows), near_um[1])
-        values = self._voxels({f.rows: rows, f.cols: cols, f.through: slice(index, index + 1)})
+        values = read_box(self.volume, {f.rows: rows, f.cols: cols, f.through: slice(index, index + 1)})[..., 0]
         height = float(self.places(f.through)[index])
         surfaces = self.surfaces.isel(y=self._columns(f.rows, rows), x=self._columns(f.cols, cols))
         x, y = surfaces["x"].values, surfaces["y"].values
@@ -245,9 +245,9 @@ class SlicedSheet:
         values = self._sampled(index, window, lines, s)
         halo = int(np.ceil(1.5 * thickness / min(pitch(self.surfaces)))) + 2
         first = max(index - halo, 0)
-        met = meet(self._read(slice(first, index + halo + 1), window, (*HEIGHTS, "status")), "normal")
+        _, faces = meet(self._read(slice(first, index + halo + 1), window, (*HEIGHTS, "status")), "normal")
         for name in HEIGHTS:
-            lines[name] = np.zeros(places[window].size) if name == "centre" else met.faces[name][index - first]
+            lines[name] = np.zeros(places[window].size) if name == "centre" else faces[name][index - first]
         lines = {name: line for name, line in lines.items() if not name.startswith(("preview", "found"))}
         finite = values[np.isfinite(values)]
         codes = self.codes or Codes(-1.0, 1.0)
@@ -276,11 +276,6 @@ class SlicedSheet:
         block = block.astype(np.float32)
         values[:, is_sheet] = ndimage.map_coordinates(block, where, order=1, cval=np.nan, prefilter=False)
         return values
-
-    def _voxels(self, window: dict[Axis, slice]) -> NDArray[Any]:
-        """Values of the voxels of a plane, in the order of the first two axes."""
-        part = self.volume.isel(window)
-        return part.values.transpose([part.get_axis_num(axis) for axis in window])[..., 0]
 
     def _column_places(self, axis: str) -> Floats:
         return np.asarray(self.surfaces["y" if axis == self.frame.rows else "x"].values, dtype=np.float64)

@@ -8,7 +8,6 @@ from .table import CHECKS as CHECKS
 from .table import apply_checks as apply_checks
 from .table import check_holes as check_holes
 from .table import check_scan as check_scan
-from .table import exposure_check as exposure_check
 from .table import for_layers as for_layers
 from .table import rows_with_trust as rows_with_trust
 from .table import run_checks as run_checks

@@ -16,7 +16,6 @@ from planish.checks.sheets import MeasuredSheet
 from planish.checks.slices import slice_order
 from planish.checks.through_scale import RegisteredSheet
 from planish.core.checks import CORRELATION, POSITION, PROPERTIES, Check, CheckRule, trust_of
-from planish.core.typing import Array
 from planish.results import (
     ComparisonRow,
     CorrelationRow,
@@ -117,24 +116,6 @@ def check_holes(holes: xr.Dataset) -> Check:
         Of :func:`planish.marks.find_holes` or :func:`planish.marks.find_sheet_holes`.
     """
     return run_checks(DetectedHoles("", holes))[0].model_copy(update={"name": "holes"})
-
-
-def exposure_check(values: Array) -> Check:
-    """Judge the greys of an image of the sheet, away from holes.
-
-    Parameters
-    ----------
-    values : array, any shape and numeric type
-        A sample of the image's greys; NaN is left out.
-
-    Returns
-    -------
-    Check
-        ``look`` where more than 1 % of the pixels share the lowest or the highest grey, three times as many as have
-        the greys next to it: r then sees these pixels as equal, and is too weak. Images of fewer than eight levels
-        pass: they show areas.
-    """
-    return run_checks(SheetImage(values))[0]
 
 
 # --- what checks mean for figures ------------------------------------------------------------------------------------

@@ -16,6 +16,7 @@ from scipy import ndimage
 
 from planish.core.errors import InputError, SizeError, VolumeError
 from planish.core.frame import Frame
+from planish.core.lazy import read_box
 from planish.core.robust import MAD_TO_SD, mad_sd
 from planish.core.threads import thread_pool
 from planish.core.typing import Bools, Floats
@@ -254,8 +255,8 @@ def slices_of(
     at_once = max(1, min(int(memory_bytes / (3 * rows * cols * volume.dtype.itemsize)), len(numbers)))
     for start in range(0, len(numbers), at_once):
         part = numbers[start : start + at_once]
-        slab = volume.isel({turning.axis: slice(part[0], part[-1] + 1, stride)}).values
-        slab = np.transpose(slab, turning.order)
+        box = {turning.axis: slice(part[0], part[-1] + 1, stride), **dict.fromkeys(turning.plane, slice(None))}
+        slab = read_box(volume, box)
         for k, number in enumerate(part):
             yield number, np.ascontiguousarray(slab[k])
 

@@ -166,13 +166,13 @@ def _of_error(long_name: str) -> str:
 
 def _measure_faces(surfaces: xr.Dataset) -> xr.Dataset:
     """Thicknesses and topographies along the true 3D normals of the centre surface."""
-    met = meet(surfaces, "normal")
-    lengths = {name: face_length(met.faces, name) for name in PROPERTIES}
+    _, faces = meet(surfaces, "normal")
+    lengths = {name: face_length(faces, name) for name in PROPERTIES}
     status = surfaces["status"].values.copy()
     # A column counts as measured when everything that the sheet has was measured there.
     whole = np.isfinite(lengths["thickness"])
-    for side, coated in met.coated.items():
-        if not coated:
+    for side in SIDES:
+        if faces[f"interface_{side}"] is faces[side]:
             lengths[f"coating_{side}"] = np.full(whole.shape, np.nan)
         elif np.isfinite(lengths[f"coating_{side}"]).any():
             whole &= np.isfinite(lengths[f"coating_{side}"])

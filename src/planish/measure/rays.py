@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import Any, Literal, NamedTuple, TypeVar
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 import xarray as xr
@@ -13,11 +13,12 @@ from numpy.typing import NDArray
 from planish.core.errors import CannotMeasure, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import pitch
+from planish.core.lazy import read_box
 from planish.core.status import Status
 from planish.core.typing import Bools, Floats, Pair
 from planish.measure import _ray_kernels
 from planish.measure.params import MeasureParams
-from planish.measure.registry import SIDES, Greys, Side
+from planish.measure.registry import Greys
 
 Grey = NDArray[np.float32]
 Direction = Literal["normal", "vertical"]
@@ -156,22 +157,15 @@ class Rays:
         return replace(self, **cut)
 
 
-class Met(NamedTuple):
-    """Where the rays meet the faces.
-
-    ``heights``: of ``centre`` and the faces (rows, cols), um, up towards the top. ``faces``: signed distances along the
-    rays; an interface of a side without a coating is its face. ``coated``: of each side. ``stretch``: mean length of a
-    step of one um along rows and columns, measured in the centre surface.
-    """
-
-    heights: dict[str, Floats]
-    faces: dict[str, Floats]
-    coated: dict[Side, bool]
-    stretch: Pair
-
-
-def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
+def meet(surfaces: xr.Dataset, rays: Direction) -> tuple[dict[str, Floats], dict[str, Floats]]:
     """Find where the rays meet the faces.
+
+    Returns
+    -------
+    heights
+        Of ``centre`` and the faces (rows, cols), um, up towards the top.
+    faces
+        Signed distances along the rays; an interface of a side without a coating is its face, the same array.
 
     Raises
     ------
@@ -185,10 +179,8 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
     if below := int(np.count_nonzero(heights["top"] < heights["bottom"])):
         raise SurfaceError(f"The top lies below the bottom at {below} points. Check --top.")
     step = pitch(surfaces)
-    slope = slopes_of(heights["centre"], step)
-    is_finite = np.isfinite(slope).all(axis=-1)
-    stretch = np.sqrt(1 + slope[is_finite] ** 2).mean(axis=0) if is_finite.any() else np.zeros(2)
-    unit = [np.ascontiguousarray(part) for part in np.moveaxis(directions(slope, rays), -1, 0)]
+    normals = directions(slopes_of(heights["centre"], step), rays)
+    unit = [np.ascontiguousarray(part) for part in np.moveaxis(normals, -1, 0)]
     faces: dict[str, Floats] = {}
     for name in FACES:
         if name.startswith("interface") and not np.isfinite(heights[name]).any():
@@ -197,15 +189,14 @@ def meet(surfaces: xr.Dataset, rays: Direction) -> Met:
             faces[name] = heights[name] - heights["centre"]
         else:
             faces[name] = _ray_kernels.along_normals(heights[name], heights["centre"], *unit, *step)
-    coated: dict[Side, bool] = {side: faces[f"interface_{side}"] is not faces[side] for side in SIDES}
-    return Met(heights=heights, faces=faces, coated=coated, stretch=(float(stretch[0]), float(stretch[1])))
+    return heights, faces
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RayFrame:
     """Where the rays of a whole sheet lie and meet its faces; what a tile needs to be cut out of the volume.
 
-    ``heights`` and ``faces`` are as in :class:`Met`. ``low``, ``high``: first and last sample; sample k lies at
+    ``heights`` and ``faces`` are as :func:`meet` gives them. ``low``, ``high``: first and last sample; sample k lies at
     k * step_um. ``wide``: voxels along the edge of a column of the surfaces.
     """
 
@@ -227,7 +218,7 @@ class RayFrame:
     @classmethod
     def of(cls, volume: xr.DataArray, surfaces: xr.Dataset, params: MeasureParams) -> RayFrame:
         """Find where every ray meets the faces; of the volume only size and coordinates are looked at."""
-        met, frame = meet(surfaces, params.rays), Frame.of(surfaces)
+        (heights, faces), frame = meet(surfaces, params.rays), Frame.of(surfaces)
         columns, shape = (volume.sizes[frame.rows], volume.sizes[frame.cols]), surfaces["centre"].shape
         wide = max(columns[0] // max(shape[0], 1), 1)  # voxels along the edge of a column of the surfaces
         if (columns[0] // wide, columns[1] // wide) != shape:
@@ -241,21 +232,23 @@ class RayFrame:
         greys = Greys.of(surfaces)
         margin = 3 * greys.blur_um + 6 * voxel_um  # beyond the faces
         status = surfaces["status"].values.astype(np.uint8)
-        top, bottom = met.faces["top"], met.faces["bottom"]
+        top, bottom = faces["top"], faces["bottom"]
         whole = np.isfinite(top) & np.isfinite(bottom) & (status == 0)
         thick = float(np.median((top - bottom)[whole])) if whole.any() else float("nan")
         # A face so many thicknesses from the centre surface is not this ray's.
         whole &= (np.abs(top) < 1.5 * thick) & (np.abs(bottom) < 1.5 * thick)
-        whole &= np.isfinite(met.faces["interface_top"]) & np.isfinite(met.faces["interface_bottom"])
+        whole &= np.isfinite(faces["interface_top"]) & np.isfinite(faces["interface_bottom"])
         if not whole.any():
             raise CannotMeasure("No ray of the centre surface meets both faces. Look at the surfaces in the report.")
         status[(status == 0) & ~whole] = Status.NORMAL_LEAVES_SHEET
         low = int(np.floor((float(bottom[whole].min()) - margin) / step))
         high = int(np.ceil((float(top[whole].max()) + margin) / step))
+        slope = slopes_of(heights["centre"], pitch(surfaces))
+        stretch = np.sqrt(1 + slope[np.isfinite(slope).all(axis=-1)] ** 2).mean(axis=0)
         return cls(
-            frame=frame, heights=met.heights, faces=met.faces, status=status, pitch_um=pitch(surfaces),
-            voxel_um=voxel_um, step_um=step, low=low, high=high, greys=greys, params=params, mean_stretch=met.stretch,
-            wide=wide,
+            frame=frame, heights=heights, faces=faces, status=status, pitch_um=pitch(surfaces), voxel_um=voxel_um,
+            step_um=step, low=low, high=high, greys=greys, params=params, wide=wide,
+            mean_stretch=(float(stretch[0]), float(stretch[1])),
         )  # fmt: skip
 
     @property
@@ -315,9 +308,7 @@ class RayFrame:
             ends, n = [(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)], volume.sizes[axis]
             first, last = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
             box[axis] = slice(min(max(first, 0), n - 1), max(min(last, n), 1))
-        part = volume.isel(box)
-        # Turned only after it was read: what is read lazily may not know how to turn.
-        block = np.ascontiguousarray(part.values.transpose([part.get_axis_num(axis) for axis in axes]))
+        block = np.ascontiguousarray(read_box(volume, box))
         corner, padding = np.array([box[axis].start for axis in axes]), self.greys.padding
         is_padded = bool(np.isfinite(padding))
         _ray_kernels.resample_rays(

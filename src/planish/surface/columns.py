@@ -68,9 +68,7 @@ class Columns:
         """Voxels of a tile as they are stored, (rows * step, cols * step, depth), or of a part of their depth."""
         k = self.step
         box = slice(tile.r0 * k, tile.r1 * k), slice(tile.c0 * k, tile.c1 * k), depth
-        part = self.volume.isel(dict(zip(self.axes, box, strict=True)))
-        # Turned only after it was read: what is read lazily may not know how to turn.
-        return part.values.transpose([part.get_axis_num(axis) for axis in self.axes])
+        return read_box(self.volume, dict(zip(self.axes, box, strict=True)))
 
     def grey(
         self, tile: Tile, slope: tuple[Floats, Floats] | None = None, depth: slice = slice(None)

@@ -172,8 +172,8 @@ def _read(
         progress("slices", f"{frame.rows} of the volume, planes {block.start} to {block.stop}")
         # Evenly spaced places as a slice, by which lazy arrays read no more than they must.
         first, last = rows[is_inside][[0, -1]].tolist()
-        part = volume.isel({frame.rows: slice(first, last + 1, step), frame.through: heights}).values
-        part = part.transpose([volume.dims.index(axis) for axis in (frame.rows, frame.through, frame.cols)])
+        box = {frame.rows: slice(first, last + 1, step), frame.through: heights, frame.cols: slice(None)}
+        part = read_box(volume, box)
         if every > 1:
             part = part[:, :, : cols * every].reshape(*part.shape[:2], cols, every).mean(axis=3)
         out[is_inside, heights.start - depth.start : heights.stop - depth.start] = _greys(part, scale)
