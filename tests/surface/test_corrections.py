@@ -9,6 +9,7 @@ from scipy import ndimage, special
 
 from planish.checks import CHECKS, MeasuredSheet
 from planish.core.errors import FileError, InputError
+from planish.core.facts import SIDES
 from planish.core.frame import Frame
 from planish.core.tiles import Engine
 from planish.measure import measure_properties, surfaces_of
@@ -22,7 +23,6 @@ from planish.surface import (
     read_corrections,
     uncorrected,
 )  # fmt: skip
-from planish.surface.params import FACES
 
 VOXEL, SHAPE, RADIUS = 3.0, (84, 120, 126), 36.0
 AIR, BASE, COAT = 40.0, 90.0, 200.0
@@ -109,7 +109,7 @@ def test_columns_beyond_the_reach_keep_their_bytes_and_what_was_found_comes_back
     corrected = correct_surfaces(found(), volume, asked)
     line = np.array([[point.y, point.x] for point in asked.stretches[0].points])
     beyond = draw.distance_to_line(places(), line) > asked.stretches[0].reach_um
-    for name in (*FACES, "interface_top", "interface_bottom", "status"):
+    for name in (*SIDES, "interface_top", "interface_bottom", "status"):
         assert corrected[name].values[beyond].tobytes() == found()[name].values[beyond].tobytes(), name
     assert corrected["interface_bottom"].equals(found()["interface_bottom"])
     back = uncorrected(corrected)

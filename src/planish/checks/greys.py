@@ -209,8 +209,9 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
             if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
                 # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
                 sides = grey, grey.swapaxes(0, 1)
-                means = [[float(np.mean(v[k:] * v[: len(v) - k])) for v in sides] for k in range(_LAGS)]
-                lags += np.array(means, dtype=np.float64).mean(axis=1)
+                lags += np.array(
+                    [[float(np.mean(v[k:] * v[: len(v) - k])) for v in sides] for k in range(_LAGS)], dtype=np.float64
+                ).mean(axis=1)
     if not lags[0] > lags[-1]:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.

@@ -11,7 +11,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import SizeError, SurfaceError
-from planish.core.typing import Floats, Pair
+from planish.core.typing import Bools, Floats, Ints, Pair
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -100,6 +100,11 @@ def filled(field: Floats) -> Floats:
         return field.copy()
     nearest = ndimage.distance_transform_edt(~is_finite, return_distances=False, return_indices=True)
     return field[tuple(nearest)]
+
+
+def first_and_last(mask: Bools) -> tuple[Ints, Ints]:
+    """First and last index along the last axis at which a mask is set somewhere; the whole length where it is not."""
+    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
 
 
 def bilinear(field: NDArray[Any], row: Floats, col: Floats) -> Floats:

@@ -31,6 +31,26 @@ def percentiles(values: NDArray[np.floating[Any]], *percents: float) -> tuple[fl
     return tuple(map(float, np.percentile(finite, percents))) if finite.size else (float("nan"),) * len(percents)
 
 
+def otsu_borders(number: Floats, total: Floats, classes: int) -> tuple[int, ...]:
+    """Bins at which two or three classes of grey begin, between which the variance is largest (Otsu 1979).
+
+    ``number`` and ``total`` (bins + 1,) are running sums of the values in the bins and of their grey, from 0 on.
+    """
+    end = number.size - 1
+
+    def gain(a: Any, b: Any) -> Floats:
+        count, grey = number[b] - number[a], total[b] - total[a]
+        return np.where(count > 0, grey * grey / np.maximum(count, 1e-300), 0.0)
+
+    if classes == 2:
+        cut = np.arange(1, end)
+        return (int(cut[np.argmax(gain(0, cut) + gain(cut, end))]),)
+    i, j = np.triu_indices(end, 1)
+    i, j = i[i > 0], j[i > 0]
+    best = np.argmax(gain(0, i) + gain(i, j) + gain(j, end))
+    return int(i[best]), int(j[best])
+
+
 def masked_gaussian(
     values: Floats, is_valid: Bools, sigma: Sequence[float], *, truncate: float = 4.0
 ) -> tuple[Floats, Floats]:

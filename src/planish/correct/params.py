@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any, Literal
+from typing import Any
 
+from planish.core.frame import Axis
 from planish.core.options import Params, option
-
-Axis = Literal["z", "y", "x"]
 
 
 class CorrectParams(Params):

@@ -15,12 +15,11 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import InputError, SizeError, VolumeError
-from planish.core.frame import Frame
+from planish.core.frame import Axis, Frame
 from planish.core.lazy import read_box
-from planish.core.robust import MAD_TO_SD, mad_sd
+from planish.core.robust import MAD_TO_SD, mad_sd, otsu_borders
 from planish.core.threads import thread_pool
 from planish.core.typing import Bools, Floats
-from planish.correct.params import Axis
 
 _WINDOW = 9
 
@@ -95,7 +94,8 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     if not high > low:
         return None
     count, edges = np.histogram(greys, 160, (low, high))
-    split, middle = (float(edges[k]) for k in _three_classes(count.astype(np.float64)))
+    sums = (np.concatenate([[0.0], np.cumsum(n.astype(np.float64))]) for n in (count, count * np.arange(count.size)))
+    split, middle = (float(edges[k]) for k in otsu_borders(*sums, 3))
     dark, sheet = greys[greys <= split], greys[greys > split]
     # The mean of what lies near the median.
     median = float(np.median(dark))
@@ -113,22 +113,6 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
         return None
     # The lower border lies half way: a border between classes is drawn towards the wider one.
     return Levels(air=air, sheet=level, split=0.5 * (air + lower), middle=middle, padding=np.nan, air_cut=False)
-
-
-def _three_classes(count: Floats) -> tuple[int, int]:
-    """Borders of three classes with the largest variance between them (Otsu 1979)."""
-    n = np.concatenate([[0.0], np.cumsum(count)])
-    s = np.concatenate([[0.0], np.cumsum(count * np.arange(count.size))])
-
-    def gain(a: Any, b: Any) -> Floats:
-        size = n[b] - n[a]
-        return np.where(size > 0, (s[b] - s[a]) ** 2 / np.maximum(size, 1.0), 0.0)
-
-    i, j = np.triu_indices(count.size, 1)
-    i, j = i[i > 0], j[i > 0]
-    zero, end = np.zeros_like(i), np.full_like(i, count.size)
-    best = int(np.argmax(gain(zero, i) + gain(i, j) + gain(j, end)))
-    return int(i[best]), int(j[best])
 
 
 SECTORS = 16  # parts of a full turn that are compared: a ring shows in all of them, a structure of the sheet does not

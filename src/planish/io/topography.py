@@ -83,12 +83,7 @@ def read_topography(
             x, y = (float(v) / n * length for v, n in zip(sizes, grid, strict=True))
             stated = [Stated("the topography file", (y, x))]
         size, source = agreed_size(
-            stated,
-            pixel_um,
-            file_name=path.name,
-            asked=PIXEL,
-            override=override_size,
-            unusual=unusual_size,
+            stated, pixel_um, file_name=path.name, asked=PIXEL, override=override_size, unusual=unusual_size
         )
         y, x = size
         missing: Any = {} if stated else {"physical_sizes": (x * grid[0] / length, y * grid[1] / length)}

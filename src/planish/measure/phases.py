@@ -3,15 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from itertools import pairwise
+from functools import partial
 from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure
+from planish.core.grid import first_and_last
 from planish.core.options import Params, option
-from planish.core.typing import Bools, Floats
+from planish.core.typing import Floats
 from planish.measure.registry import Greys, Measured, Sheet, ray_property, sheet_property
 
 if TYPE_CHECKING:
@@ -115,16 +115,12 @@ def filler(rays: Rays) -> Measured:
     beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
     within = rays.between(lower, upper)
     dark = within & ~beyond
-    (first, last), ends = (_first_and_last(mask) for mask in (dark, within))
+    (first, last), ends = (first_and_last(mask) for mask in (dark, within))
     # An end that is dark already, or a ray that is bright throughout, stays as it is, between two samples.
     has_dark = dark.any(axis=-1)
     start = np.where(has_dark & (ends[0] != first), rays.s_um[first], lower)
     stop = np.where(has_dark & (ends[1] != last), rays.s_um[last], upper)
     return _share_of_filler(rays, start, stop)
-
-
-def _first_and_last(mask: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
 
 
 def _share_of_filler(rays: Rays, lower: Floats, upper: Floats) -> Measured:
@@ -149,6 +145,21 @@ _SHARES: dict[str, tuple[Callable[[Rays, Floats, Floats], Measured], str]] = {
     "porosity": (_share_of_void, "Porosity of the base"),
     "filler": (_share_of_filler, "Filler in the base"),
 }
+
+
+def _layer_sums(names: Sequence[str], edges: Floats, tile: Rays, inner: slice, _rows: slice) -> Floats:
+    """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
+    # Rows are summed by themselves, then added in the same order however they were cut.
+    rays = tile.rows(inner)
+    thick = rays.interface_top - rays.interface_bottom
+    places = [rays.interface_bottom + edge * thick for edge in edges]
+    sums = np.zeros((len(names), edges.size - 1, 3, len(thick)))
+    for a, b in np.ndindex(sums.shape[:2]):
+        share = _SHARES[names[a]][0](rays, places[b], places[b + 1]).values
+        is_valid = np.isfinite(share) & (rays.status == 0)
+        share = np.where(is_valid, share, 0.0)
+        sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+    return sums
 
 
 def depth_profiles(
@@ -191,21 +202,7 @@ def depth_profiles(
     if "filler" in names:
         _filler_level(frame.params, frame.greys)
     edges = np.linspace(0.0, 1.0, bins + 1)
-
-    def work(tile: Rays, inner: slice, _rows: slice) -> Floats:
-        """Give number, sum and sum of squares of each share in each layer by row, (names, layers, 3, rows)."""
-        # Rows are summed by themselves, then added in the same order however they were cut.
-        rays = tile.rows(inner)
-        bottom, thick = rays.interface_bottom, rays.interface_top - rays.interface_bottom
-        sums = np.zeros((len(names), bins, 3, len(thick)))
-        for a, name in enumerate(names):
-            for b, (lower, upper) in enumerate(pairwise(edges)):
-                share = _SHARES[name][0](rays, bottom + lower * thick, bottom + upper * thick).values
-                is_valid = np.isfinite(share) & (rays.status == 0)
-                share = np.where(is_valid, share, 0.0)
-                sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
-        return sums
-
+    work = partial(_layer_sums, names, edges)
     parts = each_tile(volume, frame, work, rows=rows_per_tile, engine=engine)
     count, total, squares = np.moveaxis(np.concatenate(parts, axis=-1).sum(axis=-1), -1, 0)
     if not (count > 0).any():
@@ -215,17 +212,17 @@ def depth_profiles(
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = np.where(count > 0, total / count, np.nan)
         sd = np.sqrt(np.maximum(squares / count - mean**2, 0.0))
-    variables: dict[str, xr.Variable] = {}
-    for a, name in enumerate(names):
-        title = _SHARES[name][1]
-        variables[name] = xr.Variable("depth", mean[a], {"units": "1", "long_name": title})
-        attrs = {"units": "1", "long_name": f"{title}, standard deviation of rays"}
-        variables[f"{name}_sd"] = xr.Variable("depth", sd[a], attrs)
-        variables[f"{name}_n"] = xr.Variable("depth", count[a], {"long_name": "Rays"})
     layer = frame.faces["interface_top"] - frame.faces["interface_bottom"]
     base_um = float(np.nanmedian(np.where(frame.status == 0, layer, np.nan)))
     middle = 0.5 * (edges[1:] + edges[:-1])
-    blurred = (np.minimum(middle, 1 - middle) < 2 * frame.greys.blur_um / base_um).astype(np.float64)
-    variables["blurred"] = xr.Variable("depth", blurred, {"long_name": "Within two blurs of an interface"})
-    depth = ("depth", middle, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
-    return xr.Dataset(variables, coords={"depth": depth}, attrs={"base_um": base_um, "rays": frame.params.rays})
+    blurred = np.minimum(middle, 1 - middle) < 2 * frame.greys.blur_um / base_um
+    profiles = xr.Dataset(attrs={"base_um": base_um, "rays": frame.params.rays}).assign_coords(
+        depth=("depth", middle, {"units": "1", "long_name": "Relative depth in the base, 0 at its bottom"})
+    )
+    for a, name in enumerate(names):
+        title = _SHARES[name][1]
+        profiles[name] = "depth", mean[a], {"units": "1", "long_name": title}
+        profiles[f"{name}_sd"] = "depth", sd[a], {"units": "1", "long_name": f"{title}, standard deviation of rays"}
+        profiles[f"{name}_n"] = "depth", count[a], {"long_name": "Rays"}
+    profiles["blurred"] = "depth", blurred.astype(np.float64), {"long_name": "Within two blurs of an interface"}
+    return profiles

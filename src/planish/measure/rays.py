@@ -294,26 +294,23 @@ class RayFrame:
         if not wanted.any():
             return out
         f, k = self.frame, self.wide
-        axes = f.rows, f.cols, f.through
         through = volume.coords[f.through].values
         size = float(through[1] - through[0])
         depth = (f.sign * self.heights["centre"][rows] - float(through[0])) / size
-        along_r, along_c = (normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1))
-        steps = (along_r, along_c, f.sign * normals[..., 2] / size)
+        steps = [*(normals[..., axis] * k / self.pitch_um[axis] for axis in (0, 1)), f.sign * normals[..., 2] / size]
         # The box around both ends of all rays, in voxels.
-        middle = 0.5 * (k - 1)
         down, across = np.arange(rows.start, rows.stop)[:, None], np.arange(wanted.shape[1])
+        starts = {f.rows: k * down + 0.5 * (k - 1), f.cols: k * across + 0.5 * (k - 1), f.through: depth}
         box: dict[str, slice] = {}
-        for axis, start, step in zip(axes, (k * down + middle, k * across + middle, depth), steps, strict=True):
+        for (axis, start), step in zip(starts.items(), steps, strict=True):
             ends, n = [(start + end * self.step_um * step)[wanted] for end in (self.low, self.high)], volume.sizes[axis]
             first, last = int(np.floor(np.min(ends))), int(np.ceil(np.max(ends))) + 2
             box[axis] = slice(min(max(first, 0), n - 1), max(min(last, n), 1))
-        block = np.ascontiguousarray(read_box(volume, box))
-        corner, padding = np.array([box[axis].start for axis in axes]), self.greys.padding
-        is_padded = bool(np.isfinite(padding))
+        block, padding = np.ascontiguousarray(read_box(volume, box)), self.greys.padding
         _ray_kernels.resample_rays(
-            block, corner, rows.start, k, depth, *steps, wanted, self.low, self.step_um, padding, is_padded, out
-        )
+            block, np.array([part.start for part in box.values()]), rows.start, k, depth, *steps, wanted, self.low,
+            self.step_um, padding, bool(np.isfinite(padding)), out,
+        )  # fmt: skip
         return out
 
 

@@ -25,6 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from planish.core.errors import CannotMeasure, SurfaceError
+from planish.core.facts import SIDES, Side
 from planish.core.typing import Bools, Floats
 
 if TYPE_CHECKING:
@@ -90,8 +91,6 @@ class Greys:
             )
 
 
-Side = Literal["top", "bottom"]
-SIDES: tuple[Side, Side] = ("top", "bottom")
 FWHM = float(np.sqrt(8 * np.log(2.0)))
 """Full width at half maximum of a Gaussian over its standard deviation."""
 

@@ -195,10 +195,8 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
     of the patches: first row, row after the last, first column, column after the last; and the places
     (n, 4, 4, 2), (x, y) in source pixels, of points at thirds of their height and width, outline included.
     """
-    r, c = (np.arange(a, b, _BLOCK) for a, b in ((tile.r0, tile.r1), (tile.c0, tile.c1)))
-    rows, cols = (g.ravel() for g in np.meshgrid(r, c, indexing="ij"))
-    ends = np.minimum(rows + _BLOCK, tile.r1), np.minimum(cols + _BLOCK, tile.c1)
-    bounds = np.stack([rows, ends[0], cols, ends[1]], axis=1).astype(np.int64)
+    bounds = np.array(tiles_of(tile.shape, (_BLOCK, _BLOCK)), np.int64)
+    bounds += np.array([tile.r0, tile.r0, tile.c0, tile.c0])
     patches: list[tuple[Integers, Floats]] = []
 
     def places_at(shares: Floats) -> Floats:

@@ -276,10 +276,9 @@ def _line_places(stack: Stack, axis: int, strip: Strip, pixel_um: Pair) -> tuple
     shows_line = alike > 0.7  # correlation with the mean profile below which a piece does not show the line
     is_clear = shows_line.sum(axis=1) >= _PARTS // 2
     if np.count_nonzero(is_clear) < 0.5 * is_clear.size:
-        direction = "rows" if axis == 0 else "columns"
         raise VolumeError(
-            f"The {direction} {strip[0]} to {strip[1]} show no line or edge that lies still in most sections. Look at "
-            "a few photographs and give a strip that shows the same straight line throughout."
+            f"The {'columns' if axis else 'rows'} {strip[0]} to {strip[1]} show no line or edge that lies still in "
+            "most sections. Look at a few photographs and give a strip that shows the same straight line throughout."
         )
     along = (0.5 * (edges[1:] + edges[:-1] - 1) - 0.5 * (length - 1)) * pixel_um[1 - axis]
     # The mean course of all sections is the line's own and is taken off.

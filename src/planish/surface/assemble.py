@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
@@ -24,6 +26,44 @@ Variable = tuple[tuple[str, str], NDArray[np.generic], dict[str, object]]
 _SHORTER = 0.625  # of the cut-off: 250 for 400 um
 
 
+_TITLES = {
+    "top": "Top face", "bottom": "Bottom face", "interface_top": "Interface between top coating and base",
+    "interface_bottom": "Interface between bottom coating and base",
+}  # fmt: skip
+
+
+class ColumnStates(NamedTuple):
+    """Columns with both faces, where the sheet touches another or leaves the volume, and below attached particles."""
+
+    has_faces: Bools
+    touching: Bools
+    runs_out: Bools
+    stuck: Bools
+
+    @classmethod
+    def of(cls, has_faces: Bools, stuck: Bools, may_touch: Bools, may_run_out: Bools) -> ColumnStates:
+        """Decide between what the fit and the coarse search say."""
+        runs_out = may_run_out & ~has_faces
+        touching = may_touch & ~runs_out
+        has_faces = has_faces & ~touching
+        return cls(has_faces, touching, runs_out, stuck & ~(has_faces | touching | runs_out))
+
+    @property
+    def is_sheet(self) -> Bools:
+        """Columns with a sheet that does not run out of the volume."""
+        return self.has_faces | self.touching | self.stuck
+
+    def status(self, sheet: Bools, rim: Bools, has_centre: Bools) -> NDArray[np.uint8]:
+        """Give the status of each column."""
+        status = np.select(
+            [~(has_centre & sheet), rim, self.has_faces, self.stuck],
+            [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE], Status.FACE_NOT_FOUND,
+        )  # fmt: skip
+        status[self.touching & sheet] = Status.TOUCHING
+        status[self.runs_out & (status > 0)] = Status.LEAVES_VOLUME
+        return status.astype(np.uint8)
+
+
 def assemble(
     columns: Columns, params: SurfaceParams, faces: Faces, doubt: tuple[Bools, Bools], levels: Pair,
     engine: Engine,
@@ -34,20 +74,14 @@ def assemble(
     ``levels``: grey of air and base.
     """
     pitch, up = columns.pitch[:2], columns.frame.sign
-    thick = up * (faces.heights["top"] - faces.heights["bottom"])
-    has_faces = thick > 0
-    runs_out = doubt[1] & ~has_faces
-    touching = doubt[0] & ~runs_out
-    has_faces &= ~touching
-    stuck = faces.stuck & ~(has_faces | touching | runs_out)
-    if not has_faces.any():
+    states = ColumnStates.of(up * (faces.heights["top"] - faces.heights["bottom"]) > 0, faces.stuck, *doubt)
+    if not states.has_faces.any():
         raise VolumeError(
             "There is no sheet in the volume: no column shows two faces. Check --through and --sheet-grey."
         )
-    thickness = float(np.median(thick[has_faces]))
-    heights = {name: np.where(has_faces, height, np.nan) for name, height in faces.heights.items()}
-    is_sheet = has_faces | touching | stuck
-    sheet, rim, outline = regions(is_sheet, runs_out, pitch, params.rim_um)
+    heights = {name: np.where(states.has_faces, faces.heights[name], np.nan) for name in _TITLES}
+    thickness = float(np.median((up * (heights["top"] - heights["bottom"]))[states.has_faces]))
+    sheet, rim, outline = regions(states.is_sheet, states.runs_out, pitch, params.rim_um)
     middle = np.where(sheet & ~rim, 0.5 * (heights["top"] + heights["bottom"]), np.nan)
     if not np.isfinite(middle).any():
         raise VolumeError(
@@ -55,43 +89,33 @@ def assemble(
             "Is the voxel size in um? Check --voxel-um, --rim-um and --sheet-grey."
         )
     centre, cutoff_used = centre_surface(middle, outline, pitch, params)
-    variables = {name: _variable(heights[name], f"{name.capitalize()} face") for name in ("top", "bottom")}
-    for side in ("top", "bottom"):
-        name = f"interface_{side}"
-        variables[name] = _variable(heights[name], f"Interface between {side} coating and base")
+    variables = {name: _variable(height, _TITLES[name]) for name, height in heights.items()}
     variables["centre"] = _variable(centre, "Centre surface")
     if params.envelope_um is not None:
-        for name, outward in (("top", up), ("bottom", -up)):
-            ball = rolled(filled(outward * heights[name]), pitch, params.envelope_um)
-            title = f"{name.capitalize()} face below a ball of {params.envelope_um:g} um"
-            variables[f"{name}_envelope"] = _variable(outward * np.where(has_faces, ball, np.nan), title)
+        variables |= _envelopes(heights, up, pitch, params.envelope_um)
     between = 0.5 * (heights["interface_top"] + heights["interface_bottom"]) - middle
-    for name, (height, title) in alternative_surfaces(between, middle, centre, outline, pitch, params).items():
-        variables[name] = _variable(height.astype(np.float32), title)
-    presence = find_presence(columns, centre, thickness, up, levels, engine)
-    for (name, share), place in zip(
-        presence.items(), ("below the top face", "around the centre surface", "above the bottom face"), strict=True
-    ):
-        variables[name] = _variable(share, f"Material {place}", "1", layer=list(LAYERS[name]))
+    variables |= {
+        name: _variable(height.astype(np.float32), title)
+        for name, (height, title) in alternative_surfaces(between, middle, centre, outline, pitch, params).items()
+    }
+    variables |= {
+        name: _variable(share, f"Material {_PLACES[name]}", "1", layer=list(LAYERS[name]))
+        for name, share in find_presence(columns, centre, thickness, up, levels, engine).items()
+    }
     is_bridged = cutoff_used > params.cutoff_um
     if is_bridged.any():
-        title = "Cut-off of the centre surface, wider than stated across gaps"
-        variables["centre_cutoff_um"] = _variable(cutoff_used.astype(np.float32), title)
-    has_centre = np.isfinite(centre)
-    status = np.select(
-        [~(has_centre & sheet), rim, has_faces, stuck],
-        [Status.NO_SHEET, Status.RIM, Status.MEASURED, Status.PARTICLE], Status.FACE_NOT_FOUND,
-    )  # fmt: skip
-    status[touching & sheet] = Status.TOUCHING
-    status[runs_out & (status > 0)] = Status.LEAVES_VOLUME
-    variables["status"] = ("y", "x"), status.astype(np.uint8), status_flags()
-    off_rims = (status != Status.NO_SHEET) & (status != Status.RIM)
-    holes, lateral_um = half_closed(is_sheet, runs_out, pitch), columns.lateral_um()
+        variables["centre_cutoff_um"] = _variable(
+            cutoff_used.astype(np.float32), "Cut-off of the centre surface, wider than stated across gaps"
+        )
+    status = states.status(sheet, rim, np.isfinite(centre))
+    variables["status"] = ("y", "x"), status, status_flags()
+    off_rims = is_bridged[(status != Status.NO_SHEET) & (status != Status.RIM)]
+    holes, lateral_um = half_closed(states.is_sheet, states.runs_out, pitch), columns.lateral_um()
     attrs = columns.frame.attrs() | {
         "thickness_um": thickness,
         "cutoff_um": params.cutoff_um,
-        "bridged_share": float(np.count_nonzero(is_bridged) / np.count_nonzero(has_centre)),
-        "bridged_off_rims_share": float(is_bridged[off_rims].mean()) if off_rims.any() else 0.0,
+        "bridged_share": float(np.count_nonzero(is_bridged) / np.count_nonzero(np.isfinite(centre))),
+        "bridged_off_rims_share": float(off_rims.mean()) if off_rims.size else 0.0,
         "rim_um": params.rim_um,
         "voxel_um": [voxel_pitch(columns.volume, axis) for axis in ("z", "y", "x")],
         "particles_removed": faces.particles,
@@ -100,12 +124,19 @@ def assemble(
             float(np.interp(k, np.arange(um.size), um))
             for hole in holes for k, um in zip(hole, lateral_um, strict=True)
         ],
-    }  # fmt: skip
-    if params.method != "profile":
-        attrs["method"] = params.method
+    } | ({} if params.method == "profile" else {"method": params.method})  # fmt: skip
     return xr.Dataset(
         variables, {axis: (axis, um, {"units": "um"}) for axis, um in zip("yx", lateral_um, strict=True)}, attrs
     )
+
+
+def _envelopes(heights: dict[str, Floats], up: float, pitch: Pair, radius_um: float) -> dict[str, Variable]:
+    """Faces below a ball that rolls over them."""
+    variables: dict[str, Variable] = {}
+    for name, outward in (("top", up), ("bottom", -up)):
+        ball = np.where(np.isfinite(heights[name]), rolled(filled(outward * heights[name]), pitch, radius_um), np.nan)
+        variables[f"{name}_envelope"] = _variable(outward * ball, f"{_TITLES[name]} below a ball of {radius_um:g} um")
+    return variables
 
 
 def _variable(field: NDArray[np.generic], title: str, units: str = "um", **attrs: object) -> Variable:
@@ -155,6 +186,7 @@ _INNER = _FROM + (_TO - _FROM) / (_STEPS - 1)  # the centre's layer reaches to t
 
 LAYERS = {"presence": (_FROM, _TO), "presence_centre": (-_INNER, _INNER), "presence_bottom": (-_TO, -_FROM)}
 """First and last place of each layer in shares of the thickness, from the centre surface towards the top."""
+_PLACES = dict(zip(LAYERS, ("below the top face", "around the centre surface", "above the bottom face"), strict=True))
 
 
 def find_presence(
@@ -183,30 +215,28 @@ def find_presence(
 def _tile_presence(job: tuple[Columns, list[Floats], float, Pair], tile: Tile) -> Floats:
     """Give the presence in a tile, (layers, rows, cols)."""
     columns, fields, thickness, levels = job
-    whole = columns.shape
-    out = np.full((len(LAYERS), *tile.shape), np.nan)
+    depths, out = columns.shape[2], np.full((len(LAYERS), *tile.shape), np.nan)
     depth, rows, cols, along = (np.ascontiguousarray(a) for a in fields)
     is_sheet = np.isfinite(depth) & np.isfinite(along)
     if not is_sheet.any():
         return out
     # Places along the normal, and which of them each layer is the mean of: the centre's layer takes the two places of
     # either neighbour that lie in it, and three of its own.
-    outer, top = np.linspace(_FROM, _TO, _STEPS), np.arange(_STEPS)
+    outer = np.linspace(_FROM, _TO, _STEPS)
     inner = 2 * outer[0] - outer[1]
     offsets = thickness * np.concatenate([outer, -outer, [0.0, inner, -inner]])
     centre = [0, 1, _STEPS, _STEPS + 1, *range(2 * _STEPS, offsets.size)]
-    layers = np.array([top, centre, top + _STEPS])
+    layers = np.array([range(_STEPS), centre, range(_STEPS, 2 * _STEPS)])
     # Only what the normals pass through is read.
     ends = [depth[is_sheet] + s * along[is_sheet] for s in (offsets.min(), offsets.max())]
     low, high = float(np.min(ends)), float(np.max(ends))
-    if high < 0 or low > whole[2] - 1:
+    if high < 0 or low > depths - 1:
         return out
-    first = min(max(int(np.floor(low)), 0), whole[2] - 2)
+    first = min(max(int(np.floor(low)), 0), depths - 2)
     lead = [int(np.ceil(np.abs(offsets).max() * float(np.abs(n[is_sheet]).max()))) + 1 for n in (rows, cols)]
-    outside = tile.grown(lead[0], lead[1], whole[:2])
-    inside = tile.within(outside)
-    grey = columns.grey(outside, depth=slice(first, min(int(np.ceil(high)) + 2, whole[2])))
+    outside = tile.grown(lead[0], lead[1], columns.shape[:2])
+    grey = columns.grey(outside, depth=slice(first, min(int(np.ceil(high)) + 2, depths)))
     _kernels.presence(
-        grey, first, whole[2], inside.r0, inside.c0, depth, rows, cols, along, offsets, layers, *levels, out
+        grey, first, depths, *tile.within(outside)[::2], depth, rows, cols, along, offsets, layers, *levels, out
     )
     return out

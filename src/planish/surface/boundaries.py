@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from planish.core.errors import VolumeError
 from planish.core.frame import Frame
+from planish.core.robust import otsu_borders
 from planish.core.tiles import Engine, Tile, tiles_of
 from planish.core.typing import Bools, Floats, Pair
 from planish.surface.assemble import assemble
@@ -117,21 +118,8 @@ def otsu(grey: Floats, classes: int) -> Pair:
     middle = 0.5 * (edges[1:] + edges[:-1])
     weight = np.concatenate([[0.0], np.cumsum(counts / counts.sum())])
     total = np.concatenate([[0.0], np.cumsum(middle * counts / counts.sum())])
-
-    def part(a: NDArray[np.intp], b: NDArray[np.intp]) -> Floats:
-        w = weight[b] - weight[a]
-        t = total[b] - total[a]
-        return np.where(w > 0, t * t / np.maximum(w, 1e-300), 0.0)
-
-    cut = np.arange(1, _BINS)
-    first, last = np.zeros_like(cut), np.full_like(cut, _BINS)
-    if classes == 2:
-        best = int(np.argmax(part(first, cut) + part(cut, last)))
-        return float(edges[cut[best]]), float("inf")
-    a, b = np.meshgrid(cut, cut, indexing="ij")
-    between = part(np.zeros_like(a), a) + part(a, b) + part(b, np.full_like(a, _BINS))
-    i, j = np.unravel_index(int(np.argmax(np.where(b > a, between, -1.0))), between.shape)
-    return float(edges[cut[i]]), float(edges[cut[j]])
+    borders = [float(edges[k]) for k in otsu_borders(weight, total, classes)]
+    return borders[0], borders[1] if classes == 3 else float("inf")
 
 
 _CODES = {"air": 0, "base": 1, "void": 2, "coating": 3}

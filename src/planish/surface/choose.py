@@ -73,8 +73,8 @@ def choose_sheet(
     alone: CoarseSheet | None = None
     with suppress(VolumeError):
         alone = _refined(oriented, threshold, replace(choice, seed=None))
-        row, col, depth = choice.seed
-        if not alone.low[row, col] - 0.5 <= depth <= alone.high[row, col] + 0.5:
+        *column, depth = choice.seed
+        if not alone.low[*column] - 0.5 <= depth <= alone.high[*column] + 0.5:
             alone = None
     try:
         # Layers may be thinner than what the blocks are smoothed over.
@@ -87,8 +87,7 @@ def choose_sheet(
         # A sheet that was found without the seed is the one at the seed, in as many columns: then nothing lies beside
         # it, and its faces need not be told from those of others, which takes sheets of few voxels for their own blur.
         thick = [float(np.median((s.high - s.low)[s.is_whole])) for s in (alone, sheet) if s.is_whole.any()]
-        is_same = len(thick) < 2 or abs(thick[0] - thick[1]) <= 2.0
-        if is_same and np.count_nonzero(alone.is_whole) >= np.count_nonzero(sheet.is_whole):
+        if (len(thick) < 2 or abs(thick[0] - thick[1]) <= 2.0) and alone.is_whole.sum() >= sheet.is_whole.sum():
             return alone, "air", polarity
     if is_embedded:
         return sheet, "material", polarity

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
+from planish.core.grid import first_and_last
 from planish.core.typing import Bools, Floats
 from planish.surface import _kernels
 from planish.surface.centre import interpolate
@@ -56,11 +57,6 @@ class Choice:
     seed: tuple[int, int, int] | None = None
 
 
-def first_and_last(mask: Bools) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """First and last index along the last axis at which a mask is set somewhere; the whole length where it is not."""
-    return np.argmax(mask, axis=-1), mask.shape[-1] - 1 - np.argmax(mask[..., ::-1], axis=-1)
-
-
 def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice) -> CoarseSheet:
     """Measure the sheet at the seed point; where there is none, the only slab of ``inside``.
 
@@ -103,19 +99,19 @@ def search_sheet(blocks: Blocks, inside: Bools, threshold: float, choice: Choice
             f"sheet leaves the volume there, or several sheets lie behind each other. {_CHOOSE}"
         )
     filled = mask.sum(axis=-1)
-    first, last = first_and_last(mask)
+    low, high = first_and_last(mask)
     is_sheet = filled > 0
-    gappy = np.median(filled[is_sheet] / (last - first + 1)[is_sheet])
+    gappy = np.median(filled[is_sheet] / (high - low + 1)[is_sheet])
     if gappy < 0.4:
         raise VolumeError(
             f"Along the axis through the sheet the material has gaps: half of the columns are filled by less than "
             f"{100 * gappy:.0f} %, so several sheets lie behind each other. {_CHOOSE}"
         )
-    low, high = _extent(blocks, np.where(is_sheet, first, -1), np.where(is_sheet, last, -1), threshold)
-    specks = int(np.count_nonzero(sizes[1:] >= 8)) - 1  # fewer blocks are noise
+    low, high = _extent(blocks, np.where(is_sheet, low, -1), np.where(is_sheet, high, -1), threshold)
     return CoarseSheet(
         low=low, high=high, block=choice.block, leaves=mask[..., 0] | mask[..., -1], threshold=threshold,
-        touching=np.zeros(is_sheet.shape, bool), specks=specks,
+        touching=np.zeros(is_sheet.shape, bool),
+        specks=int(np.count_nonzero(sizes[1:] >= 8)) - 1,  # fewer blocks are noise
     )  # fmt: skip
 
 

@@ -9,6 +9,7 @@ import xarray as xr
 from numpy.typing import NDArray
 
 from planish.core.errors import InputError
+from planish.core.facts import SIDES, Side
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
@@ -16,7 +17,7 @@ from planish.core.tiles import Engine
 from planish.core.typing import Floats
 from planish.surface.assemble import centre_surface
 from planish.surface.draw import RING_UM, Drawing, columns_of
-from planish.surface.params import FACES, Corrections, Face, Stretch, SurfaceParams
+from planish.surface.params import Corrections, Stretch, SurfaceParams
 
 _UNCHANGED = 255  # of ``found_status``
 _HEIGHTS = ("top", "bottom", "interface_top", "interface_bottom")
@@ -89,7 +90,7 @@ def uncorrected(surfaces: xr.Dataset) -> xr.Dataset:
 
 def preview_faces(
     surfaces: xr.Dataset, volume: xr.DataArray, corrections: Corrections, part: tuple[slice, slice]
-) -> tuple[tuple[slice, slice], dict[Face, Floats]] | None:
+) -> tuple[tuple[slice, slice], dict[Side, Floats]] | None:
     """Draw the faces in a part of the columns as corrections would; only what is near it is read.
 
     Parameters
@@ -122,7 +123,7 @@ def preview_faces(
     chosen = corrections.model_copy(update={"stretches": tuple(stretch for stretch, _ in near_part)})
     heights = Drawing(near, volume.isel(voxels), chosen, Engine(threads=1)).heights
     crossed = frame.sign * (heights["top"] - heights["bottom"]) <= 0
-    return (rows, cols), {face: np.where(crossed, near[face].values, heights[face]) for face in FACES}
+    return (rows, cols), {face: np.where(crossed, near[face].values, heights[face]) for face in SIDES}
 
 
 def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
@@ -140,8 +141,8 @@ def _box(stretch: Stretch, surfaces: xr.Dataset) -> list[slice]:
 
 def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> xr.Dataset:
     """Put the faces of corrections in, the status and centre surface that follow from them, and what was before."""
-    top, bottom = (drawn.heights[face] for face in FACES)
-    changed = np.any([drawn.how[face] > 0 for face in FACES], axis=0)
+    top, bottom = (drawn.heights[face] for face in SIDES)
+    changed = np.any([drawn.how[face] > 0 for face in SIDES], axis=0)
     # Where the two faces would change places nothing is drawn.
     changed &= ~(Frame.of(surfaces).sign * (top - bottom) <= 0)
     new: dict[str, NDArray[Any]] = {
@@ -163,7 +164,7 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
             attrs["units"] = "um"
             before = np.where(field != old if name == "centre" else changed, old, np.nan)
         variables[f"found_{name}"] = (("y", "x"), before, attrs)
-    for face in FACES:
+    for face in SIDES:
         how = np.where(changed, drawn.how[face], 0).astype(np.uint8)
         flags = {"flag_values": [0, 1, 2], "flag_meanings": "found image interpolated"}
         attrs = {"long_name": f"How the {face} face was corrected", **flags}
@@ -176,7 +177,7 @@ def _with_drawn(surfaces: xr.Dataset, drawn: Drawing, params: SurfaceParams) -> 
 
 def _moved_centre(surfaces: xr.Dataset, new: dict[str, NDArray[Any]], params: SurfaceParams) -> Floats:
     """The centre surface, moved by what the smoothing of the new faces differs from that of the old ones."""
-    old = {name: surfaces[name].values for name in (*FACES, "status")}
+    old = {name: surfaces[name].values for name in (*SIDES, "status")}
     middles = [
         np.where(faces["status"] == Status.MEASURED, 0.5 * (faces["top"] + faces["bottom"]), np.nan)
         for faces in (old, new)

@@ -7,7 +7,6 @@ searched again for an edge whose levels are free; the face is the mean of both, 
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Callable
 from itertools import pairwise
 
 import numpy as np
@@ -16,6 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import InputError
+from planish.core.facts import SIDES, Side
 from planish.core.frame import Frame
 from planish.core.grid import pitch
 from planish.core.status import Status
@@ -23,7 +23,7 @@ from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats, Pair
 from planish.surface import _draw_kernels
 from planish.surface.columns import FRINGE_PX, Columns, GreyScale, Guide, oriented
-from planish.surface.params import FACES, Corrections, Face, Stretch
+from planish.surface.params import Corrections, Stretch
 from planish.surface.sample import spread
 
 IMAGE, INTERPOLATED = 1, 2
@@ -38,8 +38,6 @@ _LEAST, _LEAST_INNER = 0.15, 0.3  # of the step of the base, or of the interface
 _EDGE = 1.0  # voxels by which an edge may be off where something misled the search: it has levels of its own
 
 Window = tuple[slice, slice]
-Expectation = Callable[[Floats, Bools, Bools, bool], tuple[Floats, Floats] | None]
-"""From a field, where it is trusted, where it is wanted, and whether the points count: the field and its error."""
 
 
 def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
@@ -50,6 +48,38 @@ def columns_of(surfaces: xr.Dataset, volume: xr.DataArray) -> Columns:
     return Columns(volume=volume, frame=frame, step=step, padding=surfaces.attrs.get("padding"))
 
 
+class Patch:
+    """Columns around the points (n, 3) of a stretch: rows and columns (``window``), and how far each is ``away``."""
+
+    def __init__(self, lateral_um: tuple[Floats, Floats], points: Floats, reach_um: float, voxel_um: float) -> None:
+        self.points, self.voxel_um, self.far_um = points, voxel_um, reach_um + max(RING_UM, 0.5 * reach_um)
+        low, high = points[:, :2].min(axis=0) - self.far_um, points[:, :2].max(axis=0) + self.far_um
+        starts = [int(np.searchsorted(um, first)) for um, first in zip(lateral_um, low, strict=True)]
+        stops = [int(np.searchsorted(um, last, "right")) for um, last in zip(lateral_um, high, strict=True)]
+        rows, cols = (slice(start, max(stop, start + 1)) for start, stop in zip(starts, stops, strict=True))
+        self.window: Window = rows, cols
+        self.grid = np.stack(np.meshgrid(lateral_um[0][rows], lateral_um[1][cols], indexing="ij"), axis=-1)
+        self.away = distance_to_line(self.grid, points[:, :2])
+        self.reach_um = reach_um
+
+    def expect(
+        self, field: Floats, trusted: Bools, wanted: Bools, pitch: Pair, *, with_points: bool = False
+    ) -> tuple[Floats, Floats] | None:
+        """Krige a field, and its error, where it is wanted from where it is trusted, and from the points."""
+        places = spread(np.argwhere(trusted), 160)
+        rows, cols = places.T
+        points = self.points if with_points else self.points[:0]
+        if not (len(points) + len(places) and wanted.any()):
+            return None
+        lag_um = max(0.25 * self.reach_um, 2 * max(pitch))
+        slope = variogram_slope(np.where(trusted, field, np.nan), pitch, lag_um, least=(0.25 * self.voxel_um) ** 2)
+        heights = np.concatenate([points[:, 2], field[rows, cols]])
+        return krige(
+            self.grid[wanted], places=np.concatenate([points[:, :2], self.grid[rows, cols]]), heights=heights,
+            variances=np.full(heights.size, (_CLICK * self.voxel_um) ** 2), slope=slope,
+        )  # fmt: skip
+
+
 class Drawing:
     """Heights as corrections leave them, (rows, cols); ``how`` and ``error_um`` by face; ``tiles`` searched again."""
 
@@ -57,12 +87,14 @@ class Drawing:
         self.columns, self.engine = columns_of(surfaces, volume), engine
         self.attrs, self.pitch = surfaces.attrs, pitch(surfaces)
         self.contrast = abs(self.attrs["grey_base"] - self.attrs["grey_air"])
+        blend = float(self.attrs.get("averaged_columns", 0.0))
+        self.scale = GreyScale(air=self.attrs["grey_air"], polarity=self.attrs["polarity"], blend=blend)
         self.lateral_um, self.voxel_um = self.columns.lateral_um(), self.columns.pitch[2]
-        names = [name for face in FACES for name in (face, f"interface_{face}")]
+        names = [name for face in SIDES for name in (face, f"interface_{face}")]
         self.heights = {name: surfaces[name].values.astype(np.float64) for name in names}
         self.status: NDArray[np.uint8] = surfaces["status"].values
-        self.how: dict[Face, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in FACES}
-        self.error_um: dict[Face, Floats] = {face: np.full(self.status.shape, np.nan) for face in FACES}
+        self.how: dict[Side, NDArray[np.uint8]] = {face: np.zeros(self.status.shape, np.uint8) for face in SIDES}
+        self.error_um: dict[Side, Floats] = {face: np.full(self.status.shape, np.nan) for face in SIDES}
         self.tiles: set[Tile] = set()
         # Slopes and tilt of the sheet, from its centre surface.
         centre = surfaces["centre"].values.astype(np.float64)
@@ -71,46 +103,17 @@ class Drawing:
         unknown, tilt = np.full(centre.shape, np.nan), 1 / np.sqrt(1 + down**2 + across**2)
         self.guide = Guide(low=unknown, high=unknown, slope_r=rise[0], slope_c=rise[1], tilt=tilt)
         for stretch in corrections.stretches:
-            for face in FACES:
+            for face in SIDES:
                 if stretch.of(face):
                     self._draw(stretch, face)
 
-    def _draw(self, stretch: Stretch, face: Face) -> None:
+    def _draw(self, stretch: Stretch, face: Side) -> None:
         """Draw a face to the points of a stretch."""
-        points = self._points(stretch, face)
-        reach_um, widest = stretch.reach_um, max(self.pitch)
-        far_um = reach_um + max(RING_UM, 0.5 * reach_um)
-        low, high = points[:, :2].min(axis=0) - far_um, points[:, :2].max(axis=0) + far_um
-        sides: list[slice] = []
-        for um, first, last in zip(self.lateral_um, low, high, strict=True):
-            start = int(np.searchsorted(um, first))
-            sides.append(slice(start, max(int(np.searchsorted(um, last, "right")), start + 1)))
-        window = sides[0], sides[1]
-        rows_um, cols_um = (um[side] for um, side in zip(self.lateral_um, sides, strict=True))
-        grid = np.stack(np.meshgrid(rows_um, cols_um, indexing="ij"), axis=-1)
-        lag_um, least = max(0.25 * reach_um, 2 * widest), (0.25 * self.voxel_um) ** 2
-
-        def expect(
-            field: Floats, trusted: Bools, wanted: Bools, with_points: bool = True
-        ) -> tuple[Floats, Floats] | None:
-            """Krige between the points and the field around them."""
-            places = spread(np.argwhere(trusted), 160)
-            rows, cols = places.T
-            points_um = points if with_points else points[:0]
-            if not (len(points_um) + len(places) and wanted.any()):
-                return None
-            slope = variogram_slope(np.where(trusted, field, np.nan), self.pitch, lag_um, least=least)
-            heights = np.concatenate([points_um[:, 2], field[rows, cols]])
-            return krige(
-                grid[wanted], places=np.concatenate([points_um[:, :2], grid[rows, cols]]), heights=heights,
-                variances=np.full(heights.size, (_CLICK * self.voxel_um) ** 2), slope=slope,
-            )  # fmt: skip
-
-        away = distance_to_line(grid, points[:, :2])
-        measured, is_near = self._measured(face, window), away <= reach_um
-        inside = is_near & ~np.isin(self.status[window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
-        around = np.isfinite(measured) & ~is_near & (away <= far_um)
-        expected = expect(measured, around, inside)
+        patch = Patch(self.lateral_um, self._points(stretch, face), stretch.reach_um, self.voxel_um)
+        measured, is_near = self._measured(face, patch.window), patch.away <= patch.reach_um
+        inside = is_near & ~np.isin(self.status[patch.window], (Status.NO_SHEET, Status.LEAVES_VOLUME))
+        around = np.isfinite(measured) & ~is_near & (patch.away <= patch.far_um)
+        expected = patch.expect(measured, around, inside, self.pitch, with_points=True)
         if expected is None:
             return
         wrong = np.zeros_like(inside)
@@ -122,19 +125,19 @@ class Drawing:
         wrong = ndimage.binary_dilation(wrong, iterations=blurred) & inside
         near = ndimage.binary_dilation(wrong, iterations=max(2, int(np.ceil(RING_UM / min(self.pitch)))))
         right = near & ~wrong & np.isfinite(measured) & (inside | around)
-        expected = expect(measured, right if np.count_nonzero(right) >= 10 else around, wrong)
+        right = right if np.count_nonzero(right) >= 10 else around
+        expected = patch.expect(measured, right, wrong, self.pitch, with_points=True)
         assert expected is not None
-        self._redraw(face, window, wrong, expected)
-        other: Face = "bottom" if face == "top" else "top"
-        missing = wrong & ~np.isfinite(self.heights[other][window])
-        opposite = self._measured(other, window)
-        if (expected := expect(opposite, np.isfinite(opposite) & near, missing, False)) is not None:
-            self._redraw(other, window, missing, expected)
-        redrawn: dict[Face, Bools] = {face: wrong, other: missing}
-        for side, where in redrawn.items():
-            self._redraw_interface(side, window, where, near, expect)
+        self._redraw(face, patch.window, wrong, expected)
+        other: Side = "bottom" if face == "top" else "top"
+        missing = wrong & ~np.isfinite(self.heights[other][patch.window])
+        opposite = self._measured(other, patch.window)
+        if (expected := patch.expect(opposite, np.isfinite(opposite) & near, missing, self.pitch)) is not None:
+            self._redraw(other, patch.window, missing, expected)
+        self._redraw_interface(face, patch, wrong, near)
+        self._redraw_interface(other, patch, missing, near)
 
-    def _points(self, stretch: Stretch, face: Face) -> Floats:
+    def _points(self, stretch: Stretch, face: Side) -> Floats:
         """Points of a face as (row, col, height) in um; InputError if one lies outside the columns."""
         axes = self.columns.axes
         points = np.array([[getattr(point, axis) for axis in axes] for point in stretch.of(face)], dtype=np.float64)
@@ -149,11 +152,11 @@ class Drawing:
                 )
         return points
 
-    def _measured(self, face: Face, window: Window) -> Floats:
+    def _measured(self, face: Side, window: Window) -> Floats:
         """Heights of a face where it was measured."""
         return np.where(self.status[window] == Status.MEASURED, self.heights[face][window], np.nan)
 
-    def _redraw(self, face: Face, window: Window, where: Bools, expected: tuple[Floats, Floats]) -> None:
+    def _redraw(self, face: Side, window: Window, where: Bools, expected: tuple[Floats, Floats]) -> None:
         """Set a face to the edge near where it is expected, or to that place."""
         height, error = expected
         interface, heights = self.heights[f"interface_{face}"], self.heights[face]
@@ -169,13 +172,13 @@ class Drawing:
         self.how[face][window][where] = np.where(has_edge, IMAGE, INTERPOLATED)
         self.error_um[face][window][where] = np.where(has_edge, np.sqrt(1 - share) * error, error)
 
-    def _redraw_interface(self, face: Face, window: Window, where: Bools, near: Bools, expect: Expectation) -> None:
+    def _redraw_interface(self, face: Side, patch: Patch, where: Bools, near: Bools) -> None:
         """Move an interface with its face that was redrawn: to edges in the image, or by the coating around."""
-        interface = self.heights[f"interface_{face}"]
+        interface, window = self.heights[f"interface_{face}"], patch.window
         if not np.isfinite(interface).any() or not where.any():
             return
         coating = np.abs(interface - self.heights[face])[window]
-        if (thickness := expect(coating, near & ~where & np.isfinite(coating), where, False)) is None:
+        if (thickness := patch.expect(coating, near & ~where & np.isfinite(coating), where, self.pitch)) is None:
             return
         outer, sign = self.heights[face][window][where], self.columns.frame.sign
         inward = -sign if face == "top" else sign
@@ -190,37 +193,35 @@ class Drawing:
         before = self.error_um[face][window][where]
         self.error_um[face][window][where] = np.where(has_edge, before, np.hypot(before, error))
 
-    def _depth(self, height: Floats, face: Face) -> Floats:
+    def _depth(self, height: Floats, face: Side) -> Floats:
         """Depth in voxels from the outer end of a face."""
         depth = (height - float(self.columns.depth_um[0])) / self.voxel_um
         return self.columns.shape[2] - 1 - depth if self._is_high(face) else depth
 
-    def _is_high(self, face: Face) -> bool:
+    def _is_high(self, face: Side) -> bool:
         return (face == "top") == (self.columns.frame.top == "high")
 
     def _edges(
-        self, face: Face, window: Window, where: Bools, expected: tuple[Floats, Floats], other: Floats, *, rides: bool,
+        self, face: Side, window: Window, where: Bools, expected: tuple[Floats, Floats], other: Floats, *, rides: bool,
         sign: float, least: float,
     ) -> Floats:  # fmt: skip
         """Heights of edges near those that are expected, (n,); NaN where the image shows none."""
-        attrs, columns, is_high = self.attrs, self.columns, self._is_high(face)
+        columns, is_high, noise = self.columns, self._is_high(face), self.attrs["grey_noise"]
         places = np.stack(np.nonzero(where)) + np.array([[window[0].start], [window[1].start]])
-        scale = GreyScale(
-            air=attrs["grey_air"], polarity=attrs["polarity"], blend=float(attrs.get("averaged_columns", 0.0))
-        )
-        blur = attrs["blur_um"] / self.voxel_um
-        fringe_px = attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
+        blur = self.attrs["blur_um"] / self.voxel_um
+        fringe_px = self.attrs.get("fringe_um", 0.0) / self.voxel_um or FRINGE_PX
         error = np.maximum(expected[1] / self.voxel_um, 0.25)
         band = np.clip(2.0 * error + 1, 2.0, 8.0)  # how far from the expected place an edge is sought, in voxels
         edges = np.stack([self._depth(expected[0], face), error, band, other])
-        # The least step, and how much it gains: an edge of five standard errors.
-        after = max(least, 4 * attrs["grey_noise"]), 25.0, attrs.get("fringe", 0.0), blur / fringe_px
-        noise = max(attrs["grey_noise"], _MISFIT * self.contrast)
+        # The noise; the least step, and how much it gains: an edge of five standard errors; the fringe.
+        options = (
+            max(noise, _MISFIT * self.contrast), max(least, 4 * noise), 25.0, self.attrs.get("fringe", 0.0),
+            blur / fringe_px,
+        )  # fmt: skip
 
         def job(tile: Tile) -> EdgeJob:
-            part, guide = _in_tile(places, tile), self.guide.part(scale.grown(tile, columns.shape[:2]))
-            profiles = (columns, guide, scale, is_high, blur)
-            return profiles, places[:, part], edges[:, part], (rides, sign), (noise, *after)
+            part, guide = _in_tile(places, tile), self.guide.part(self.scale.grown(tile, columns.shape[:2]))
+            return (columns, guide, self.scale, is_high, blur), places[:, part], edges[:, part], (rides, sign), options
 
         tiles = [t for t in columns.tiles(self.engine) if _in_tile(places, t).any()]
         self.tiles.update(tiles)

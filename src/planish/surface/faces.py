@@ -85,12 +85,10 @@ def faces_from_depths(
     low end, in voxels; ``coated`` in the same order. ``cleaned``: take off spikes and attached particles;
     ``particles`` were removed before.
     """
-    shape, step = columns.shape[:2], columns.pitch[2]
-    first, last = float(columns.depth_um[0]), columns.shape[2] - 1
-    stuck = np.zeros(shape, dtype=bool)
+    first, step, last = float(columns.depth_um[0]), columns.pitch[2], columns.shape[2] - 1
+    stuck = np.zeros(depths.shape[1:], dtype=bool)
     heights: dict[str, Floats] = {}
-    sides = ("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")
-    for k, side in enumerate(sides):
+    for k, side in enumerate(("top", "bottom") if columns.frame.top == "high" else ("bottom", "top")):
         outer, thickness = depths[2 * k : 2 * k + 2]
         is_finite = np.isfinite(outer)
         if cleaned and is_finite.any():
@@ -107,7 +105,7 @@ def faces_from_depths(
             particles += int(ndimage.label(narrow, np.ones((3, 3)))[1])
             stuck |= narrow
             outer = np.where(narrow, np.nan, outer)
-        inner = np.where(np.isfinite(outer), outer + thickness, np.nan) if coated[k] else np.full(shape, np.nan)
+        inner = np.where(np.isfinite(outer), outer + thickness, np.nan) if coated[k] else np.full(outer.shape, np.nan)
         for name, d in ((side, outer), (f"interface_{side}", inner)):
             heights[name] = first + step * (last - d if k == 0 else d)
     return Faces(heights=heights, stuck=stuck, particles=particles)

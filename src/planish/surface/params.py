@@ -9,6 +9,7 @@ from typing import Annotated, Literal
 from pydantic import Field, model_validator
 
 from planish.core.errors import FileError
+from planish.core.facts import Side
 from planish.core.options import Params, option
 from planish.core.tables import naming_faults, read_text
 
@@ -82,9 +83,6 @@ class SurfaceParams(Params):
     rim_um: float = option(100.0, ge=0, help="Zone around holes and gaps that is left out of all results.")
 
 
-Face = Literal["top", "bottom"]
-FACES: tuple[Face, Face] = ("top", "bottom")
-
 REACH_UM = 60.0
 """Where none is stated."""
 _REMEDY = "docs/how-to/correct-faces.md shows an example."
@@ -96,7 +94,7 @@ class Point(Params):
     z: float
     y: float
     x: float
-    face: Face
+    face: Side
 
 
 class Stretch(Params):
@@ -111,7 +109,7 @@ class Stretch(Params):
     reach_um: Annotated[float, Field(gt=0, le=5000)] = REACH_UM
     note: Annotated[str, Field(max_length=1000)] = ""
 
-    def of(self, face: Face) -> tuple[Point, ...]:
+    def of(self, face: Side) -> tuple[Point, ...]:
         """Its points of one face."""
         return tuple(point for point in self.points if point.face == face)
 

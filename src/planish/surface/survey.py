@@ -10,13 +10,14 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.errors import VolumeError
+from planish.core.grid import first_and_last
 from planish.core.robust import mad_sd
 from planish.core.threads import map_threads
 from planish.core.tiles import Engine, Tile
 from planish.core.typing import Bools, Floats
 from planish.surface._kernels import block_sums
 from planish.surface.choose import Surroundings, choose_sheet, make_choice, seed_grey
-from planish.surface.coarse import CoarseSheet, first_and_last, search_sheet
+from planish.surface.coarse import CoarseSheet, search_sheet
 from planish.surface.columns import Columns
 from planish.surface.params import SurfaceParams
 
