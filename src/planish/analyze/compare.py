@@ -2,21 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
-from typing import Any, ClassVar
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import xarray as xr
 from pydantic import Field
 
 from planish.analyze.agreement import LIMIT
-from planish.analyze.correlation import Correlation, PairAtSizes
+from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
 from planish.analyze.differences import holm, paired_difference
 from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
 from planish.core.facts import Interval, Side, Trust, Value, optional
 from planish.core.grid import Grid, pitch, values_at
-from planish.core.typing import Array, Bools
+from planish.core.typing import Array, Bools, Pixel
 from planish.measure import PROPERTIES
 from planish.register import FittedTransform, fit_transform
 from planish.resample import Mesh, resample
@@ -109,18 +109,35 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     for of_pair, pair in zip(sums, pairs, strict=True):
         sizes = [*of_pair.sizes()]
         for row, pair_sums in sizes if sizes[0][0].n else []:
-            more: dict[str, Any] = {}
-            if sheets:
-                mean, sd = pair_sums.difference
-                more = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
-                more |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd)}
-                more |= {"units": str(layers[0][pair[0]].attrs.get("units", "1"))}
+            more = _agreement(pair_sums, layers[0][pair[0]]) if sheets else {}
             table.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **more))
     for size in {row.point_um for row in table}:
         of_size = [k for k, row in enumerate(table) if row.point_um == size]
         for k, p_of_table in zip(of_size, holm([table[k].p for k in of_size]), strict=True):
             table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
     yield from table
+
+
+def _agreement(sums: PairSums, data: xr.DataArray) -> dict[str, Any]:
+    """Differences of two maps of one quantity, of which ``data`` is the first."""
+    mean, sd = sums.difference
+    agreement: dict[str, Any] = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
+    return agreement | {"limits": (mean - LIMIT * sd, mean + LIMIT * sd), "units": str(data.attrs.get("units", "1"))}
+
+
+class _Variant(NamedTuple):
+    """A registration that is compared: its name, the residual of the marks, and the sheet's mesh laid by it."""
+
+    title: str
+    rms_um: float
+    mesh: Mesh | None  # None: that of the run, whose maps are there
+
+    def bring(self, field: Array, linked: Array, part: Grid) -> Array:
+        """Bring a field of the sheet to some pixels of the image, where it is ``linked`` by the run."""
+        if self.mesh is None:
+            return linked
+        under = self.mesh.under(part)
+        return resample(field[under.nodes], under.places)
 
 
 def comparison_rows(
@@ -132,40 +149,38 @@ def comparison_rows(
     ``away`` says of the pixels of a grid whether they are away from holes.
     Least squares of all marks, as in the paper: marks that do not fit are what shows that a registration is wrong.
     """
-    grid, measured = Grid.of(linked), sheet["surfaces"]
-    variants = [*_variants(sheet, fit), (f"flattened, {fit.model}", fit.rms_um, None)]
+    grid, field = Grid.of(linked), sheet["surfaces"][name].values
+    variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
     for rows in bands(grid.shape[0]):
-        part, image = grid.part(rows), band_of(linked["image"], rows)
-        use, values = band_of(linked["valid"], rows), list[Array]()
-        for _, _, mesh in variants:
-            if mesh is None:
-                values.append(band_of(linked[name], rows))
-            else:
-                under = mesh.under(part)
-                values.append(resample(measured[name].values[under.nodes], under.places))
-                use = use & away(part)
+        part = grid.part(rows)
+        values = [variant.bring(field, band_of(linked[name], rows), part) for variant in variants]
         # Rows that are compared are of the same pixels.
-        use = np.logical_and.reduce([use, *(np.isfinite(v) for v in values)])
+        use = np.logical_and.reduce([band_of(linked["valid"], rows), away(part), *map(np.isfinite, values)])
         for of_variant, shown in zip(sums, values, strict=True):
-            of_variant.add(rows.start, np.where(use, shown, np.nan), image)
-    cells, cell_um = sums[-1].cells()
-    r_of_run = [row.r for row, _ in sums[-1].sizes()]
-    by_run = (r_of_run[0], cells, cell_um), (r_of_run[1], sums[-1].points(), (point_um, point_um))
-    for (title, rms_um, mesh), of_variant in zip(variants, sums, strict=True):
-        pairs = of_variant.cells()[0], of_variant.points()
-        for (row, _), pair, (r, reference, pixel_um) in zip(of_variant.sizes(), pairs, by_run, strict=True):
-            more: dict[str, Any] = {}
-            if mesh is not None and row.n:
-                change = paired_difference((pair[0], pair[1]), (reference[0], reference[1]), pixel_um=pixel_um)
-                # The interval is told from cells, which may be larger than the pixels that r is of.
-                low, high = (v + (r - row.r - change.difference) for v in change.interval)
-                more = {"difference": r - row.r, "difference_interval": (low, high)}
-            yield ComparisonRow.holding(row, registration=title, property=name, marks_rms_um=rms_um, **more)
+            of_variant.add(rows.start, np.where(use, shown, np.nan), band_of(linked["image"], rows))
+    cells_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
+    by_run = [*zip((row.r for row, _ in sums[-1].sizes()), cells_of_run, strict=True)]
+    for variant, of_variant in zip(variants, sums, strict=True):
+        for (row, _), pair, (r, reference) in zip(
+            of_variant.sizes(), (of_variant.cells()[0], of_variant.points()), by_run, strict=True
+        ):
+            more = _change(r - row.r, pair, *reference) if variant.mesh is not None and row.n else {}
+            yield ComparisonRow.holding(
+                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **more
+            )
 
 
-def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[tuple[str, float, Mesh]]:
-    """Name, residual of the marks and mesh of each registration that the run's own is compared with."""
+def _change(change_of_r: float, pair: Sequence[Array], of_run: Sequence[Array], pixel_um: Pixel) -> dict[str, Any]:
+    """Change of r, and the interval of it."""
+    change = paired_difference((pair[0], pair[1]), (of_run[0], of_run[1]), pixel_um=pixel_um)
+    # The interval is told from cells, which may be larger than the pixels that r is of.
+    low, high = (v + (change_of_r - change.difference) for v in change.interval)
+    return {"difference": change_of_r, "difference_interval": (low, high)}
+
+
+def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[_Variant]:
+    """The registrations that the run's own is compared with."""
     for title, names, model in REGISTRATION_VARIANTS:
         if model == fit.model and names == ("u", "v"):
             continue  # the run's own
@@ -174,7 +189,8 @@ def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator
             raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
         variant = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
         uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
-        yield title, variant.rms_um, Mesh.of(variant.transform(uv), least_um=min(pitch(sheet["surfaces"])))
+        mesh = Mesh.of(variant.transform(uv), least_um=min(pitch(sheet["surfaces"])))
+        yield _Variant(title, variant.rms_um, mesh)
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:

@@ -94,8 +94,10 @@ def _estimate_levels(greys: NDArray[np.float32]) -> Levels | None:
     if not high > low:
         return None
     count, edges = np.histogram(greys, 160, (low, high))
-    sums = (np.concatenate([[0.0], np.cumsum(n.astype(np.float64))]) for n in (count, count * np.arange(count.size)))
-    split, middle = (float(edges[k]) for k in otsu_borders(*sums, 3))
+    number, total = (
+        np.concatenate([[0.0], np.cumsum(n.astype(np.float64))]) for n in (count, count * np.arange(count.size))
+    )
+    split, middle = (float(edges[k]) for k in otsu_borders(number, total, 3))
     dark, sheet = greys[greys <= split], greys[greys > split]
     # The mean of what lies near the median.
     median = float(np.median(dark))

@@ -154,11 +154,12 @@ def _layer_sums(names: Sequence[str], edges: Floats, tile: Rays, inner: slice, _
     thick = rays.interface_top - rays.interface_bottom
     places = [rays.interface_bottom + edge * thick for edge in edges]
     sums = np.zeros((len(names), edges.size - 1, 3, len(thick)))
-    for a, b in np.ndindex(sums.shape[:2]):
-        share = _SHARES[names[a]][0](rays, places[b], places[b + 1]).values
-        is_valid = np.isfinite(share) & (rays.status == 0)
-        share = np.where(is_valid, share, 0.0)
-        sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
+    for a, name in enumerate(names):
+        for b in range(edges.size - 1):
+            share = _SHARES[name][0](rays, places[b], places[b + 1]).values
+            is_valid = np.isfinite(share) & (rays.status == 0)
+            share = np.where(is_valid, share, 0.0)
+            sums[a, b] = [is_valid.sum(axis=1), share.sum(axis=1), (share**2).sum(axis=1)]
     return sums
 
 
