@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from xarray.backends import BackendArray
 from xarray.core.indexing import ExplicitIndexer, IndexingSupport, LazilyIndexedArray, explicit_indexing_adapter
 
-from planish.core.typing import Floats
-
 Where = tuple[slice, ...]  # one slice an axis: start, stop just behind the last place, step above 0
 
 
@@ -113,19 +111,6 @@ def read_box(volume: xr.DataArray, box: Mapping[str, slice]) -> NDArray[Any]:
     part = volume.isel(box)
     # Turned only after it was read: what is read lazily may not know how to turn.
     return part.values.transpose([part.get_axis_num(axis) for axis in box])
-
-
-def box_around(volume: xr.DataArray, places_um: Mapping[str, Floats]) -> tuple[dict[str, slice], list[Floats]]:
-    """The part of a volume that holds places and the voxels beside them, and the places in voxels of that part."""
-    box: dict[str, slice] = {}
-    places: list[Floats] = []
-    for axis in map(str, volume.dims):
-        um = volume[axis].values
-        index = (places_um[axis] - float(um[0])) / float(um[1] - um[0])
-        start = int(np.clip(np.floor(index.min()), 0, um.size - 1))
-        box[axis] = slice(start, int(np.clip(np.ceil(index.max()) + 1, start + 1, um.size)))
-        places.append(index - start)
-    return box, places
 
 
 def held(values: NDArray[Any] | LazyArray) -> Any:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from planish.core.errors import StudyError, SurfaceError
 from planish.core.frame import Frame
 from planish.core.grid import Grid, bilinear, pitch
-from planish.core.lazy import LazyArray, Where, box_around, held
+from planish.core.lazy import LazyArray, Where, held
 from planish.core.threads import map_threads
 from planish.core.tiles import Tile, tiles_of
 from planish.core.typing import Floats, Pair
