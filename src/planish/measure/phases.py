@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from planish.core.errors import CannotMeasure
-from planish.core.grid import first_and_last
 from planish.core.options import Params, option
 from planish.core.typing import Floats
 from planish.measure.registry import Greys, Measured, Sheet, ray_property, sheet_property
@@ -111,6 +110,8 @@ def filler(rays: Rays) -> Measured:
     has run in. Grains smaller than a voxel are faint and are lost. SE: sqrt(n) sqrt(2 pi) w sigma / (level - base) / L
     with n ends of grains.
     """
+    from planish.core.grid import first_and_last
+
     lower, upper = rays.core
     beyond = rays.greys.polarity * (rays.grey - np.float32(_filler_level(rays.params, rays.greys))) > 0
     within = rays.between(lower, upper)
