@@ -127,7 +127,8 @@ def columns(w, curve, ys, xs):
 
 @njit(cache=True, nogil=True)
 def paint(
-    slab, w, curve, ys, xs, first, step, shift_x, shift_z, turn, middle, under, half_um, fields, origin, pitch, grey
+    slab, w, curve, ys, xs, first, step, shift_x, shift_z, turn, middle, under, half_um, fields, origin, pitch, grey,
+    structure, structure_low, cell
 ):  # fmt: skip
     """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air, and nothing around it.
 
@@ -136,8 +137,11 @@ def paint(
     ``fields`` (fr, fc, n): s_T, s_TI, s_BI, s_B, the distances to the rim at both faces, the coating's burn and
     density, then the base's density through its depth; ``origin`` (u, v) of their first node; ``under``
     (rows, cols, 3): material below each column, a first guess; ``grey`` of base and coating, less that of air.
-    Each boundary is averaged over ``step`` along the normal, the width of a voxel.
+    Each boundary is averaged over ``step`` along the normal, the width of a voxel. ``structure`` (fr, fc, cells), where
+    it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in cells of ``cell``.
     """
+    has_cells = structure.shape[2] > 0
+    beyond = structure_low + cell * structure.shape[2] if has_cells else -1e9
     depth_voxels = slab.shape[2]
     last_row, last_col = fields.shape[0] - 1.000001, fields.shape[1] - 1.000001
     layers = fields.shape[2] - _SINGLE
@@ -164,7 +168,7 @@ def paint(
                 fx -= c
                 fy -= r
                 top, low = _bilinear(fields, r, c, fy, fx, 0), _bilinear(fields, r, c, fy, fx, 3)
-                if s > top + step or s < low - step:
+                if s > max(top, beyond) + step or s < (min(low, structure_low) if has_cells else low) - step:
                     continue
                 for n in range(_SINGLE):
                     at[n] = _bilinear(fields, r, c, fy, fx, n)
@@ -174,6 +178,15 @@ def paint(
                 solid = _ramp(rim / step)
                 in_sheet = _ramp((top - s) / step) * _ramp((s - low) / step)
                 in_base = _ramp((inner_top - s) / step) * _ramp((s - inner_low) / step)
+                if has_cells:
+                    coat = max(in_sheet - in_base, 0.0)
+                    fibre = 0.0
+                    if coat < 1.0:
+                        fibre = (1.0 - coat) * _cells_between(
+                            structure, r, c, fy, fx, (s - structure_low - 0.5 * step) / cell, (s - structure_low + 0.5 * step) / cell
+                        )
+                    slab[i, j, k] = (fibre * grey[0] + coat * grey[1] * (at[6] * at[7])) * solid
+                    continue
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
                 layer = min(int(depth), layers - 2)
                 f = depth - layer
@@ -189,6 +202,18 @@ def _bilinear(fields, r, c, fy, fx, n):
     top = fields[r, c, n] * (1 - fx) + fields[r, c + 1, n] * fx
     low = fields[r + 1, c, n] * (1 - fx) + fields[r + 1, c + 1, n] * fx
     return top * (1 - fy) + low * fy
+
+
+@njit(cache=True, nogil=True)
+def _cells_between(cells, r, c, fy, fx, low, high):
+    """Mean of cells between two heights, in cells from the lowest border, between four nodes."""
+    first, last = max(int(floor(low)), 0), min(int(floor(high)), cells.shape[2] - 1)
+    total = 0.0
+    for k in range(first, last + 1):
+        top = cells[r, c, k] * (1 - fx) + cells[r, c + 1, k] * fx
+        low_row = cells[r + 1, c, k] * (1 - fx) + cells[r + 1, c + 1, k] * fx
+        total += (top * (1 - fy) + low_row * fy) * (min(high, k + 1.0) - max(low, float(k)))
+    return 0.01 * total / (high - low)
 
 
 @njit(cache=True, nogil=True)

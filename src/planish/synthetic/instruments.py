@@ -35,6 +35,10 @@ def painted(
     w, curve = warp.packed()
     thick = sheet.reach_um + 2 * step_um
     half = 1.05 * thick * float(np.hypot(1.0, warp.steepest))
+    structure = sheet.structure
+    cells = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0)
+    if structure is not None:
+        cells = (structure.density, structure.low_um, structure.cell_um)
     done: list[tuple[int, int, Slab]] = []
     for start in range(0, shape[0], _BLOCK):
         stop = min(start + _BLOCK, shape[0])
@@ -51,6 +55,7 @@ def painted(
         _kernels.paint(
             block, w, curve, ys_um, xs, first - halo, step_um, shift_x, shift_z, turn, np.array(middle_um), under,
             half, sheet.packed, np.array(sheet.origin), PITCH_UM, np.array([grey[1] - grey[0], grey[2] - grey[0]]),
+            *cells,
         )  # fmt: skip
         done.append((start, first, block))
     return done

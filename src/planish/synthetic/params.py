@@ -167,6 +167,24 @@ SIZES_UM = {
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FibreParams(Strict):
+    """Fibres of a base; ranges are drawn from evenly. Sizes are those of pulps for papers of 50 to 135 g/m2."""
+
+    g_per_m2: float = 30.0  # of fibres alone
+    width_um: tuple[float, float] = (15.0, 40.0)
+    length_um: tuple[float, float] = (1000.0, 3000.0)
+    wall_um: tuple[float, float] = (1.2, 3.0)
+    lumen_um: tuple[float, float] = (0.0, 3.0)  # to 10 in bulky sheets
+    fines: float = 0.75  # share by number
+    flexibility: tuple[float, float] = (0.12, 0.2)  # steepest slope of a fibre over those below it
+    press: float = 1.0  # factor on the faces' roughness that the press before any coating leaves
+    fuzz_per_mm2: float = 0.0  # fibres that stand up, on each side; 6 to 10 without coating
+    fuzz_um: tuple[float, float] = (8.0, 40.0)  # how high their ends stand
+    void_floor: float = 0.02  # share of a void that the press leaves
+    cell_um: float = 1.0  # height of a cell of the structure
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class PaperParams(Strict):
     """The sheet itself, in its flat state; lengths in um, ``_sd`` are standard deviations.
 
@@ -190,6 +208,8 @@ class PaperParams(Strict):
     base_g_per_cm3: float = 0.75
     base_density_sd: float = drawn(0.20, 0.1, 0.25)  # of the base's grey, relative: fibres and voids (0.25 +- 0.05)
     filler: float = drawn(0.12, 0.05, 0.15)  # share of the base's mass: grains of 2 um, denser in the middle
+    fibres: FibreParams | None = None  # the base as single fibres; where None, a slab with a soft texture
+    least_coating_um: float = 0.0  # left on the highest fibres; 0.3 to 1
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -17,6 +17,7 @@ from scipy import fft
 from planish.core.grid import bilinear
 from planish.core.typing import Floats
 from planish.synthetic import _kernels
+from planish.synthetic.fibres import FibreMat, Structure
 from planish.synthetic.params import BurnParams, PaperParams, generator
 
 PITCH_UM = 3.0  # of the sheet's grid
@@ -200,6 +201,7 @@ def _hole(
     return top, bottom, burnt_um
 
 
+_MIDDLE_UM = 3.0  # sd of the height of the middle of a base of fibres
 Field = NDArray[np.float32]
 LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
 _FLOC_UM, _STREAK_UM, _DEPOSIT_UM = 1500.0, 2000.0, 100.0  # correlation lengths
@@ -234,6 +236,7 @@ class DrawnSheet:
     coating_density: Field
     base_mass: Field
     holes: Floats
+    structure: Structure | None = None
 
     def covers(self, low: Floats, high: Floats) -> bool:
         """Return True if the fields reach from (u, v) = ``low`` to ``high``, in um."""
@@ -250,7 +253,8 @@ class DrawnSheet:
     @cached_property
     def reach_um(self) -> float:
         """Largest distance of a face from the centre surface."""
-        return float(max(self.faces.max(), -self.faces.min()))
+        reach = float(max(self.faces.max(), -self.faces.min()))
+        return reach if self.structure is None else max(reach, self.structure.high_um, -self.structure.low_um)
 
     @cached_property
     def texture(self) -> Field:
@@ -280,7 +284,13 @@ def make_sheet(
     ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths.
     """
     shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
-    thickness, relief = _base(paper, shape, seed)
+    mat = None
+    if paper.fibres:
+        mat = FibreMat(paper, shape, PITCH_UM, _MIDDLE_UM * noise(shape, 400.0, generator(seed, "middle")), seed)
+        upper, lower = mat.calendered()
+        thickness, relief = upper + lower, 0.5 * (upper - lower)
+    else:
+        thickness, relief = _base(paper, shape, seed)
     mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
     mass /= mass.mean()
     faces: list[Floats] = []
@@ -306,6 +316,7 @@ def make_sheet(
         coating_density=(1 + paper.coating_density_sd * grain).astype(np.float32),
         base_mass=mass.astype(np.float32),
         holes=centres,
+        structure=mat and mat.pressed(faces[1] , -faces[3], above),
     )
 
 
@@ -348,4 +359,5 @@ def _coating(p: PaperParams, inner: Floats, mean_um: float, side: str, seed: int
         # Skewed: a spot can lack more than another can carry too much.
         spots = np.exp(0.6 * noise(shape, _DEPOSIT_UM, generator(seed, "deposit", side)))
         levelled -= np.sqrt(excess_variance) * (spots - spots.mean()) / spots.std()
-    return np.maximum(mean_um + levelled, 0.0)
+    coating = np.maximum(mean_um + levelled, p.least_coating_um)
+    return coating if p.fibres is None else np.maximum(coating + mean_um - coating.mean(), p.least_coating_um)

@@ -1,0 +1,153 @@
+"""A base of single fibres: ribbons laid on each other from the middle of the sheet outwards, pressed, with filler.
+
+Deposition after K. Niskanen, M. Alava (Phys. Rev. Lett. 73, 3475, 1994) and K. Niskanen et al. (KCL-PAKKA, 11th
+Fundamental Research Symposium, 1997): a fibre takes the lowest surface above what lies there whose slope is at most its
+flexibility. Half of the fibres are laid from each side, so that both faces are rough.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from planish.core.typing import Floats
+from planish.synthetic.params import PaperParams, generator
+
+WALL_G_PER_CM3 = 1.5
+_FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
+_GRAIN = 110  # what a grain adds to its cell, where 100 is wall: a grain fills half of it and is twice as bright
+_TRIES = 6  # places of a fibre, of which it takes the lowest
+_DEEPEST = 6  # heights of a sheet before the press over its solid thickness
+
+
+@dataclass(frozen=True, kw_only=True)
+class Structure:
+    """Density of a base (rows, cols, cells) uint8, wall 100, in cells of ``cell_um`` whose lowest begins at ``low_um``.
+
+    Heights count as those of the sheet's faces.
+    """
+
+    density: NDArray[np.uint8]
+    low_um: float
+    cell_um: float
+
+    @property
+    def high_um(self) -> float:
+        """Upper border of the highest cell."""
+        return self.low_um + self.cell_um * self.density.shape[2]
+
+
+class FibreMat:
+    """Fibres of a base before the press: one half above its middle, one below, which is kept upside down."""
+
+    def __init__(self, paper: PaperParams, shape: tuple[int, int], pitch_um: float, ground: Floats, seed: int) -> None:
+        """Lay the fibres; ``ground`` is the height of the middle, on which both halves begin."""
+        fibres = paper.fibres
+        assert fibres is not None
+        self._paper, self._fibres, self._pitch, self._seed = paper, fibres, pitch_um, seed
+        self._grounds = (ground, -ground)
+        self._shares: list[NDArray[np.uint8]] = []
+        self.heights: list[Floats] = []
+        for side, ground_of_half in zip(("upper", "lower"), self._grounds, strict=True):
+            shares, heights = self._lay(shape, ground_of_half, generator(seed, "fibre mat", side))
+            self._shares.append(shares)
+            self.heights.append(heights)
+
+    def _lay(self, shape: tuple[int, int], ground: Floats, rng: np.random.Generator) -> tuple[NDArray[np.uint8], Floats]:
+        from planish.synthetic import _fibre_kernels
+
+        p, pitch = self._fibres, self._pitch
+        solid_um = 0.5 * p.g_per_m2 / WALL_G_PER_CM3
+        area = float(shape[0] * shape[1]) * pitch**2
+        lengths, widths, walls, lumens = (np.empty(0) for _ in range(4))
+        volume = 0.0
+        parts: list[tuple[Floats, Floats, Floats, Floats]] = []
+        # A fibre begins outside as often as inside: the field grows by its length, which its middle may lie in.
+        while volume < 1.1 * solid_um * area:  # more than is needed: the last ones are not laid
+            is_fine = rng.random(512) < p.fines
+            lengths = np.where(is_fine, rng.uniform(60.0, 250.0, 512), rng.uniform(*p.length_um, 512))
+            widths = np.where(is_fine, rng.uniform(6.0, 15.0, 512), rng.uniform(*p.width_um, 512))
+            walls = rng.uniform(*p.wall_um, 512)
+            lumens = np.where(is_fine, 0.0, rng.uniform(*p.lumen_um, 512))
+            inside = area / ((shape[0] * pitch + lengths) * (shape[1] * pitch + lengths))
+            parts.append((lengths, widths, walls, lumens))
+            volume += float(np.sum(lengths * widths * 2 * walls * 0.86 * inside))
+        lengths, widths, walls, lumens = (np.concatenate(column) for column in zip(*parts, strict=True))
+        count = lengths.size
+        angles = rng.vonmises(0.0, 0.5 * np.log(self._paper.anisotropy), count) / 2 + rng.integers(0, 2, count) * np.pi
+        curls = rng.normal(0.0, 4e-4, count) * pitch
+        lengths, widths = lengths / pitch, widths / pitch
+        middle = rng.uniform(0.0, 1.0, (count, _TRIES, 2)) * (np.array(shape[::-1]) + lengths[:, None, None])
+        middle -= 0.5 * lengths[:, None, None]
+        starts = middle - 0.5 * lengths[:, None, None] * np.stack([np.cos(angles), np.sin(angles)], axis=-1)[:, None]
+        flexibility = rng.uniform(*p.flexibility, count) * pitch
+        shares = np.zeros((*shape, int(_DEEPEST * solid_um / p.cell_um) + 8), dtype=np.uint8)
+        top = ground.copy()
+        _fibre_kernels.lay_ribbons(
+            shares, top, ground, starts, angles - 0.5 * curls * lengths, lengths, widths, curls, walls, lumens,
+            flexibility, p.cell_um, solid_um * shape[0] * shape[1],
+        )  # fmt: skip
+        return shares, np.minimum(top, ground + shares.shape[2] * p.cell_um)
+
+    def calendered(self) -> tuple[Floats, Floats]:
+        """Heights of both faces, outwards, with the mean thickness and roughness of the paper.
+
+        The voids give way evenly until the thickness is right; then a nip brings the heights closer to their mean, as
+        far as walls and the height before the press allow.
+        """
+        p = self._paper
+        solids = [shares.sum(axis=2, dtype=np.float64) * self._fibres.cell_um / 100 for shares in self._shares]
+        solids = [np.minimum(solid, h - g) for solid, h, g in zip(solids, self.heights, self._grounds, strict=True)]
+        voids = [h - g - solid for h, g, solid in zip(self.heights, self._grounds, solids, strict=True)]
+
+        def faces(flat: float) -> list[Floats]:
+            """Faces whose distances from their mean are multiplied by ``flat``."""
+            share = (p.base_um - float(sum(s.mean() for s in solids))) / float(sum(v.mean() for v in voids))
+            pressed: list[Floats] = []
+            for ground, solid, void in zip(self._grounds, solids, voids, strict=True):
+                height = ground + solid + max(share, 0.0) * void
+                height = height.mean() + flat * (height - height.mean())
+                pressed.append(np.clip(height, ground + 0.9 * solid, ground + solid + void))
+            lost = p.base_um - float(sum(face.mean() for face in pressed))
+            return [face + 0.5 * lost for face in pressed]
+
+        low, high = 0.0, 1.0
+        for _ in range(20):
+            flat = 0.5 * (low + high)
+            sq = float(np.sqrt(np.mean([face.var() for face in faces(flat)])))
+            low, high = (flat, high) if sq < p.roughness_um else (low, flat)
+        upper, lower = faces(0.5 * (low + high))
+        return upper, lower
+
+    def pressed(self, top: Floats, bottom: Floats, above: float) -> Structure:
+        """Press the upper half to ``top``, the lower one to ``bottom``, and strew filler; 0 is ``above`` their 0."""
+        from planish.synthetic import _fibre_kernels
+
+        p, paper = self._fibres, self._paper
+        beyond = (p.fuzz_um[1] if p.fuzz_per_mm2 else 0.0) + 3 * p.cell_um
+        low = float(np.floor(bottom.min() - beyond))
+        density = np.zeros((*top.shape, int(np.ceil((top.max() + beyond - low) / p.cell_um))), dtype=np.uint8)
+        for sign, shares, heights, ground, target in zip(
+            (1.0, -1.0), self._shares, self.heights, self._grounds, (top, -bottom), strict=True
+        ):
+            _fibre_kernels.press(density, low, sign, shares, heights, ground, target, p.cell_um, p.void_floor)
+        volume = self._pitch**2 * p.cell_um
+        chance = paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * volume
+        rng = generator(self._seed, "filler")
+        for k in range(density.shape[2]) if chance else ():
+            height = low + (k + 0.5) * p.cell_um
+            is_grain = (rng.random(top.shape, dtype=np.float32) < chance) & (height < top) & (height > bottom)
+            density[..., k] += (_GRAIN * is_grain).astype(np.uint8)
+        for sign, face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
+            rng = generator(self._seed, "fuzz", str(sign))
+            count = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
+            lengths = rng.uniform(100.0, 350.0, count) / self._pitch
+            _fibre_kernels.raise_fibres(
+                density, low, sign, face, rng.uniform(0, 1, (count, 2)) * top.shape[::-1],
+                rng.uniform(0, 2 * np.pi, count), lengths, rng.uniform(12.0, 22.0, count) / self._pitch,
+                rng.normal(0, 2e-3, count) * self._pitch, rng.uniform(3.0, 6.0, count), rng.uniform(*p.fuzz_um, count),
+                p.cell_um,
+            )  # fmt: skip
+        return Structure(density=density, low_um=low - above, cell_um=p.cell_um)
