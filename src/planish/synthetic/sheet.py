@@ -12,7 +12,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import fft
+from scipy import fft, ndimage
 
 from planish.core.grid import bilinear
 from planish.core.typing import Floats
@@ -201,6 +201,7 @@ def _hole(
     return top, bottom, burnt_um
 
 
+_DISC = np.hypot(*np.mgrid[-3:4, -3:4]) < 3.5  # nodes: 20 um
 _MIDDLE_UM = 3.0  # sd of the height of the middle of a base of fibres
 Field = NDArray[np.float32]
 LAYERS = 10  # of the base's texture, from its bottom to its top: a collapsed fibre is some 5 um thick
@@ -294,8 +295,15 @@ def make_sheet(
     mass = thickness / thickness.mean() * (1 + 0.03 * noise(shape, 500.0, generator(seed, "mass")))
     mass /= mass.mean()
     faces: list[Floats] = []
+    pits: list[Floats | float] = []
     for side, sign, mean in (("top", 1.0, paper.coating_top_um), ("bottom", -1.0, paper.coating_bottom_um)):
         inner = 0.5 * thickness + sign * relief
+        pit = 0.0
+        if paper.fibres and mean:
+            # Coating colour does not flow into a pore that is narrower than this.
+            bridged = ndimage.grey_closing(inner, footprint=_DISC)
+            inner, pit = bridged, bridged - inner
+        pits.append(pit)
         coating = _coating(paper, inner, mean, side, seed)
         outer = inner + coating
         # A nip presses the outer face flat; the coating keeps its thickness and the base gives way.
@@ -316,7 +324,7 @@ def make_sheet(
         coating_density=(1 + paper.coating_density_sd * grain).astype(np.float32),
         base_mass=mass.astype(np.float32),
         holes=centres,
-        structure=mat and mat.pressed(faces[1] , -faces[3], above),
+        structure=mat and mat.pressed(faces[1] - pits[0], -(faces[3] - pits[1]), above),
     )
 
 
