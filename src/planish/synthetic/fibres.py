@@ -11,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy import ndimage
 
 from planish.core.typing import Floats
 from planish.synthetic.params import PaperParams, generator
@@ -19,6 +20,7 @@ WALL_G_PER_CM3 = 1.5
 _FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
 _GRAIN = 110  # what a grain adds to its cell, where 100 is wall: a grain fills half of it and is twice as bright
 _TRIES = 6  # places of a fibre, of which it takes the lowest
+_FACE_ROWS = 64
 _DEEPEST = 6  # heights of a sheet before the press over its solid thickness
 
 
@@ -37,6 +39,31 @@ class Structure:
     def high_um(self) -> float:
         """Upper border of the highest cell."""
         return self.low_um + self.cell_um * self.density.shape[2]
+
+    def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:
+        """Height (rows, cols) of a face without coating, NaN where there is none.
+
+        It is the outermost place at which the wall, under a Gaussian blur of ``blur_um`` full width, reaches half of
+        its own density. Give it a structure without loose fibres, which are no part of the face.
+        """
+        sigma = blur_um / np.sqrt(8 * np.log(2.0))
+        reach = int(np.ceil(4 * sigma / pitch_um)) + 1
+        rows, cols, count = self.density.shape
+        face = np.full((rows, cols), np.nan, dtype=np.float32)
+        for start in range(0, rows, _FACE_ROWS):
+            first, stop = max(start - reach, 0), min(start + _FACE_ROWS, rows)
+            part = self.density[first : min(stop + reach, rows)].astype(np.float32) / 100.0
+            sigmas = (sigma / pitch_um, sigma / pitch_um, sigma / self.cell_um)
+            blurred = ndimage.gaussian_filter(np.minimum(part, 1.0), sigmas)[start - first :][: stop - start]
+            blurred = blurred[..., ::-1] if top else blurred
+            above = np.concatenate([np.zeros_like(blurred[..., :1]), blurred[..., :-1]], axis=2)
+            is_face = (blurred >= 0.5) & (above < 0.5)
+            k = is_face.argmax(axis=2)[..., None]
+            outer, inner = (np.take_along_axis(a, k, axis=2)[..., 0] for a in (above, blurred))
+            place = k[..., 0] - (inner - 0.5) / np.maximum(inner - outer, 1e-6) + 0.5
+            height = (count - place if top else place) * self.cell_um + self.low_um
+            face[start:stop] = np.where(is_face.any(axis=2), height, np.nan)
+        return face
 
 
 class FibreMat:
