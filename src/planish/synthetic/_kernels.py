@@ -128,7 +128,7 @@ def columns(w, curve, ys, xs):
 @njit(cache=True, nogil=True)
 def paint(
     slab, w, curve, ys, xs, first, step, shift_x, shift_z, turn, middle, under, half_um, fields, origin, pitch, grey,
-    structure, structure_low, cell
+    structure, structure_low, cell, film
 ):  # fmt: skip
     """Fill slab (rows, cols, depth) with what the unblurred sheet adds to the grey of air, and nothing around it.
 
@@ -138,7 +138,8 @@ def paint(
     density, then the base's density through its depth; ``origin`` (u, v) of their first node; ``under``
     (rows, cols, 3): material below each column, a first guess; ``grey`` of base and coating, less that of air.
     Each boundary is averaged over ``step`` along the normal, the width of a voxel. ``structure`` (fr, fc, cells), where
-    it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in cells of ``cell``.
+    it has cells, is the density of the base instead, in hundredths, from ``structure_low`` um on in cells of ``cell``;
+    below ``film`` um it has no holes.
     """
     has_cells = structure.shape[2] > 0
     beyond = structure_low + cell * structure.shape[2] if has_cells else -1e9
@@ -185,7 +186,8 @@ def paint(
                         fibre = (1.0 - coat) * _cells_between(
                             structure, r, c, fy, fx, (s - structure_low - 0.5 * step) / cell, (s - structure_low + 0.5 * step) / cell
                         )
-                    slab[i, j, k] = (fibre * grey[0] + coat * grey[1] * (at[6] * at[7])) * solid
+                    value = fibre * grey[0] + coat * grey[1] * (at[6] * at[7])
+                    slab[i, j, k] = value * (1.0 if s < film else solid)
                     continue
                 depth = min(max((s - inner_low) / max(inner_top - inner_low, 1e-6), 0.0), 1.0) * (layers - 1)
                 layer = min(int(depth), layers - 2)

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from planish.core.typing import Floats
-from planish.synthetic.params import PaperParams, generator
+from planish.synthetic.params import FilmParams, PaperParams, generator
 
 WALL_G_PER_CM3 = 1.5
 _FILLER_G_PER_CM3, _FILLER_UM3 = 2.7, 4.2  # of calcite; volume of a grain of 2 um
@@ -34,11 +34,28 @@ class Structure:
     density: NDArray[np.uint8]
     low_um: float
     cell_um: float
+    film_um: float = -np.inf  # height of the upper side of a film below the sheet, which has no holes
 
     @property
     def high_um(self) -> float:
         """Upper border of the highest cell."""
         return self.low_um + self.cell_um * self.density.shape[2]
+
+    def on_film(self, bottom: Floats, film: FilmParams) -> Structure:
+        """Put a film below a sheet with the face ``bottom`` (rows, cols)."""
+        touching = float(np.percentile(bottom, 1.0))
+        film_high = touching if film.is_tape else float(bottom.min()) - film.gap_um
+        low = float(np.floor(min(self.low_um, film_high - film.film_um - 2 * self.cell_um)))
+        more = int(np.ceil((self.low_um - low) / self.cell_um))
+        density = np.pad(self.density, ((0, 0), (0, 0), (more, 0)))
+        borders = self.low_um + self.cell_um * (np.arange(density.shape[2] + 1) - more)
+        upper = np.minimum(bottom, touching + 30.0) if film.is_tape else np.full(bottom.shape, film_high)
+        cols = slice(0, round(film.share * bottom.shape[1]))
+        for k, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+            inside = np.clip(np.minimum(b, upper[:, cols]) - max(a, film_high - film.film_um), 0.0, None) / self.cell_um
+            cells = density[:, cols, k]
+            cells[:] = np.maximum(cells, np.rint(100 * film.grey * inside).astype(np.uint8))
+        return Structure(density=density, low_um=float(borders[0]), cell_um=self.cell_um, film_um=film_high)
 
     def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:
         """Height (rows, cols) of a face without coating, NaN where there is none.

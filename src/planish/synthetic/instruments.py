@@ -36,9 +36,9 @@ def painted(
     thick = sheet.reach_um + 2 * step_um
     half = 1.05 * thick * float(np.hypot(1.0, warp.steepest))
     structure = sheet.structure
-    cells = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0)
+    cells = (np.zeros((1, 1, 0), np.uint8), 0.0, 1.0, -np.inf)
     if structure is not None:
-        cells = (structure.density, structure.low_um, structure.cell_um)
+        cells = (structure.density, structure.low_um, structure.cell_um, structure.film_um)
     done: list[tuple[int, int, Slab]] = []
     for start in range(0, shape[0], _BLOCK):
         stop = min(start + _BLOCK, shape[0])
@@ -143,6 +143,8 @@ class Scanner:
         if p.noise:
             slab = slab + p.noise * abs(contrast) * self._noise(start, stop)
         slab = slab + np.float32(p.grey[0])
+        if p.section_gain:
+            slab *= self._gains(start, stop)
         if p.dtype != "float32":
             limits = np.iinfo(p.dtype)
             slab = np.clip(np.rint(slab), limits.min, limits.max)
@@ -167,6 +169,10 @@ class Scanner:
                 blurred = blurred - np.float32(p.fringe) * fringe
             slab[:, col : col + blurred.shape[1], depth : depth + blurred.shape[2]] = blurred
         return slab
+
+    def _gains(self, start: int, stop: int) -> Slab:
+        rngs = (generator(self.seed, "gain", str(row)) for row in range(start, stop))
+        return np.array([1 + self.params.section_gain * rng.standard_normal() for rng in rngs], np.float32)[:, None, None]
 
     def _noise(self, start: int, stop: int) -> Slab:
         """White or correlated noise of unit standard deviation; every row has random numbers of its own."""

@@ -213,6 +213,17 @@ class PaperParams(Strict):
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class FilmParams(Strict):
+    """A film, or a tape, under a sheet of fibres; it bends with the sheet and has no holes."""
+
+    film_um: float = drawn(30.0, 15.0, 60.0)  # thickness
+    gap_um: float = drawn(25.0, 10.0, 60.0)  # air between the sheet's lowest point and the film
+    grey: float = drawn(0.7, 0.5, 1.0)  # over that of a fibre's wall
+    is_tape: bool = False  # touches: its adhesive fills the valleys of the bottom face
+    share: float = 1.0  # of the sheet's length that it lies under
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class BurnParams(Strict):
     """The laser's holes, section 2.1."""
 
@@ -245,6 +256,7 @@ class ScannerParams(Strict):
     rings: int = drawn(0, 0, 3)  # 0 to 3
     ring: float = 0.03  # size of a ring
     streak: float = drawn(0.0, 0.0, 0.03)  # along the plane of the sheet, 0.03
+    section_gain: float = 0.0  # sd of a factor on each slice across y: photographs of sections, stacked; 0.03
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -309,6 +321,7 @@ class SpecimenParams(Strict):
     size_um: tuple[float, float] = SIZES_UM["T1"]
     paper: PaperParams = field(default_factory=PaperParams)
     holes: BurnParams = field(default_factory=BurnParams)
+    film: FilmParams | None = None
     warp: Warp = field(default_factory=Warp)
     scanner: ScannerParams = field(default_factory=ScannerParams)
     sections: SectionsParams = field(default_factory=SectionsParams)

@@ -18,7 +18,7 @@ from planish.core.grid import bilinear
 from planish.core.typing import Floats
 from planish.synthetic import _kernels
 from planish.synthetic.fibres import FibreMat, Structure
-from planish.synthetic.params import BurnParams, PaperParams, generator
+from planish.synthetic.params import BurnParams, FilmParams, PaperParams, generator
 
 PITCH_UM = 3.0  # of the sheet's grid
 _FIBRE_UM = ((1000.0, 2500.0), (20.0, 35.0))  # length, width of softwood and hardwood fibres together
@@ -278,7 +278,7 @@ class DrawnSheet:
 
 def make_sheet(
     paper: PaperParams, holes: BurnParams, *, low: Floats, high: Floats, centres: Floats, seed: int,
-    stiffness: float = 0.0,
+    stiffness: float = 0.0, film: FilmParams | None = None,
 ) -> DrawnSheet:  # fmt: skip
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
@@ -314,6 +314,9 @@ def make_sheet(
     grain = 0.3 * (mass - mass.mean()) / mass.std() + np.sqrt(1 - 0.09) * noise(shape, 300.0, generator(seed, "grain"))
     top, bottom = (float(np.mean(faces[k] - faces[k + 1])) for k in (0, 2))
     above = neutral_height(float(np.mean(faces[1] + faces[3])), top, bottom, stiffness)
+    structure = mat and mat.pressed(faces[1] - pits[0], -(faces[3] - pits[1]), above)
+    if structure is not None and film is not None:
+        structure = structure.on_film(-faces[2] - above, film)
     return DrawnSheet(
         params=paper,
         seed=seed,
@@ -324,7 +327,7 @@ def make_sheet(
         coating_density=(1 + paper.coating_density_sd * grain).astype(np.float32),
         base_mass=mass.astype(np.float32),
         holes=centres,
-        structure=mat and mat.pressed(faces[1] - pits[0], -(faces[3] - pits[1]), above),
+        structure=structure,
     )
 
 

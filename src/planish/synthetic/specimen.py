@@ -165,7 +165,9 @@ def _place_in_volume(params: SpecimenParams) -> tuple[Warp, Floats, float]:
     warp = replace(params.warp, shift_um=(width / 2, height / 2, 0.0), reach_um=reach)
     under = warp.columns(np.linspace(0, height, 61), np.linspace(0, width, 81))
     thickness = p.base_um + p.coating_top_um + p.coating_bottom_um
-    air = (0.5 * thickness + 20.0) * float(np.hypot(1.0, warp.steepest)) + 60.0
+    film = params.film
+    below = film.film_um + film.gap_um if film is not None else 0.0
+    air = (0.5 * thickness + 20.0 + below) * float(np.hypot(1.0, warp.steepest)) + 60.0
     low_z, high_z = float(under[..., 2].min()) - air, float(under[..., 2].max()) + air
     return replace(warp, shift_um=(width / 2, height / 2, -low_z)), under, high_z - low_z
 
@@ -223,7 +225,7 @@ def make_specimen(
         centres = hole_pattern(params.holes, inner_low, inner_high, params.seed)
         sheet = make_sheet(
             params.paper, params.holes, low=low, high=high, centres=centres, seed=params.seed,
-            stiffness=params.stiffness,
+            stiffness=params.stiffness, film=params.film,
         )  # fmt: skip
     elif not sheet.covers(spread[:2], spread[2:]):
         raise ValueError("the given sheet does not reach as far as the volume shows it; bend it more or make it larger")
