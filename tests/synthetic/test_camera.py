@@ -51,7 +51,7 @@ def sheet_of(coating_um, *, holes=HOLES, rough_um=1.0, closed=False):
         "holes": holes,
     }
     given = {k: value.astype(np.float32) if isinstance(value, np.ndarray) else value for k, value in given.items()}
-    return DrawnSheet(**{f.name: given[f.name] for f in fields(DrawnSheet)})
+    return DrawnSheet(**{f.name: given[f.name] for f in fields(DrawnSheet) if f.name in given})
 
 
 @pytest.fixture(scope="module")
