@@ -184,7 +184,13 @@ def paint(
                     fibre = 0.0
                     if coat < 1.0:
                         fibre = (1.0 - coat) * _cells_between(
-                            structure, r, c, fy, fx, (s - structure_low - 0.5 * step) / cell, (s - structure_low + 0.5 * step) / cell
+                            structure,
+                            r,
+                            c,
+                            fy,
+                            fx,
+                            (s - structure_low - 0.5 * step) / cell,
+                            (s - structure_low + 0.5 * step) / cell,
                         )
                     value = fibre * grey[0] + coat * grey[1] * (at[6] * at[7])
                     slab[i, j, k] = value * (1.0 if s < film else solid)

@@ -99,7 +99,9 @@ class FibreMat:
             self._shares.append(shares)
             self.heights.append(heights)
 
-    def _lay(self, shape: tuple[int, int], ground: Floats, rng: np.random.Generator) -> tuple[NDArray[np.uint8], Floats]:
+    def _lay(
+        self, shape: tuple[int, int], ground: Floats, rng: np.random.Generator
+    ) -> tuple[NDArray[np.uint8], Floats]:
         from planish.synthetic import _fibre_kernels
 
         p, pitch = self._fibres, self._pitch

@@ -172,7 +172,9 @@ class Scanner:
 
     def _gains(self, start: int, stop: int) -> Slab:
         rngs = (generator(self.seed, "gain", str(row)) for row in range(start, stop))
-        return np.array([1 + self.params.section_gain * rng.standard_normal() for rng in rngs], np.float32)[:, None, None]
+        return np.array([1 + self.params.section_gain * rng.standard_normal() for rng in rngs], np.float32)[
+            :, None, None
+        ]
 
     def _noise(self, start: int, stop: int) -> Slab:
         """White or correlated noise of unit standard deviation; every row has random numbers of its own."""
