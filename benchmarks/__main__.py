@@ -39,6 +39,7 @@ _ALL = (
     "fuzz",
     "app",
     "faces",
+    "paper",
 )
 # Only where they are named: two take the network and half an hour, one writes documents, one wants a run.
 _BY_NAME = ("installs", "pictures", "app_space", "same")
