@@ -2,9 +2,9 @@
 
     python -m benchmarks paper [KIND ...] [--count 10] [--first 0]
 
-The sheets are laid fibre by fibre (``planish.synthetic.fibres``); grades, greys, blur, noise, bends and what lies beside
-the sheet are drawn. A coating's truth is the layer itself; the face of a sheet without one is the outermost place at
-which the wall under the stated blur reaches half of its own grey, loose fibres left out. Per specimen: mean error of
+The sheets are laid fibre by fibre (``planish.synthetic.fibres``); grades, greys, blur, noise, bends and what lies
+beside the sheet are drawn. A coating's truth is the layer itself; the face of a sheet without one is the outermost
+place at which the wall under the stated blur reaches half of its own grey, loose fibres left out. Per specimen: mean error of
 each thickness and how many of its stated errors that is, standard deviation of a column's error over the stated one,
 coverage, and the mean error in classes of the true coating.
 """
@@ -16,6 +16,7 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import pairwise
 from typing import Any, NamedTuple
 from zlib import crc32
 
@@ -52,13 +53,13 @@ class Sized:
         mean, spread = float(self.error.mean()), float(self.error.std())
         stated = float(np.sqrt(np.nanmean(self.stated**2)))
         words = (
-            f"{self.name:14s} true {self.true.mean():6.2f}  off {mean:+6.2f} ({abs(mean) / self.mean_stated:4.1f} stated)  "
-            f"sd {spread:5.2f} ({spread / stated:4.2f} stated)  coverage {self.coverage:.3f}"
+            f"{self.name:14s} true {self.true.mean():6.2f}  off {mean:+6.2f} "
+            f"({abs(mean) / self.mean_stated:4.1f} stated)  sd {spread:5.2f} ({spread / stated:4.2f} stated)  coverage {self.coverage:.3f}"
         )
         if not self.name.startswith("coating"):
             return words
         classes: list[str] = []
-        for low, high in zip(_CLASSES_UM[:-1], _CLASSES_UM[1:], strict=True):
+        for low, high in pairwise(_CLASSES_UM):
             inside = (self.true >= low) & (self.true < high)
             classes.append(f"{self.error[inside].mean():+5.2f}" if inside.mean() > 0.005 else "    -")
         return f"{words}  by class {' '.join(classes)}"
@@ -137,8 +138,8 @@ def _calendered(rng: np.random.Generator) -> SpecimenParams:
 def _bulky(rng: np.random.Generator, voxel_um: float) -> SpecimenParams:
     base = _between(rng, 100.0, 125.0)
     paper = PaperParams(
-        base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, roughness_um=_between(rng, 5.0, 8.0),
-        filler=_between(rng, 0.03, 0.1), base_g_per_cm3=0.7,
+        base_um=base, coating_top_um=0.0, coating_bottom_um=0.0, coating_sd_um=0.0, filler=_between(rng, 0.03, 0.1),
+        roughness_um=_between(rng, 5.0, 8.0), base_g_per_cm3=0.7,
         fibres=FibreParams(g_per_m2=base * 0.72, lumen_um=(0.0, 10.0), fuzz_per_mm2=_between(rng, 6.0, 10.0)),
     )  # fmt: skip
     return _specimen(rng, paper, voxel_um=voxel_um)

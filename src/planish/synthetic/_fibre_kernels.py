@@ -102,7 +102,7 @@ def lay_ribbons(shares, top, ground, starts, angles, lengths, widths, curls, wal
 
 @njit(cache=True, nogil=True)
 def press(out, low, sign, shares, heights, ground, pressed, cell, void_floor):
-    """Bring columns of ``shares`` over ``ground`` from ``heights`` to ``pressed``, the voids first; add them to ``out``.
+    """Press columns of ``shares`` over ``ground`` from ``heights`` to ``pressed``, voids first; add them to ``out``.
 
     ``out`` (rows, cols, n) uint8 begins at ``low`` um; ``sign`` turns heights of the lower half over. Of a void at
     least the share ``void_floor`` stays as long as wall can give way instead; its mass is lost.

@@ -8,6 +8,7 @@ flexibility. Half of the fibres are laid from each side, so that both faces are 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -51,7 +52,7 @@ class Structure:
         borders = self.low_um + self.cell_um * (np.arange(density.shape[2] + 1) - more)
         upper = np.minimum(bottom, touching + 30.0) if film.is_tape else np.full(bottom.shape, film_high)
         cols = slice(0, round(film.share * bottom.shape[1]))
-        for k, (a, b) in enumerate(zip(borders[:-1], borders[1:], strict=True)):
+        for k, (a, b) in enumerate(pairwise(borders)):
             inside = np.clip(np.minimum(b, upper[:, cols]) - max(a, film_high - film.film_um), 0.0, None) / self.cell_um
             cells = density[:, cols, k]
             cells[:] = np.maximum(cells, np.rint(100 * film.grey * inside).astype(np.uint8))
@@ -174,7 +175,8 @@ class FibreMat:
         p, paper = self._fibres, self._paper
         beyond = (p.fuzz_um[1] if p.fuzz_per_mm2 else 0.0) + 3 * p.cell_um
         low = float(np.floor(bottom.min() - beyond))
-        density = np.zeros((*top.shape, int(np.ceil((top.max() + beyond - low) / p.cell_um))), dtype=np.uint8)
+        count = int(np.ceil((top.max() + beyond - low) / p.cell_um))
+        density = np.zeros((*top.shape, count), dtype=np.uint8)
         for sign, shares, heights, ground, target in zip(
             (1.0, -1.0), self._shares, self.heights, self._grounds, (top, -bottom), strict=True
         ):
@@ -182,18 +184,18 @@ class FibreMat:
         volume = self._pitch**2 * p.cell_um
         chance = paper.filler * paper.base_g_per_cm3 / _FILLER_G_PER_CM3 / _FILLER_UM3 * volume
         rng = generator(self._seed, "filler")
-        for k in range(density.shape[2]) if chance else ():
+        for k in range(count) if chance else ():
             height = low + (k + 0.5) * p.cell_um
             is_grain = (rng.random(top.shape, dtype=np.float32) < chance) & (height < top) & (height > bottom)
             density[..., k] += (_GRAIN * is_grain).astype(np.uint8)
         for sign, face in ((1.0, top), (-1.0, -bottom)) if p.fuzz_per_mm2 else ():
             rng = generator(self._seed, "fuzz", str(sign))
-            count = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
-            lengths = rng.uniform(100.0, 350.0, count) / self._pitch
+            many = max(int(p.fuzz_per_mm2 * top.size * self._pitch**2 * 1e-6), 1)
+            lengths = rng.uniform(100.0, 350.0, many) / self._pitch
             _fibre_kernels.raise_fibres(
-                density, low, sign, face, rng.uniform(0, 1, (count, 2)) * top.shape[::-1],
-                rng.uniform(0, 2 * np.pi, count), lengths, rng.uniform(12.0, 22.0, count) / self._pitch,
-                rng.normal(0, 2e-3, count) * self._pitch, rng.uniform(3.0, 6.0, count), rng.uniform(*p.fuzz_um, count),
+                density, low, sign, face, rng.uniform(0, 1, (many, 2)) * top.shape[::-1],
+                rng.uniform(0, 2 * np.pi, many), lengths, rng.uniform(12.0, 22.0, many) / self._pitch,
+                rng.normal(0, 2e-3, many) * self._pitch, rng.uniform(3.0, 6.0, many), rng.uniform(*p.fuzz_um, many),
                 p.cell_um,
             )  # fmt: skip
         return Structure(density=density, low_um=low - above, cell_um=p.cell_um)
