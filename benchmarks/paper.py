@@ -4,9 +4,9 @@
 
 The sheets are laid fibre by fibre (``planish.synthetic.fibres``); grades, greys, blur, noise, bends and what lies
 beside the sheet are drawn. A coating's truth is the layer itself; the face of a sheet without one is the outermost
-place at which the wall under the stated blur reaches half of its own grey, loose fibres left out. Per specimen: mean error of
-each thickness and how many of its stated errors that is, standard deviation of a column's error over the stated one,
-coverage, and the mean error in classes of the true coating.
+place at which the wall under the stated blur reaches half of its own grey, loose fibres left out. Per specimen: mean
+error of each thickness and how many of its stated errors that is, standard deviation of a column's error over the
+stated one, coverage, and the mean error in classes of the true coating.
 """
 
 from __future__ import annotations
@@ -53,8 +53,8 @@ class Sized:
         mean, spread = float(self.error.mean()), float(self.error.std())
         stated = float(np.sqrt(np.nanmean(self.stated**2)))
         words = (
-            f"{self.name:14s} true {self.true.mean():6.2f}  off {mean:+6.2f} "
-            f"({abs(mean) / self.mean_stated:4.1f} stated)  sd {spread:5.2f} ({spread / stated:4.2f} stated)  coverage {self.coverage:.3f}"
+            f"{self.name:14s} true {self.true.mean():6.2f}  off {mean:+6.2f} ({abs(mean) / self.mean_stated:4.1f} "
+            f"stated)  sd {spread:5.2f} ({spread / stated:4.2f} stated)  coverage {self.coverage:.3f}"
         )
         if not self.name.startswith("coating"):
             return words
