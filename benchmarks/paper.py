@@ -152,7 +152,8 @@ def _in_resin(rng: np.random.Generator) -> SpecimenParams:
 
 
 def _fringed(rng: np.random.Generator) -> SpecimenParams:
-    return replace(_calendered(rng), scanner=replace(_calendered(rng).scanner, fringe=0.5))
+    params = _calendered(rng)
+    return replace(params, scanner=replace(params.scanner, fringe=0.5))
 
 
 _COATED = ("coating_top", "coating_bottom", "thickness")

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from planish.synthetic.fibres import WALL_G_PER_CM3, Structure
-from planish.synthetic.params import BurnParams, FibreParams, FilmParams, PaperParams
+from planish.synthetic.params import BurnParams, FibreParams, FilmParams, PaperParams, SpecimenParams
 from planish.synthetic.sheet import PITCH_UM, make_sheet
+from planish.synthetic.specimen import make_specimen
 
 PAPER = PaperParams(
     base_um=50.0, coating_top_um=10.0, coating_bottom_um=10.0, coating_sd_um=3.8, least_coating_um=0.5, filler=0.0,
@@ -97,3 +98,9 @@ def test_tape_fills_the_valleys_of_the_face_that_it_touches():
     z, low = heights(tape.structure), tape.faces[3][..., None]
     below = (z < low - 1.0) & (z > np.percentile(low, 1.0))
     assert (tape.structure.density[below] > 60).all()
+
+
+def test_a_film_under_a_slab_or_under_a_given_sheet_without_one_is_refused(sheet):
+    for paper, given in ((PaperParams(), None), (PAPER, sheet)):
+        with pytest.raises(ValueError, match="a film lies under a base of fibres only"):
+            make_specimen(SpecimenParams(paper=paper, film=FilmParams()), sheet=given)

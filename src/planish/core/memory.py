@@ -1,4 +1,7 @@
-"""Every budget of memory: what a run needs, and how much of a volume, an image or a map is read or held at a time."""
+"""Budgets of memory: what a run needs, and how much of a volume, an image or a map is read or held at a time.
+
+The default of ``--memory`` stands in ``run/compute.py``; kernels and single methods keep limits of their own.
+"""
 
 from __future__ import annotations
 

@@ -55,7 +55,7 @@ class Structure:
         for k, (a, b) in enumerate(pairwise(borders)):
             inside = np.clip(np.minimum(b, upper[:, cols]) - max(a, film_high - film.film_um), 0.0, None) / self.cell_um
             cells = density[:, cols, k]
-            cells[:] = np.maximum(cells, np.rint(100 * film.grey * inside).astype(np.uint8))
+            cells[:] = np.maximum(cells, np.rint(np.minimum(100 * film.grey * inside, 255)).astype(np.uint8))
         return Structure(density=density, low_um=float(borders[0]), cell_um=self.cell_um, film_um=film_high)
 
     def face(self, blur_um: float, pitch_um: float, *, top: bool) -> NDArray[np.float32]:

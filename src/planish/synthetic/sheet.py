@@ -226,6 +226,8 @@ class DrawnSheet:
         Relative, with a mean of 1.
     holes : (n, 2)
         True centres (u, v) at the top face, in um.
+    structure : Structure or None
+        Density of a base of single fibres, and a film below it; None for a slab.
     """
 
     params: PaperParams
@@ -250,6 +252,11 @@ class DrawnSheet:
         x = np.clip((u - self.origin[0]) / PITCH_UM, 0.0, field.shape[1] - 1.000001)
         y = np.clip((v - self.origin[1]) / PITCH_UM, 0.0, field.shape[0] - 1.000001)
         return bilinear(field, y, x)
+
+    @property
+    def has_film(self) -> bool:
+        """Whether a film lies below it."""
+        return self.structure is not None and np.isfinite(self.structure.film_um)
 
     @cached_property
     def reach_um(self) -> float:

@@ -201,7 +201,8 @@ def make_specimen(
     InputError
         If ``params`` are something else.
     ValueError
-        If the holes do not fit into the field, or the given sheet does not reach as far as this one has to.
+        If the holes do not fit into the field, or the given sheet does not reach as far as this one has to; if a film is asked for
+        under a base that is no single fibres, or under a given sheet without one.
 
     Examples
     --------
@@ -212,6 +213,8 @@ def make_specimen(
     if params is not None and not isinstance(params, SpecimenParams):  # pyright: ignore[reportUnnecessaryIsInstance]
         raise not_taken(params, "SpecimenParams", 'pl.make_specimen(folder="sheet")', "pl.make_specimen")
     params = params or DEMO
+    if params.film is not None and (params.paper.fibres is None if sheet is None else not sheet.has_film):
+        raise ValueError("a film lies under a base of fibres only: set paper.fibres, or give a sheet made with a film")
     warp, under, depth_um = _place_in_volume(params)
     spread = np.concatenate([under[..., :2].min(axis=(0, 1)), under[..., :2].max(axis=(0, 1))])
     image_shape, pose = draw_pose(params.camera, spread, generator(params.seed, "pose"))
