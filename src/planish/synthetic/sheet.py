@@ -289,7 +289,8 @@ def make_sheet(
 ) -> DrawnSheet:  # fmt: skip
     """Draw one sheet that covers the material rectangle from ``low`` to ``high`` (u, v) in um.
 
-    ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths.
+    ``stiffness``: of the coatings over the base's; it says where the surface lies that keeps its lengths. ``film`` lies
+    below a base of single fibres.
     """
     shape = (int(np.ceil((high[1] - low[1]) / PITCH_UM)) + 2, int(np.ceil((high[0] - low[0]) / PITCH_UM)) + 2)
     mat = None

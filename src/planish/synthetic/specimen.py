@@ -201,8 +201,8 @@ def make_specimen(
     InputError
         If ``params`` are something else.
     ValueError
-        If the holes do not fit into the field, or the given sheet does not reach as far as this one has to; if a film is asked for
-        under a base that is no single fibres, or under a given sheet without one.
+        If the holes do not fit into the field, or the given sheet does not reach as far as this one has to; if a film
+        is asked for under a base that is no single fibres, or under a given sheet without one.
 
     Examples
     --------
