@@ -20,7 +20,7 @@ _ERRORS = PACKAGE / "core" / "errors.py"
 # What makes an error of a reason: the position of the reason among the arguments.
 _MAKERS = {"damaged": 1, "Damaged": 0, "_damaged": 1, "error": 0}
 _STUDY = ("study.py", "params.py", "options.py", "presets.py", "draws.py")  # modules whose ValueErrors a user meets
-_FAULTS = re.compile(r"fault|problem|wrong")  # lists of reasons that are joined to one message
+_FAULTS = re.compile(r"fault|problem|wrong")  # reasons that are put into a message
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +71,8 @@ def _of(tree: ast.Module, path: Path, constants: dict[str, str]) -> Iterator[tup
             listed = isinstance(node.func, ast.Attribute) and node.func.attr == "append" and node.args
             if listed and _FAULTS.search(_name(node.func.value)):
                 yield from ((node.lineno, "one of several", text) for text in _texts(node.args, constants))
+        if isinstance(node, ast.Assign) and _FAULTS.fullmatch(_name(node.targets[0])):
+            yield from ((node.lineno, "one of several", text) for text in _texts([node.value], constants))
 
 
 def _texts(arguments: list[ast.expr], constants: dict[str, str]) -> list[str]:

@@ -16,6 +16,7 @@ from app.asgi import HOST, TOKEN, Client
 from folders import bytes_of
 from planish.app import Session, apply, changes, create_app
 from planish.app.applying import Applying, Busy
+from planish.io.params import ImageParams
 from planish.results import Results
 from planish.run import open_run, read_study, run_study
 
@@ -233,7 +234,7 @@ def test_pairs_by_hand_link_what_was_refused_for_want_of_holes(planish, refused,
     shutil.copytree(refused[0], tmp_path / "run-map")
     code, _, err = planish("link", tmp_path / "run-map", two, "-o", tmp_path / "run")
     assert (code, "at least 3 are needed" in err) == (3, True), err
-    with opened(tmp_path / "run-map", two) as session:
+    with opened(tmp_path / "run-map", ImageParams(path=str(two))) as session:
         for one in marks:
             ends = {side: [one["at"][side]["x"], one["at"][side]["y"]] for side in ("moving", "fixed")}
             do(session, do="add", label=one["label"], **ends)

@@ -172,7 +172,6 @@ def test_every_public_name_stands_with_a_sentence(package):
 
 
 # --- exit codes and messages ---------------------------------------------------------------------------------
-@pytest.mark.study
 def test_every_message_has_its_entry():
     covered = {message.text for _, patterns in message_pages.families() for message in message_pages.of(patterns)}
     every = messages.messages()

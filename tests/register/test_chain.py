@@ -48,7 +48,7 @@ def certain(fit: FittedTransform) -> FittedTransform:
     mixture = np.zeros_like(fit.field.mixture)
     mixture[0, 0, 0] = 1.0
     pairs = Pairs(moving=fit.moving, fixed=fit.fixed, information=fit.information)
-    return replace(fit, known=field.DeviationField(pairs, fit.mirrored, mixture))
+    return replace(fit, likely=field.DeviationField(pairs, fit.mirrored, mixture))
 
 
 @pytest.mark.study
