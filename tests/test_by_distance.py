@@ -28,7 +28,7 @@ CELL = (8.0, 8.0)
 
 
 def twice_of(maps, points, **options):
-    asked = compared(maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated=points)
+    asked = compared(maps, lags_of(maps[0], CELL), params=CorrelateParams(**options), repeated_points=points)
     return agreement.answer_twice(asked)["twice"]
 
 

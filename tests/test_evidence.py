@@ -15,7 +15,7 @@ from planish.analyze import (
     correlate,
     correlate_layers,
     correlation_diagnostics,
-    diagnostics,
+    correlation_evidence,
     headline_of,
     partial,
 )
@@ -284,7 +284,7 @@ def evidence_of(maps, a, b, *, declared=False, **options):
 
 
 def sentences(evidence, point_um):
-    return [*diagnostics.sentences(evidence, "scale", PairWords(point_um))]
+    return [*correlation_evidence.sentences(evidence, "scale", PairWords(point_um))]
 
 
 def test_unrelated_noise_says_nothing_at_any_scale():

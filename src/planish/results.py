@@ -12,7 +12,7 @@ from typing import Any, ClassVar, Literal, Self
 from pydantic import Field
 
 from planish.analyze.compare import ComparisonRow, CorrelationRow
-from planish.analyze.diagnostics import EvidenceFacts
+from planish.analyze.correlation_evidence import EvidenceFacts
 from planish.analyze.image_values import ImageFacts
 from planish.analyze.lag import LagNumbers
 from planish.analyze.mottle import Mottle

@@ -187,7 +187,7 @@ class SeriesResults(ResultModel):
     @property
     def members(self) -> tuple[Member, ...]:
         """What became of each specimen."""
-        return tuple(one.member for one in self.specimens)
+        return tuple(specimen.member for specimen in self.specimens)
 
     def to_json(self) -> str:
         """The text of ``results.json``."""

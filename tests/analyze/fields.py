@@ -4,7 +4,7 @@ import numpy as np
 import xarray as xr
 from scipy import fft, ndimage
 
-from planish.analyze import CorrelateParams, covariance, diagnostics
+from planish.analyze import CorrelateParams, correlation_evidence, covariance
 from planish.analyze.ncc import MaskedNcc
 from planish.core.grid import Grid
 
@@ -48,7 +48,7 @@ def compared(maps, lags, *, a=("sheet", "coating_top"), b=("image", "image"), un
     grid = Grid.regular(lags.is_valid.shape, lags.pixel_um)
     layers = tuple(xr.Dataset({name: (("y", "x"), m)}) for (_, name), m in zip((a, b), maps, strict=True))
     options = {"params": CorrelateParams(), "layers": layers, "grid": grid} | more
-    return diagnostics.ComparedMaps(a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options)
+    return correlation_evidence.ComparedMaps(a=a, b=b, units=units, x=maps[0], y=maps[1], lags=lags, **options)
 
 
 def lags_of(values, cell_um):

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from planish.run import Compute, Study
-from planish.series import jobs, run
+from planish.series import jobs, workers
 
 
 class Death(Exception):
@@ -46,10 +46,10 @@ def job(name: str) -> jobs.Job:
 
 @pytest.mark.parametrize("at_once", [1, 2, 5])
 def test_every_job_has_one_outcome(at_once: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(run, "_PAUSE", 0.001)
+    monkeypatch.setattr(workers, "_PAUSE", 0.001)
     slow: Iterator[jobs.Job | None] = iter([job("a"), None, job("b"), None, None, job("c"), job("d")])
     pool = Workers(at_once, b=1, d=5)
-    found = [(one.name, outcome.state) for one, outcome in run._run_jobs(slow, pool)]  # type: ignore[arg-type]
+    found = [(one.name, outcome.state) for one, outcome in workers._run_jobs(slow, pool)]  # type: ignore[arg-type]
     assert sorted(found) == [("a", "whole"), ("b", "whole"), ("c", "whole"), ("d", "damaged")]
     assert sorted(pool.begun) == ["a", "b", "b", "c", "d", "d"]
 
@@ -62,6 +62,6 @@ def test_jobs_are_taken_as_there_is_room() -> None:
             taken.append(name)
             yield job(name)
 
-    done = run._run_jobs(coming(), Workers(1))  # type: ignore[arg-type]
+    done = workers._run_jobs(coming(), Workers(1))  # type: ignore[arg-type]
     next(done)
     assert taken == ["a"]

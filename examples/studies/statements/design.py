@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from planish.analyze import random_effects, sheets_needed
-from planish.analyze.design import power_of_study
+from planish.analyze.study_power import power_of_study
 from planish.series_results import SeriesResults
 
 from .common import fields_of

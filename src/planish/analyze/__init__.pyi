@@ -19,6 +19,9 @@ from .correlation import PairAtSizes as PairAtSizes
 from .correlation import PairSums as PairSums
 from .correlation import correlate as correlate
 from .correlation import pearson as pearson
+from .correlation_evidence import PairWords as PairWords
+from .correlation_evidence import correlation_diagnostics as correlation_diagnostics
+from .correlation_evidence import sentences as sentences
 from .correlograms import Correlogram as Correlogram
 from .correlograms import CorrelogramProfiles as CorrelogramProfiles
 from .correlograms import LagProfile as LagProfile
@@ -29,14 +32,7 @@ from .curve import independent_points as independent_points
 from .curve import straight_or_curved as straight_or_curved
 from .curve_of_sizes import SizeRow as SizeRow
 from .curve_of_sizes import size_curve as size_curve
-from .design import StudyDesign as StudyDesign
-from .design import expected_n_eff as expected_n_eff
-from .design import power_of_study as power_of_study
-from .design import sheets_needed as sheets_needed
 from .detrend import in_band as in_band
-from .diagnostics import PairWords as PairWords
-from .diagnostics import correlation_diagnostics as correlation_diagnostics
-from .diagnostics import sentences as sentences
 from .differences import Difference as Difference
 from .differences import difference_of as difference_of
 from .differences import holm as holm
@@ -106,6 +102,10 @@ from .sides import two_sheets as two_sheets
 from .split_half import Reliability as Reliability
 from .split_half import SheetColumns as SheetColumns
 from .split_half import split_reliability as split_reliability
+from .study_power import StudyDesign as StudyDesign
+from .study_power import expected_n_eff as expected_n_eff
+from .study_power import power_of_study as power_of_study
+from .study_power import sheets_needed as sheets_needed
 from .texture import Textures as Textures
 from .texture import textures as textures
 from .thin_regions import RegionDifference as RegionDifference

@@ -31,7 +31,7 @@ from planish.core.numbers import count, fixed, limits_text, number, plain, types
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 LIMIT = 1.96
 """Standard deviations of differences that hold 95 % of normal ones, as Bland and Altman write it."""
@@ -101,34 +101,35 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     check_varying(is_valid)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
-    sums, off = sums_of(x[is_valid], y[is_valid]), y - x
-    slope, _, other = sums.lines
-    bias, sd = float(off[is_valid].mean()), sums.difference[1]
-    row: dict[str, Any] = {"n": sums.n, "bias": bias, "slope": slope, "slope_x_on_y": other}
-    if np.ptp(off[is_valid]) <= 1e-12 * max(np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()):
-        same, n_eff = (bias, bias), float(sums.n)
+    sums, differences = sums_of(x[is_valid], y[is_valid]), y - x
+    slope, _, slope_x_on_y = sums.lines
+    bias, sd = float(differences[is_valid].mean()), sums.difference[1]
+    estimates: dict[str, Any] = {"n": sums.n, "bias": bias, "slope": slope, "slope_x_on_y": slope_x_on_y}
+    if np.ptp(differences[is_valid]) <= 1e-12 * max(np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()):
+        ends, n_eff = (bias, bias), float(sums.n)
         return Agreement(
-            **row, sd=0.0, limits=same, bias_interval=same, sd_interval=(0.0, 0.0), n_eff=n_eff, n_eff_sd=n_eff,
-            limit_intervals=(same, same),
+            **estimates, sd=0.0, limits=ends, bias_interval=ends, sd_interval=(0.0, 0.0), n_eff=n_eff, n_eff_sd=n_eff,
+            limit_intervals=(ends, ends),
         )  # fmt: skip
     lags = Lags(is_valid, pixel)
-    square, n_eff = scatter_of(off, lags)
+    variance, n_eff = scatter_of(differences, lags)
     # Of maps with these covariances; the number for the mean is smaller, as long waves weigh more in it.
-    n_eff_sd = PairCovariances(off, off, lags).n_eff(sums.n)
+    n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
     if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
-        spread, whole = quantile * math.sqrt(square / n_eff), math.sqrt(square)
+        bias_half_width, sd_put_right = quantile * math.sqrt(variance / n_eff), math.sqrt(variance)
         # sd of Gaussian values scatters by sd / sqrt(2 df).
-        share = quantile / math.sqrt(2 * (n_eff_sd - 1))
-        wide = quantile * math.sqrt(square / n_eff + square * LIMIT**2 / (2 * (n_eff_sd - 1)))
-        row |= {
-            "bias_interval": (bias - spread, bias + spread),
-            "sd_interval": (whole * math.exp(-share), whole * math.exp(share)),
+        log_sd_half_width = quantile / math.sqrt(2 * (n_eff_sd - 1))
+        limit_width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
+        estimates |= {
+            "bias_interval": (bias - bias_half_width, bias + bias_half_width),
+            "sd_interval": (sd_put_right * math.exp(-log_sd_half_width), sd_put_right * math.exp(log_sd_half_width)),
             "limit_intervals": tuple(
-                (bias + s * LIMIT * whole - wide, bias + s * LIMIT * whole + wide) for s in (-1, 1)
+                (bias + s * LIMIT * sd_put_right - limit_width, bias + s * LIMIT * sd_put_right + limit_width)
+                for s in (-1, 1)
             ),
         }
-    return Agreement(**row, sd=sd, limits=(bias - LIMIT * sd, bias + LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd)
+    return Agreement(**estimates, sd=sd, limits=(bias - LIMIT * sd, bias + LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -198,17 +199,17 @@ def deming(x: Array, y: Array, *, error_ratio: float | None, n_eff: float | None
     scale = math.sqrt(error_ratio)
     a, b = np.asarray(x)[is_valid].astype(np.float64), np.asarray(y)[is_valid].astype(np.float64) / scale
     xx, xy, yy = float(np.var(a)), float(np.mean((a - a.mean()) * (b - b.mean()))), float(np.var(b))
-    spread_apart = math.hypot(yy - xx, 2 * xy)
-    if xy == 0 or not min(xx, yy) > 0 or spread_apart < 1e-12 * (xx + yy):
+    eigenvalue_gap = math.hypot(yy - xx, 2 * xy)
+    if xy == 0 or not min(xx, yy) > 0 or eigenvalue_gap < 1e-12 * (xx + yy):
         raise CannotMeasure("x and y do not vary together: any slope fits. Look at the maps.")
-    turn = math.atan2(2 * xy, xx - yy) / 2
-    slope, interval, n_eff = math.tan(turn) * scale, (math.nan, math.nan), min(n_eff, n)
+    axis_angle = math.atan2(2 * xy, xx - yy) / 2
+    slope, interval, n_eff = math.tan(axis_angle) * scale, (math.nan, math.nan), min(n_eff, n)
     if n_eff >= LEAST_CLAIMED:
-        sine = 2 * t_95(n_eff - 2) * math.sqrt(max(xx * yy - xy * xy, 0.0) / (n_eff - 2)) / spread_apart
-        width = math.asin(sine) / 2 if sine < 1 else math.inf
+        sin_2_half_width = 2 * t_95(n_eff - 2) * math.sqrt(max(xx * yy - xy * xy, 0.0) / (n_eff - 2)) / eigenvalue_gap
+        half_width = math.asin(sin_2_half_width) / 2 if sin_2_half_width < 1 else math.inf
         # Beyond upright, the interval would go through infinity.
-        if -math.pi / 2 < turn - width <= turn + width < math.pi / 2:
-            interval = math.tan(turn - width) * scale, math.tan(turn + width) * scale
+        if -math.pi / 2 < axis_angle - half_width <= axis_angle + half_width < math.pi / 2:
+            interval = math.tan(axis_angle - half_width) * scale, math.tan(axis_angle + half_width) * scale
     intercept = float(b.mean()) * scale - slope * float(a.mean())
     return Deming(slope=slope, intercept=intercept, interval=interval, error_ratio=error_ratio)
 
@@ -225,9 +226,9 @@ class Twice(Agreement, RingCorrelation):
 
 def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
     """Of two sheets with one quantity: rings of waves over the cells, bias and limits over the larger points."""
-    if pair.repeated is None:
+    if pair.repeated_points is None:
         return {}
-    (a, b), point_um, error_ratio, units = pair.repeated, pair.point_um, pair.params.error_ratio, pair.units[0]
+    (a, b), point_um, error_ratio, units = pair.repeated_points, pair.point_um, pair.params.error_ratio, pair.units[0]
     try:
         rings = ring_correlation(pair.x, pair.y, mask=pair.lags.is_valid, pixel_um=pair.cell_um)
     except PlanishError as error:
@@ -236,35 +237,36 @@ def answer_twice(pair: ComparedMaps) -> dict[str, Any]:
         agreement = bland_altman(a, b, pixel_um=point_um)
     except PlanishError:
         return {"twice": Twice.holding(rings, units=units)}
-    line: dict[str, Any] = {"error_ratio": error_ratio}
+    line_fields: dict[str, Any] = {"error_ratio": error_ratio}
     if error_ratio is not None:
         with suppress(PlanishError):
             n_eff = independent_points(a, b, pixel_um=point_um).n_eff
             fit = deming(a, b, error_ratio=error_ratio, n_eff=n_eff)
-            line |= {"error_slope": fit.slope, "error_intercept": fit.intercept, "error_interval": fit.interval}
-    return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line)}
+            line_fields |= {"error_slope": fit.slope, "error_intercept": fit.intercept, "error_interval": fit.interval}
+    return {"twice": Twice.holding(rings, agreement, point_um=point_um, units=units, **line_fields)}
 
 
-def say_twice(twice: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_twice(agreement: Twice, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """Down to which wavelength two measurements agree, and how far they differ."""
-    if twice.sentence:
-        yield typeset(twice.sentence)
-    if is_known(twice.bias) and is_known(twice.point_um):
-        units = unit(twice.units)
+    if agreement.sentence:
+        yield typeset(agreement.sentence)
+    if is_known(agreement.bias) and is_known(agreement.point_um):
+        units = unit(agreement.units)
         text = (
-            f"{evidence.b} minus {evidence.a}, over {count(twice.n)} points of {plain(twice.point_um)}: "
-            f"{fixed(twice.bias, 2)} {units} on average ({limits_text(twice.bias_interval) or 'no interval'})"
+            f"{evidence.b} minus {evidence.a}, over {count(agreement.n)} points of {plain(agreement.point_um)}: "
+            f"{fixed(agreement.bias, 2)} {units} on average ({limits_text(agreement.bias_interval) or 'no interval'})"
         )
-        if spread := limits_text(twice.sd_interval):
-            text += f"; standard deviation of a point within {f'{spread} {units}'.rstrip()}"
+        if sd_text := limits_text(agreement.sd_interval):
+            text += f"; standard deviation of a point within {f'{sd_text} {units}'.rstrip()}"
         yield f"{text}."
-    if is_known(twice.error_ratio):
-        if not is_known(twice.error_slope):
+    if is_known(agreement.error_ratio):
+        if not is_known(agreement.error_slope):
             yield "No line between both: they do not vary together, or too few points are independent."
             return
         yield (
-            f"Line between both where each has errors (Deming, variances in a ratio of {number(twice.error_ratio)}, as "
-            f"declared): slope {number(twice.error_slope)} ({limits_text(twice.error_interval) or 'no interval'})."
+            "Line between both where each has errors (Deming, variances in a ratio of "
+            f"{number(agreement.error_ratio)}, as declared): slope {number(agreement.error_slope)} "
+            f"({limits_text(agreement.error_interval) or 'no interval'})."
         )
 
 

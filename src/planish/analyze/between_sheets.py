@@ -78,28 +78,33 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
     -------
     SheetDifference
     """
-    first, second = before.by_sheet, after.by_sheet
+    old_sheets, new_sheets = before.by_sheet, after.by_sheet
     if before.names and after.names:
-        earlier, later = (
+        old_fields, new_fields = (
             {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
             for m in (before, after)
         )
-        shared = [field for field in earlier if field in later]
-        first, second = (Fields([m[k] for k in shared], [s for s, _ in shared]).by_sheet for m in (earlier, later))
-    pairs = {sheet: (values.mean(), second[sheet].mean()) for sheet, values in first.items() if sheet in second}
-    unpaired = tuple(sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in pairs)
-    k = len(pairs)
+        paired_fields = [field for field in old_fields if field in new_fields]
+        old_sheets, new_sheets = (
+            Fields([m[k] for k in paired_fields], [s for s, _ in paired_fields]).by_sheet
+            for m in (old_fields, new_fields)
+        )
+    sheet_means = {
+        sheet: (values.mean(), new_sheets[sheet].mean()) for sheet, values in old_sheets.items() if sheet in new_sheets
+    }
+    unpaired = tuple(sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in sheet_means)
+    k = len(sheet_means)
     if k == 0:
         return SheetDifference(kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner")
-    old, new = np.array([*pairs.values()], dtype=np.float64).T
-    change = new - old
-    spread = spread_of(change)
-    if spread <= 1e-12 * float(np.abs([old, new]).max()):
-        spread = 0.0
+    means_before, means_after = np.array([*sheet_means.values()], dtype=np.float64).T
+    changes = means_after - means_before
+    sd = spread_of(changes)
+    if sd <= 1e-12 * float(np.abs([means_before, means_after]).max()):
+        sd = 0.0
     difference = SheetDifference(
-        kind="paired", sheets=(k, k), means=(float(old.mean()), float(new.mean())), difference=float(change.mean()),
-        sd=spread, standard_error=spread / math.sqrt(k) if k > 1 else math.nan, unpaired=unpaired,
-        reason=too_few(k) or ("" if spread > 0 else "all sheets have the same difference"),
+        kind="paired", sheets=(k, k), means=(float(means_before.mean()), float(means_after.mean())),
+        difference=float(changes.mean()), sd=sd, standard_error=sd / math.sqrt(k) if k > 1 else math.nan,
+        unpaired=unpaired, reason=too_few(k) or ("" if sd > 0 else "all sheets have the same difference"),
     )  # fmt: skip
     return difference if difference.reason else _with_interval(difference, k - 1.0)
 
@@ -119,19 +124,19 @@ def two_groups(first: Fields, second: Fields) -> SheetDifference:
     k = (a.size, b.size)
     if min(k) == 0:
         return SheetDifference(kind="two groups", sheets=k, reason="one of the two has no field with a value")
-    mean = (float(a.mean()), float(b.mean()))
-    parts = [spread_of(m) ** 2 / m.size for m in (a, b)]
-    error = math.sqrt(sum(parts))
+    means = (float(a.mean()), float(b.mean()))
+    mean_variances = [spread_of(m) ** 2 / m.size for m in (a, b)]
+    error = math.sqrt(sum(mean_variances))
     difference = SheetDifference(
-        kind="two groups", sheets=k, means=mean, difference=mean[1] - mean[0], standard_error=error,
+        kind="two groups", sheets=k, means=means, difference=means[1] - means[0], standard_error=error,
         reason=too_few(*k) or all_alike(error),
     )  # fmt: skip
-    return difference if difference.reason else _with_interval(difference, welch_free(parts, k))
+    return difference if difference.reason else _with_interval(difference, welch_free(mean_variances, k))
 
 
-def welch_free(variances: Sequence[float], counts: Sequence[int]) -> float:
+def welch_free(variances: Sequence[float], sizes: Sequence[int]) -> float:
     """Degrees of freedom of a sum of variances of means, each over so many values (Welch 1947)."""
-    return sum(variances) ** 2 / sum(v * v / (n - 1) for v, n in zip(variances, counts, strict=True))
+    return sum(variances) ** 2 / sum(v * v / (n - 1) for v, n in zip(variances, sizes, strict=True))
 
 
 def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
@@ -144,8 +149,8 @@ def _with_interval(difference: SheetDifference, free: float) -> SheetDifference:
 
 def p_of_tables(differences: Sequence[SheetDifference]) -> tuple[SheetDifference, ...]:
     """Put p right for how many differences are looked at, of all properties and pairs of papers (Holm 1979)."""
-    p_of = holm([d.p for d in differences])
-    return tuple(d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, p_of, strict=True))
+    adjusted_p = holm([d.p for d in differences])
+    return tuple(d.model_copy(update={"p_of_table": p}) for d, p in zip(differences, adjusted_p, strict=True))
 
 
 def equivalence(shift: SheetDifference, *, margin: float) -> Equivalence:

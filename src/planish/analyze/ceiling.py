@@ -18,7 +18,7 @@ from planish.core.errors import InputError
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts
 
 
 _QUANTILES = 16  # of the errors of a map
@@ -101,44 +101,54 @@ def ceiling(
     if point_um is not None:
         spectrum = spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
     square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
-    twice = np.full(spectrum.shape[1], 2.0)  # waves of half a spectrum, but those that are their own mirror images
-    twice[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
+    # Waves of half a spectrum count twice, but those that are their own mirror images.
+    mode_weights = np.full(spectrum.shape[1], 2.0)
+    mode_weights[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
 
     def at_zero(spectrum: Floats) -> float:
-        return float(np.sum(spectrum * twice)) / covariance.size
+        return float(np.sum(spectrum * mode_weights)) / covariance.size
 
-    whole, quantiles = at_zero(spectrum), errors
+    variance, quantiles = at_zero(spectrum), errors
     if errors.size > 1:
         quantiles = np.quantile(errors, (np.arange(_QUANTILES) + 0.5) / _QUANTILES)
     # Along an axis the standard deviation is the error over the square root of 2.
-    remaining = [at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / whole for e in quantiles]
-    position = float(np.clip(np.mean(remaining), 0.0, 1.0))
+    attenuations = [at_zero(spectrum * np.exp(-(e * e / 2) * square / 2)) / variance for e in quantiles]
+    position = float(np.clip(np.mean(attenuations), 0.0, 1.0))
     return Ceiling(r=position * math.sqrt(reliability), position=position, noise=math.sqrt(reliability))
 
 
 def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
     """The r that a perfect relation would show by misplacement, by the noise of two half measurements, and by both."""
     answers: dict[str, Any] = {}
-    errors = [data["expected_error"] for data in pair.layers if "expected_error" in data]
+    error_maps = [m["expected_error"] for m in pair.layers if "expected_error" in m]
     # Of the places of all layers together, at some pixels.
-    total = np.sqrt(sum((np.asarray(thinned(data)[1][0], dtype=np.float64) ** 2 for data in errors), np.zeros(1)))
-    total = total[np.isfinite(total)]
-    if errors and total.size:
-        size, errors_um = pair.point_um if pair.has_points else None, np.quantile(total, np.linspace(0, 1, 65))
-        most = ceiling(pair.x, error_um=errors_um, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=size)
-        answers |= {"ceiling": most.r, "ceiling_sentence": most.sentence}
+    errors_um = np.sqrt(sum((np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps), np.zeros(1)))
+    errors_um = errors_um[np.isfinite(errors_um)]
+    if error_maps and errors_um.size:
+        support_um, quantiles_um = (
+            pair.point_um if pair.has_points else None,
+            np.quantile(errors_um, np.linspace(0, 1, 65)),
+        )
+        by_shift = ceiling(
+            pair.x, error_um=quantiles_um, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=support_um
+        )
+        answers |= {"ceiling": by_shift.r, "ceiling_sentence": by_shift.sentence}
     if pair.columns and pair.has_points:
-        halves = tuple(reliability_of(pair, layer, name) for layer, name in (pair.a, pair.b) if layer in pair.columns)
-        answers["reliability"] = halves
-        noise = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
-        if not math.isnan(noise):
-            answers["ceiling_noise"] = noise
+        reliabilities = tuple(
+            reliability_of(pair, layer, name) for layer, name in (pair.a, pair.b) if layer in pair.columns
+        )
+        answers["reliability"] = reliabilities
+        noise_r = (
+            math.sqrt(math.prod(reliability.value for reliability in reliabilities)) if reliabilities else math.nan
+        )
+        if not math.isnan(noise_r):
+            answers["ceiling_noise"] = noise_r
             if "ceiling" in answers:
-                answers["ceiling_both"] = noise * answers["ceiling"]
+                answers["ceiling_both"] = noise_r * answers["ceiling"]
     return answers
 
 
-def say_ceiling(_: object, evidence: EvidenceFacts, __: PairWords) -> Iterator[str]:
+def say_ceiling(_: object, evidence: EvidenceFacts, *__: object) -> Iterator[str]:
     """What a perfect relation would show."""
     if evidence.ceiling_sentence:
         yield (

@@ -93,36 +93,39 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     """
     layers = maps[a], maps[b]
     names = [_maps_to_correlate(data) for data in layers]
-    sheets = all("image" not in n for n in names)
-    pairs = [(n, n) for n in names[0] if n in names[1]] if sheets else [(m, n) for m in names[0] for n in names[1]]
+    are_sheets = all("image" not in n for n in names)
+    pairs = [(n, n) for n in names[0] if n in names[1]] if are_sheets else [(m, n) for m in names[0] for n in names[1]]
     grid = Grid.of(layers[0])
-    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
+    accumulators = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
     for rows in bands(grid.shape[0]):
         valid = band_of(layers[0]["valid"], rows) & band_of(layers[1]["valid"], rows)
         p, q = (
             {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
             for k, data in enumerate(layers)
         )
-        for of_pair, pair in zip(sums, pairs, strict=True):
-            of_pair.add(rows.start, p[pair[0]], q[pair[1]])
-    table: list[CorrelationRow] = []
-    for of_pair, pair in zip(sums, pairs, strict=True):
-        sizes = [*of_pair.sizes()]
-        for row, pair_sums in sizes if sizes[0][0].n else []:
-            more = _agreement(pair_sums, layers[0][pair[0]]) if sheets else {}
-            table.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **more))
-    for size in {row.point_um for row in table}:
-        of_size = [k for k, row in enumerate(table) if row.point_um == size]
-        for k, p_of_table in zip(of_size, holm([table[k].p for k in of_size]), strict=True):
-            table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
-    yield from table
+        for accumulator, pair in zip(accumulators, pairs, strict=True):
+            accumulator.add(rows.start, p[pair[0]], q[pair[1]])
+    correlation_rows: list[CorrelationRow] = []
+    for accumulator, pair in zip(accumulators, pairs, strict=True):
+        correlations = [*accumulator.sizes()]
+        for row, pair_sums in correlations if correlations[0][0].n else []:
+            agreement = _agreement(pair_sums, layers[0][pair[0]]) if are_sheets else {}
+            correlation_rows.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement))
+    for point_size_um in {row.point_um for row in correlation_rows}:
+        row_numbers = [k for k, row in enumerate(correlation_rows) if row.point_um == point_size_um]
+        for k, p_of_table in zip(row_numbers, holm([correlation_rows[k].p for k in row_numbers]), strict=True):
+            correlation_rows[k] = correlation_rows[k].model_copy(update={"p_of_table": p_of_table})
+    yield from correlation_rows
 
 
-def _agreement(sums: PairSums, data: xr.DataArray) -> dict[str, Any]:
-    """Differences of two maps of one quantity, of which ``data`` is the first."""
+def _agreement(sums: PairSums, first_map: xr.DataArray) -> dict[str, Any]:
+    """Differences of two maps of one quantity, of which ``first_map`` is one."""
     mean, sd = sums.difference
     agreement: dict[str, Any] = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
-    return agreement | {"limits": (mean - LIMIT * sd, mean + LIMIT * sd), "units": str(data.attrs.get("units", "1"))}
+    return agreement | {
+        "limits": (mean - LIMIT * sd, mean + LIMIT * sd),
+        "units": str(first_map.attrs.get("units", "1")),
+    }
 
 
 class _Variant(NamedTuple):
@@ -132,12 +135,12 @@ class _Variant(NamedTuple):
     rms_um: float
     mesh: Mesh | None  # None: that of the run, whose maps are there
 
-    def bring(self, field: Array, linked: Array, part: Grid) -> Array:
-        """Bring a field of the sheet to some pixels of the image, where it is ``linked`` by the run."""
+    def bring(self, sheet_map: Array, linked_map: Array, grid_part: Grid) -> Array:
+        """Bring a field of the sheet to some pixels of the image, where it is ``linked_map`` of the run."""
         if self.mesh is None:
-            return linked
-        under = self.mesh.under(part)
-        return resample(field[under.nodes], under.places)
+            return linked_map
+        mesh_part = self.mesh.under(grid_part)
+        return resample(sheet_map[mesh_part.nodes], mesh_part.places)
 
 
 def comparison_rows(
@@ -149,48 +152,52 @@ def comparison_rows(
     ``away`` says of the pixels of a grid whether they are away from holes.
     Least squares of all marks, as in the paper: marks that do not fit are what shows that a registration is wrong.
     """
-    grid, field = Grid.of(linked), sheet["surfaces"][name].values
+    grid, sheet_map = Grid.of(linked), sheet["surfaces"][name].values
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
     for rows in bands(grid.shape[0]):
-        part = grid.part(rows)
-        values = [variant.bring(field, band_of(linked[name], rows), part) for variant in variants]
+        grid_part = grid.part(rows)
+        placed_maps = [variant.bring(sheet_map, band_of(linked[name], rows), grid_part) for variant in variants]
         # Rows that are compared are of the same pixels.
-        use = np.logical_and.reduce([band_of(linked["valid"], rows), away(part), *map(np.isfinite, values)])
-        for of_variant, shown in zip(sums, values, strict=True):
-            of_variant.add(rows.start, np.where(use, shown, np.nan), band_of(linked["image"], rows))
-    cells_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
-    by_run = [*zip((row.r for row, _ in sums[-1].sizes()), cells_of_run, strict=True)]
-    for variant, of_variant in zip(variants, sums, strict=True):
-        for (row, _), pair, (r, reference) in zip(
-            of_variant.sizes(), (of_variant.cells()[0], of_variant.points()), by_run, strict=True
+        is_used = np.logical_and.reduce(
+            [band_of(linked["valid"], rows), away(grid_part), *map(np.isfinite, placed_maps)]
+        )
+        for variant_sums, placed_map in zip(sums, placed_maps, strict=True):
+            variant_sums.add(rows.start, np.where(is_used, placed_map, np.nan), band_of(linked["image"], rows))
+    maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
+    correlations_of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
+    for variant, variant_sums in zip(variants, sums, strict=True):
+        for (row, _), variant_maps, (run_r, run_maps) in zip(
+            variant_sums.sizes(), (variant_sums.cells()[0], variant_sums.points()), correlations_of_run, strict=True
         ):
-            more = _change(r - row.r, pair, *reference) if variant.mesh is not None and row.n else {}
+            difference = _change(run_r - row.r, variant_maps, *run_maps) if variant.mesh is not None and row.n else {}
             yield ComparisonRow.holding(
-                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **more
+                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **difference
             )
 
 
-def _change(change_of_r: float, pair: Sequence[Array], of_run: Sequence[Array], pixel_um: Pixel) -> dict[str, Any]:
+def _change(
+    r_difference: float, variant_maps: Sequence[Array], run_maps: Sequence[Array], pixel_um: Pixel
+) -> dict[str, Any]:
     """Change of r, and the interval of it."""
-    change = paired_difference((pair[0], pair[1]), (of_run[0], of_run[1]), pixel_um=pixel_um)
+    change = paired_difference((variant_maps[0], variant_maps[1]), (run_maps[0], run_maps[1]), pixel_um=pixel_um)
     # The interval is told from cells, which may be larger than the pixels that r is of.
-    low, high = (v + (change_of_r - change.difference) for v in change.interval)
-    return {"difference": change_of_r, "difference_interval": (low, high)}
+    low, high = (v + (r_difference - change.difference) for v in change.interval)
+    return {"difference": r_difference, "difference_interval": (low, high)}
 
 
 def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[_Variant]:
     """The registrations that the run's own is compared with."""
-    for title, names, model in REGISTRATION_VARIANTS:
-        if model == fit.model and names == ("u", "v"):
+    for title, coordinates, model in REGISTRATION_VARIANTS:
+        if model == fit.model and coordinates == ("u", "v"):
             continue  # the run's own
-        marks = fit.moving if names == ("u", "v") else values_at(sheet["maps"], names, fit.moving)
+        marks = fit.moving if coordinates == ("u", "v") else values_at(sheet["maps"], coordinates, fit.moving)
         if not np.isfinite(marks).all():
             raise MarkError("A mark lies outside the flattened sheet. Remove it from the table of marks.")
-        variant = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
-        uv = np.stack([sheet["flat"][axis].values for axis in names], axis=-1)
-        mesh = Mesh.of(variant.transform(uv), least_um=min(pitch(sheet["surfaces"])))
-        yield _Variant(title, variant.rms_um, mesh)
+        variant_fit = fit_transform(marks, fit.fixed, model=model, mirrored=fit.mirrored, robust=False)
+        uv = np.stack([sheet["flat"][coordinate].values for coordinate in coordinates], axis=-1)
+        mesh = Mesh.of(variant_fit.transform(uv), least_um=min(pitch(sheet["surfaces"])))
+        yield _Variant(title, variant_fit.rms_um, mesh)
 
 
 def headline_of(maps: xr.Dataset, side: Side = "top", wanted: str | None = None) -> str:

@@ -1,4 +1,7 @@
-"""Point-wise correlation of two maps on one grid, and how sure it is (Hirn et al. 2009, sections 3.3 and 3.4)."""
+"""Point-wise correlation of two maps on one grid, and how sure it is (Hirn et al. 2009, sections 3.3 and 3.4).
+
+What stands beside r is listed in ``correlation_evidence``.
+"""
 
 from __future__ import annotations
 
@@ -75,11 +78,11 @@ class PointsCorrelation(ResultModel):
     interval: Interval = optional("In which this r lies with 95 %.")
 
     @classmethod
-    def of(cls, row: Correlation, **more: Any) -> Self:
+    def of(cls, row: Correlation, **extra_fields: Any) -> Self:
         """Take what stands beside another r of a correlation, and what the class has more."""
-        numbers: dict[str, Any] = {"point_um": row.point_um, "n": row.n, "r": row.r, "n_eff": row.n_eff}
-        numbers["interval"] = row.interval
-        return cls(**{**numbers, **more})
+        fields: dict[str, Any] = {"point_um": row.point_um, "n": row.n, "r": row.r, "n_eff": row.n_eff}
+        fields["interval"] = row.interval
+        return cls(**{**fields, **extra_fields})
 
 
 class PairSums:
@@ -123,8 +126,8 @@ class PairSums:
     @property
     def constant(self) -> list[bool]:
         """Whether x, and whether y, is constant up to rounding: then it has no correlation."""
-        least = np.maximum(np.abs(self._mean[:2]), 1e-300)
-        return (np.diag(self._square)[:2] <= self.n * (1e-12 * least) ** 2).tolist()
+        magnitudes = np.maximum(np.abs(self._mean[:2]), 1e-300)
+        return (np.diag(self._square)[:2] <= self.n * (1e-12 * magnitudes) ** 2).tolist()
 
     @property
     def r(self) -> float:
@@ -209,13 +212,13 @@ def correlate(
     Conley (1999), J. Econometrics 92, 1, doi:10.1016/S0304-4076(98)00084-0.
     """
     if pixel_um is None:
-        steps = [step_um(a, str(axis)) for axis in a.dims] if isinstance(a, xr.DataArray) else []
-        pitch = [step for step in steps if step is not None]
-        if len(pitch) != 2:
+        steps_um = [step_um(a, str(axis)) for axis in a.dims] if isinstance(a, xr.DataArray) else []
+        pitch_um = [step for step in steps_um if step is not None]
+        if len(pitch_um) != 2:
             raise SizeError(
                 "The maps have no pixel size: they are no maps with coordinates in um. Give it with --pixel-um."
             )
-        pixel_um = pitch[0], pitch[1]
+        pixel_um = pitch_um[0], pitch_um[1]
     pixel = on_one_grid(a, b, mask, pixel_um)
     if point_um is not None and not max(pixel) * (1 - 1e-9) <= point_um < math.inf:
         raise SizeError(f"A point of {point_um:g} um is smaller than a pixel of {max(pixel):g} um. Give a larger one.")
@@ -227,9 +230,9 @@ def correlate(
 
 def on_one_grid(a: Rows, b: Rows, mask: Rows | None, pixel_um: Pixel) -> Pair:
     """Return the pixel along y and x, or raise InputError or SizeError where two maps are not on one grid."""
-    sizes = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
+    pitch_um = (pixel_um, pixel_um) if isinstance(pixel_um, (int, float, np.number)) else pixel_um
     try:
-        pixel = tuple(float(v) for v in sizes)
+        pixel = tuple(float(v) for v in pitch_um)
     except (TypeError, ValueError):
         pixel = ()
     if len(pixel) != 2 or not all(0 < v < math.inf for v in pixel):
@@ -290,8 +293,8 @@ class PairAtSizes:
 
     def add_maps(self, a: Rows, b: Rows, *masks: Rows) -> None:
         """Add all rows of both maps, where all masks are true."""
-        for rows, (x, y, *parts) in read_bands(a, b, *masks):
-            self.add(rows.start, np.where(np.logical_and.reduce(parts), x, np.nan) if parts else x, y)
+        for rows, (x, y, *mask_bands) in read_bands(a, b, *masks):
+            self.add(rows.start, np.where(np.logical_and.reduce(mask_bands), x, np.nan) if mask_bands else x, y)
 
     def add(self, begin: int, x: Array, y: Array) -> None:
         """Add the rows from ``begin`` on of both maps; NaN is missing."""
@@ -303,8 +306,8 @@ class PairAtSizes:
             return
         self._sums.add(x, y)
         k = self._factor
-        thin = np.s_[-begin % k :: k, ::k]
-        self._ranked.append(np.stack([m[thin][is_valid[thin]].astype(np.float64) for m in (x, y)]))
+        every_kth = np.s_[-begin % k :: k, ::k]
+        self._ranked.append(np.stack([m[every_kth][is_valid[every_kth]].astype(np.float64) for m in (x, y)]))
 
     def at_pixel(self) -> Correlation:
         """The correlation per pixel."""
@@ -336,25 +339,25 @@ class PairAtSizes:
 
 def _stated(sums: PairSums, cells: list[Floats], ranked: Floats, pitch_um: Pair, support_um: float) -> Correlation:
     """Say how sure the correlation is that stands in the sums; ``cells`` are both maps, as they are or averaged."""
-    r, (slope, intercept, other) = sums.r, sums.lines
-    row: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
-    row |= {"slope": slope, "intercept": intercept, "slope_x_on_y": other}
+    r, (slope, intercept, slope_x_on_y) = sums.r, sums.lines
+    fields: dict[str, Any] = {"point_um": support_um, "n": sums.n, "r": r, "r2": r * r}
+    fields |= {"slope": slope, "intercept": intercept, "slope_x_on_y": slope_x_on_y}
     if math.isnan(r):
-        warnings = [f"Map {name} is constant." for name, same in zip("ab", sums.constant, strict=True) if same]
+        warnings = [f"Map {name} is constant." for name, constant in zip("ab", sums.constant, strict=True) if constant]
         if sums.n < LEAST:
             warnings = [f"Only {sums.n} points are valid in both maps."]
-        return Correlation(**row, warnings=tuple(warnings))
+        return Correlation(**fields, warnings=tuple(warnings))
     rho, warnings = math.nan, list[str]()
     if ranked.size:
         rho = pearson(ranks(ranked[0]), ranks(ranked[1]))
-        shares = (float(np.mean(values == np.median(values))) for values in ranked)
+        median_shares = (float(np.mean(values == np.median(values))) for values in ranked)
         warnings = [
-            f"{100 * share:.0f} % of the points of map {name} have one value."
-            for name, share in zip("ab", shares, strict=True) if share > 0.9
+            f"{100 * median_share:.0f} % of the points of map {name} have one value."
+            for name, median_share in zip("ab", median_shares, strict=True) if median_share > 0.9
         ]  # fmt: skip
-    row |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
-    row |= _certainty(r, sums, cells, pitch_um, warnings)
-    return Correlation(**row, warnings=tuple(warnings))
+    fields |= {"rho": rho, "mean_a": sums.means[0], "mean_b": sums.means[1]}
+    fields |= _certainty(r, sums, cells, pitch_um, warnings)
+    return Correlation(**fields, warnings=tuple(warnings))
 
 
 def _certainty(
@@ -369,30 +372,31 @@ def _certainty(
     pair = PairCovariances(x, y, Lags(is_valid, pitch_um))
     n_eff = pair.n_eff(sums.n, sums.variances)
     if not n_eff >= LEAST_CLAIMED:
-        few = f"{n_eff:.0f}" if n_eff >= 1 else "No"
-        warnings.append(f"{few} independent points: nothing is claimed. Measure a larger field.")
+        points_text = f"{n_eff:.0f}" if n_eff >= 1 else "No"
+        warnings.append(f"{points_text} independent points: nothing is claimed. Measure a larger field.")
         return {"n_eff": n_eff}
     if n_eff < 30:
         warnings.append(f"Only {n_eff:.0f} independent points. Measure a larger field.")
     if 1 - r * r < 1e-14:
         return {"n_eff": n_eff, "p": 0.0, "interval": (r, r)}
-    within, ratio = pearson(x[is_valid], y[is_valid]), 1.0
-    if 1 - within**2 > 1e-14:
+    r_of_cells, error_ratio = pearson(x[is_valid], y[is_valid]), 1.0
+    if 1 - r_of_cells**2 > 1e-14:
         reach = BANDWIDTH * min(k * p for k, p in zip(is_valid.shape, pitch_um, strict=True))
-        ratio = max(pair.spatial_error(within, reach)[1], 1.0)
-    if ratio > UNEVEN:
+        error_ratio = max(pair.spatial_error(r_of_cells, reach)[1], 1.0)
+    if error_ratio > UNEVEN:
         warnings.append(
-            f"The maps do not vary alike everywhere, which makes the interval {ratio:.1f} times as wide. Look at them, "
-            "and mask what does not belong."
+            f"The maps do not vary alike everywhere, which makes the interval {error_ratio:.1f} times as wide. Look at "
+            "them, and mask what does not belong."
         )
-    of_z, normal = ratio**2 * pair.variance_of_z(r, sums.variances), normal_quantile(0.975)
-    width = normal / math.sqrt(n_eff - 3)
-    if 0 < of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
-        width = max(width, t_95(1 / of_z - 2) * math.sqrt(of_z))
+    variance_of_z, normal_97_5 = error_ratio**2 * pair.variance_of_z(r, sums.variances), normal_quantile(0.975)
+    half_width = normal_97_5 / math.sqrt(n_eff - 3)
+    if 0 < variance_of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
+        half_width = max(half_width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))
     if trend := shared_trend(x, y, is_valid):
         warnings.append(trend)
     z = math.atanh(r)
     return {
         "n_eff": n_eff, "p": 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2),
-        "interval": (math.tanh(z - width), math.tanh(z + width)), "n_eff_interval": (normal / width) ** 2 + 3,
+        "interval": (math.tanh(z - half_width), math.tanh(z + half_width)),
+        "n_eff_interval": (normal_97_5 / half_width) ** 2 + 3,
     }  # fmt: skip

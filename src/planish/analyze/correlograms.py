@@ -20,7 +20,7 @@ from planish.core.numbers import fixed, plain
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps
 
 
 _CHANCE = 0.01  # a band at 95 % is exceeded by 10-18 % of smooth maps
@@ -69,8 +69,8 @@ class Correlogram(CorrelogramProfiles):
 def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
     """What lies along one axis, at lag 0 and at most 40 lags to either side."""
     step = math.ceil((lags_um.size // 2) / 40)
-    every = slice(lags_um.size // 2 % step, None, step)
-    lags, r, limit, of_any = (tuple(values[every].tolist()) for values in (lags_um, *along))
+    thinning = slice(lags_um.size // 2 % step, None, step)
+    lags, r, limit, of_any = (tuple(values[thinning].tolist()) for values in (lags_um, *along))
     return LagProfile(lags_um=lags, r=r, limit=limit, limit_of_any=of_any)
 
 
@@ -131,19 +131,19 @@ def correlogram_of(
     r = ncc(b.astype(np.float64))
     if not np.isfinite(r).any():
         raise CannotMeasure("At no lag are there enough pairs that differ. Give a larger map or a smaller mask.")
-    lag_y, lag_x = ((np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True))
-    top, peak_r, inner = _summit(r)
-    widths, angle = _widths(r / peak_r, top, pixel) if inner else ((math.nan, math.nan), math.nan)
+    lags_y_um, lags_x_um = ((np.arange(-k, k + 1) * p).astype(np.float64) for k, p in zip(reach, pixel, strict=True))
+    summit, peak_r, inner = _summit(r)
+    widths, angle = _widths(r / peak_r, summit, pixel) if inner else ((math.nan, math.nan), math.nan)
     n_eff, band, of_any = _limits([a, b], lags, ncc.pairs, np.isfinite(r))
-    maps_by_lag, (row, col) = (r, band, of_any), reach
+    maps_by_lag, (zero_row, zero_col) = (r, band, of_any), reach
     return Correlogram(
-        r=r, lag_y_um=lag_y, lag_x_um=lag_x, band_99=band, band_99_of_any=of_any, cell_um=pixel,
-        reach_um=min(float(lag_y[-1]), float(lag_x[-1])), r_at_zero=float(r[row, col]), peak_r=peak_r, inner=inner,
-        lag_um=((top[0] - row) * pixel[0], (top[1] - col) * pixel[1]), widths_um=widths, angle_deg=angle, n_eff=n_eff,
-        limit_of_any=float(of_any[row, col]),
+        r=r, lag_y_um=lags_y_um, lag_x_um=lags_x_um, band_99=band, band_99_of_any=of_any, cell_um=pixel,
+        reach_um=min(float(lags_y_um[-1]), float(lags_x_um[-1])), r_at_zero=float(r[zero_row, zero_col]), peak_r=peak_r,
+        inner=inner, lag_um=((summit[0] - zero_row) * pixel[0], (summit[1] - zero_col) * pixel[1]), widths_um=widths,
+        angle_deg=angle, n_eff=n_eff, limit_of_any=float(of_any[zero_row, zero_col]),
         beyond_chance=bool(np.any(np.abs(r) > of_any)) if np.isfinite(of_any).any() else None,
-        along_x=_profile(lag_x, *(m[row, :] for m in maps_by_lag)),
-        along_y=_profile(lag_y, *(m[:, col] for m in maps_by_lag)),
+        along_x=_profile(lags_x_um, *(m[zero_row, :] for m in maps_by_lag)),
+        along_y=_profile(lags_y_um, *(m[:, zero_col] for m in maps_by_lag)),
     )  # fmt: skip
 
 
@@ -151,43 +151,43 @@ def _summit(r: Floats) -> tuple[Pair, float, bool]:
     """Place of the largest ``|r|`` in rows and columns, r there, and whether it is a summit."""
     row, col = np.unravel_index(int(np.nanargmax(np.abs(r))), r.shape)
     highest = float(r[row, col])
-    border = (float(row), float(col)), highest, False
-    near = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
-    if near.shape != (3, 3) or not np.isfinite(near).all():
-        return border
+    pixel_peak = (float(row), float(col)), highest, False
+    neighbours = r[max(row - 1, 0) : row + 2, max(col - 1, 0) : col + 2]
+    if neighbours.shape != (3, 3) or not np.isfinite(neighbours).all():
+        return pixel_peak
     y, x = (m.ravel() for m in np.mgrid[-1:2, -1:2])
     terms = np.stack([np.ones(9), y, x, y * y / 2, x * y, x * x / 2], axis=1).astype(np.float64)
-    c, sign = np.linalg.lstsq(terms, near.ravel(), rcond=None)[0], math.copysign(1.0, highest)
-    bend = c[[[3, 4], [4, 5]]] * sign
-    if bend[0, 0] >= 0 or np.linalg.det(bend) <= 0:
-        return border
-    move = -np.linalg.solve(bend, c[1:3] * sign)
-    if np.abs(move).max() > 1:
-        return border
-    return (float(row + move[0]), float(col + move[1])), float(np.clip(c[0] + c[1:3] @ move / 2, -1.0, 1.0)), True
+    c, sign = np.linalg.lstsq(terms, neighbours.ravel(), rcond=None)[0], math.copysign(1.0, highest)
+    curvature = c[[[3, 4], [4, 5]]] * sign
+    if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
+        return pixel_peak
+    shift = -np.linalg.solve(curvature, c[1:3] * sign)
+    if np.abs(shift).max() > 1:
+        return pixel_peak
+    return (float(row + shift[0]), float(col + shift[1])), float(np.clip(c[0] + c[1:3] @ shift / 2, -1.0, 1.0)), True
 
 
-def _widths(height: Floats, top: Pair, pixel: Pair) -> tuple[Pair, float]:
+def _widths(height: Floats, summit: Pair, pixel: Pair) -> tuple[Pair, float]:
     """Full widths at half height along the main axes of what lies above it, and the direction of the longer one.
 
     The border is looked for along rays; of an ellipse the second moments over the area are a quarter of the squared
     half axes.
     """
     rays = np.arange(_RAYS)
-    turn = rays * (2 * math.pi / _RAYS)
-    ahead = np.stack([np.sin(turn), np.cos(turn)])  # along y and x, in um
+    angles = rays * (2 * math.pi / _RAYS)
+    directions = np.stack([np.sin(angles), np.cos(angles)])  # along y and x, in um
     steps = np.arange(int(math.hypot(*height.shape) / 0.25)) * 0.25 * min(pixel)
-    places = [top[k] + ahead[k][:, None] * steps / pixel[k] for k in (0, 1)]
-    along_rays = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
-    along_rays[:, 0] = 1.0
-    below = ~(along_rays > 0.5)
+    places = [summit[k] + directions[k][:, None] * steps / pixel[k] for k in (0, 1)]
+    ray_heights = ndimage.map_coordinates(height, places, order=1, mode="constant", cval=math.nan)
+    ray_heights[:, 0] = 1.0
+    below = ~(ray_heights > 0.5)
     first = np.argmax(below, axis=1)
-    inner, outer = along_rays[rays, first - 1], along_rays[rays, first]
+    inner, outer = ray_heights[rays, first - 1], ray_heights[rays, first]
     if not np.isfinite(outer).all() or not below.any(axis=1).all():
         return (math.nan, math.nan), math.nan
-    far = steps[first - 1] + (inner - 0.5) / (inner - outer) * (steps[first] - steps[first - 1])
-    area = float(np.sum(far**2)) / 2
-    moments = (ahead * far**4) @ ahead.T / 4 / area
+    half_height_um = steps[first - 1] + (inner - 0.5) / (inner - outer) * (steps[first] - steps[first - 1])
+    area = float(np.sum(half_height_um**2)) / 2
+    moments = (directions * half_height_um**4) @ directions.T / 4 / area
     values, vectors = np.linalg.eigh(moments)
     angle = math.degrees(math.atan2(vectors[0, 1], vectors[1, 1]))
     angle = angle - 180 if angle > 90 else angle + 180 if angle <= -90 else angle
@@ -229,27 +229,27 @@ def _limits(maps: list[Array], lags: Lags, pairs: Floats, looked_at: Bools) -> t
 def answer_correlogram(pair: ComparedMaps) -> dict[str, Any]:
     """The correlogram with its profiles through lag 0; nothing where there are too few lags."""
     is_valid = pair.lags.is_valid
-    whole = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
-    return {"correlogram": CorrelogramProfiles.holding(whole)}
+    correlogram = correlogram_of((pair.x, pair.y), (is_valid, is_valid), pair.lags, reach_um=500.0)
+    return {"correlogram": CorrelogramProfiles.holding(correlogram)}
 
 
-def say_correlogram(profiles: CorrelogramProfiles, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
+def say_correlogram(profiles: CorrelogramProfiles, *_: object) -> Iterator[str]:
     """Where both maps agree best, and what unrelated maps reach."""
-    limit = f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated maps"
+    limit_text = f"|r| above {fixed(profiles.limit_of_any, 2)} is exceeded at any lag by 1 % of unrelated maps"
     if not is_known(profiles.limit_of_any):
-        limit = "fewer than 10 independent points: what unrelated maps reach is not known"
+        limit_text = "fewer than 10 independent points: what unrelated maps reach is not known"
     elif not profiles.beyond_chance:
-        limit += ", and no lag reaches that"
+        limit_text += ", and no lag reaches that"
     if not profiles.inner:
-        reach = plain(round(profiles.reach_um))
-        yield f"Moved against each other, the maps have no summit of r within {reach}; {limit}."
+        reach_text = plain(round(profiles.reach_um))
+        yield f"Moved against each other, the maps have no summit of r within {reach_text}; {limit_text}."
         return
-    down, across = (fixed(v, 0 if abs(v) >= 10 else 1) for v in profiles.lag_um)
-    wide = ""
+    lag_y_text, lag_x_text = (fixed(v, 0 if abs(v) >= 10 else 1) for v in profiles.lag_um)
+    width_text = ""
     if is_known(profiles.widths_um):
-        widths = " × ".join(fixed(v, 0) for v in profiles.widths_um)
-        wide = f" (width at half height {widths} µm)"
+        widths_text = " × ".join(fixed(v, 0) for v in profiles.widths_um)
+        width_text = f" (width at half height {widths_text} µm)"
     yield (
-        f"Moved against each other, the maps agree best at a lag of {across} µm along x and {down} µm along y, with "
-        f"r = {fixed(profiles.peak_r, 2)}{wide}; {limit}."
+        f"Moved against each other, the maps agree best at a lag of {lag_x_text} µm along x and {lag_y_text} µm along "
+        f"y, with r = {fixed(profiles.peak_r, 2)}{width_text}; {limit_text}."
     )

@@ -46,8 +46,8 @@ class Lags:
 
     def own_products(self, values: Array) -> Floats:
         """Sums of products of a map (rows, cols), less its mean, with itself."""
-        moved = self.transform(np.where(self.is_valid, values - values[self.is_valid].mean(), 0.0))
-        return self.products(moved, moved)
+        spectrum = self.transform(np.where(self.is_valid, values - values[self.is_valid].mean(), 0.0))
+        return self.products(spectrum, spectrum)
 
     def products(self, a: Complexes, b: Complexes) -> Floats:
         """Sums of a at a point times b at a lag from it, for every lag (wrapped, as ``pairs``)."""
@@ -77,8 +77,8 @@ class Lags:
     def sums(self, covariance: Floats) -> Floats:
         """Sum of the covariances of each known point with all known points: shape of the mask, 0 outside of it."""
         rows, cols = self.is_valid.shape
-        summed = self._back(np.asarray(fft.rfft2(covariance)) * self._mask)[:rows, :cols]
-        return np.where(self.is_valid, summed, 0.0)
+        covariance_sums = self._back(np.asarray(fft.rfft2(covariance)) * self._mask)[:rows, :cols]
+        return np.where(self.is_valid, covariance_sums, 0.0)
 
     def _back(self, values: Complexes) -> Floats:
         return np.asarray(fft.irfft2(values, self._size))
@@ -93,8 +93,8 @@ def covariance_of(values: Array, lags: Lags) -> Floats:
 def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
     """Variance of a map, with what the removal of the mean took put back, and the independent points of its mean."""
     covariance = covariance_of(values, lags)
-    square, of_mean = float(covariance[0, 0]), lags.variance_of_mean(covariance)
-    return square, min(square / of_mean, float(lags.n)) if of_mean > 0 else math.nan
+    variance, variance_of_mean = float(covariance[0, 0]), lags.variance_of_mean(covariance)
+    return variance, min(variance / variance_of_mean, float(lags.n)) if variance_of_mean > 0 else math.nan
 
 
 class PairCovariances:
@@ -112,13 +112,13 @@ class PairCovariances:
         self.lags = lags
         self._maps = [np.where(lags.is_valid, m - m[lags.is_valid].mean(), 0.0) for m in (x, y)]
         a, b = (lags.transform(m) for m in self._maps)
-        auto, cross = [lags.products(m, m) for m in (a, b)], lags.products(a, b)
-        self.used = [lags.until_zero(p) for p in auto]
-        self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(auto, self.used, strict=True))
+        auto_products, cross_products = [lags.products(m, m) for m in (a, b)], lags.products(a, b)
+        self.used = [lags.until_zero(p) for p in auto_products]
+        self.xx, self.yy = (lags.covariance(p, use) for p, use in zip(auto_products, self.used, strict=True))
         # For the interval all are cut alike: where r is large they nearly cancel each other.
         used = self.used[0] | self.used[1]
-        self._together = [lags.covariance(p, used) for p in (*auto, cross)]
-        self.variances = tuple(float(p[0, 0]) / lags.n for p in auto)
+        self._together = [lags.covariance(p, used) for p in (*auto_products, cross_products)]
+        self.variances = tuple(float(p[0, 0]) / lags.n for p in auto_products)
         self._put_back = [float(c[0, 0]) - v for c, v in zip((self.xx, self.yy), self.variances, strict=True)]
 
     def variance_of_r(self, variances: Pair | None = None) -> float:
@@ -153,15 +153,15 @@ class PairCovariances:
         would add, and what the mean of a map takes off, are the same in both.
         """
         x, y = (m / math.sqrt(v) for m, v in zip(self._maps, self.variances, strict=True))
-        parts = np.where(self.lags.is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
-        moved = self.lags.transform(parts)
+        influence = np.where(self.lags.is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
+        influence_hat = self.lags.transform(influence)
         weight = np.maximum(1.0 - self.lags.distance_um / bandwidth_um, 0.0)
         model = self._influence(r, None)
-        expected = float(np.sum(weight * model))
-        expected -= float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
-        observed = float(np.sum(weight * self.lags.products(moved, moved))) / (1 - r * r) ** 2
-        error = math.sqrt(max(observed, 0.0))
-        return error / self.lags.n, error / math.sqrt(expected) if expected > 0 else 1.0
+        model_variance = float(np.sum(weight * model))
+        model_variance -= float(model.sum()) * float(np.sum(weight * self.lags.pairs)) / self.lags.n**2
+        observed_variance = float(np.sum(weight * self.lags.products(influence_hat, influence_hat))) / (1 - r * r) ** 2
+        error = math.sqrt(max(observed_variance, 0.0))
+        return error / self.lags.n, error / math.sqrt(model_variance) if model_variance > 0 else 1.0
 
     def _influence(self, r: float, variances: Pair | None) -> Floats:
         """Sums, by lag, of the covariances of what single points add to z."""
@@ -182,11 +182,11 @@ def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int,
     terms : sequence of (int, int, float)
         Numbers of two maps and the weight of their product.
     """
-    moved = [lags.transform(m) for m in maps]
+    spectra = [lags.transform(m) for m in maps]
     covariances: dict[tuple[int, int], Floats] = {}
     for i in range(len(maps)):
         for j in range(i, len(maps)):
-            products = lags.products(moved[i], moved[j])
+            products = lags.products(spectra[i], spectra[j])
             covariances[i, j] = lags.covariance(products, lags.until_zero(products + _reversed(products)))
             covariances[j, i] = _reversed(covariances[i, j])
     sd = [math.sqrt(float(covariances[i, i][0, 0])) for i in range(len(maps))]
@@ -194,8 +194,8 @@ def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int,
     for i, j, v in terms:
         for k, m, w in terms:
             # Isserlis: of Gaussian maps the covariance of products is one of pairs.
-            paired = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
-            total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * paired
+            product_covariance = covariances[i, k] * covariances[j, m] + covariances[i, m] * covariances[j, k]
+            total += v * w / (sd[i] * sd[j] * sd[k] * sd[m]) * product_covariance
     return lags.variance_of_mean(total)
 
 

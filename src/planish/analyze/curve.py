@@ -15,12 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from pydantic import Field
 
-from planish.analyze.correlation import (
-    LEAST_CLAIMED,
-    check_varying,
-    correlate,
-    valid_pixels,
-)
+from planish.analyze.correlation import LEAST_CLAIMED, check_varying, correlate, valid_pixels
 from planish.analyze.covariance import Lags, scatter_of
 from planish.analyze.distributions import t_95
 from planish.core.errors import CannotMeasure, InputError
@@ -29,7 +24,7 @@ from planish.core.numbers import fixed, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -74,10 +69,10 @@ def independent_points(x: Array, y: Array, *, pixel_um: Pixel, mask: Bools | Non
     """
     is_valid, pixel = valid_pixels(x, y, mask, pixel_um)
     check_varying(is_valid, x=x)
-    off, y_off = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
-    rest = y_off - off * (float(np.sum(off * y_off)) / float(np.sum(off * off)))
-    slope, square = (correlate(m, rest, mask=is_valid, pixel_um=pixel).n_eff for m in (off, off * off))
-    level = scatter_of(rest, Lags(is_valid, pixel))[1]
+    dx, dy = (np.where(is_valid, m - m[is_valid].mean(), 0.0) for m in (x, y))
+    residuals = dy - dx * (float(np.sum(dx * dy)) / float(np.sum(dx * dx)))
+    slope, square = (correlate(m, residuals, mask=is_valid, pixel_um=pixel).n_eff for m in (dx, dx * dx))
+    level = scatter_of(residuals, Lags(is_valid, pixel))[1]
     return IndependentPoints(n_eff=slope, n_eff_square=square, n_eff_level=level)
 
 
@@ -135,25 +130,26 @@ def straight_or_curved(
     straight line, the interval of the curvature holds 0 in .99 to 1.00 without n_eff_square and in .96 to .99 with it
     (``python -m benchmarks optics``).
     """
-    weights, values, count = known_points(x, y, n_eff)
-    squares = count if n_eff_square is None else known_points(x, y, n_eff_square)[2]
-    scale = float(weights.std())
-    u = (weights - float(weights.mean())) / scale
-    line, line_left = _least_squares(np.stack([np.ones(weights.size), u], axis=1), values, count)
-    bent, bent_left = _least_squares(np.stack([np.ones(weights.size), u, u * u], axis=1), values, squares)
-    variance = float(values.var())
-    r2_line, r2_bent = (1 - rest / variance if variance > 0 else math.nan for rest in (line_left, bent_left))
-    (slope, width), (curvature, wide) = line[:, 1] / scale, bent[:, 2] / scale**2
-    if curvature - wide <= 0 <= curvature + wide:
-        words = "not distinguishable from a straight line"
-    elif slope - width <= 0 <= slope + width:
-        words = "curved, without a slope"
+    xs, ys, n_slope = known_points(x, y, n_eff)
+    n_curvature = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
+    scale = float(xs.std())
+    u = (xs - float(xs.mean())) / scale
+    line, line_mse = _least_squares(np.stack([np.ones(xs.size), u], axis=1), ys, n_slope)
+    parabola, parabola_mse = _least_squares(np.stack([np.ones(xs.size), u, u * u], axis=1), ys, n_curvature)
+    variance = float(ys.var())
+    r2_line, r2_parabola = (1 - mse / variance if variance > 0 else math.nan for mse in (line_mse, parabola_mse))
+    (slope, slope_width), (curvature, curvature_width) = line[:, 1] / scale, parabola[:, 2] / scale**2
+    if curvature - curvature_width <= 0 <= curvature + curvature_width:
+        verdict = "not distinguishable from a straight line"
+    elif slope - slope_width <= 0 <= slope + slope_width:
+        verdict = "curved, without a slope"
     else:  # a curve saturates where its slope, up or down, loses steepness as x grows
-        words = "curved, saturating" if curvature * slope < 0 else "curved, growing"
+        verdict = "curved, saturating" if curvature * slope < 0 else "curved, growing"
     return Curvature(
-        n=weights.size, n_eff=count, n_eff_square=squares, slope=slope, slope_interval=(slope - width, slope + width),
-        curvature=curvature, interval=(curvature - wide, curvature + wide), r2_line=r2_line, r2_parabola=r2_bent,
-        words=words,
+        n=xs.size, n_eff=n_slope, n_eff_square=n_curvature, slope=slope,
+        slope_interval=(slope - slope_width, slope + slope_width), curvature=curvature,
+        interval=(curvature - curvature_width, curvature + curvature_width), r2_line=r2_line, r2_parabola=r2_parabola,
+        words=verdict,
     )  # fmt: skip
 
 
@@ -166,26 +162,26 @@ def known_points(x: ArrayLike, y: ArrayLike, n_eff: float) -> tuple[Floats, Floa
     if np.shape(x) != np.shape(y):
         raise InputError(f"x has {np.shape(x)} points, y has {np.shape(y)}. Give one y for each x.")
     is_valid = np.logical_and(*map(np.isfinite, arrays.values()))
-    steps, values = (v[is_valid].astype(np.float64) for v in arrays.values())
-    count = float(n_eff)
-    if steps.size < LEAST_CLAIMED or math.isnan(count) or 0 < count < LEAST_CLAIMED:
-        independent = "an unknown number" if math.isnan(count) else f"{min(count, steps.size):.0f}"
+    xs, ys = (v[is_valid].astype(np.float64) for v in arrays.values())
+    n = float(n_eff)
+    if xs.size < LEAST_CLAIMED or math.isnan(n) or 0 < n < LEAST_CLAIMED:
+        independent_text = "an unknown number" if math.isnan(n) else f"{min(n, xs.size):.0f}"
         raise CannotMeasure(
-            f"{steps.size} points are known in x and y, {independent} of them independent; a curve needs "
+            f"{xs.size} points are known in x and y, {independent_text} of them independent; a curve needs "
             f"{LEAST_CLAIMED:.0f} that are. Measure a larger field, or look at the masks."
         )
-    if not 0 < count <= steps.size * (1 + 1e-9):
+    if not 0 < n <= xs.size * (1 + 1e-9):
         raise InputError(
-            f"n_eff is {count:g} of {steps.size} points. Give the independent points of planish.analyze.correlate, at "
-            "most as many as there are."
+            f"n_eff is {n:g} of {xs.size} points. Give the independent points of "
+            "planish.analyze.correlate, at most as many as there are."
         )
-    different = 1 if steps.std() <= 1e-12 * np.abs(steps).max() else len(np.unique(steps))
-    if different < 3:  # two do not show a curve
+    n_distinct = 1 if xs.std() <= 1e-12 * np.abs(xs).max() else len(np.unique(xs))
+    if n_distinct < 3:  # two do not show a curve
         raise CannotMeasure(
-            f"x has {different} different value{'s' if different > 1 else ''}; a curve needs 3. Take points whose "
+            f"x has {n_distinct} different value{'s' if n_distinct > 1 else ''}; a curve needs 3. Take points whose "
             "thickness or weight differs."
         )
-    return steps, values, count
+    return xs, ys, n
 
 
 def _least_squares(terms: Floats, values: Floats, n_eff: float) -> tuple[Floats, float]:
@@ -202,12 +198,12 @@ def answer_curve(pair: ComparedMaps) -> dict[str, Any]:
     if not (pair.has_points and pair.is_sheet_on_image):
         return {}
     x, y = pair.points
-    count = independent_points(x, y, pixel_um=pair.point_um)
-    bent = straight_or_curved(x, y, n_eff=count.n_eff, n_eff_square=count.n_eff_square)
-    return {"curve": Curvature.holding(bent, point_um=pair.point_um)}
+    counts = independent_points(x, y, pixel_um=pair.point_um)
+    curvature = straight_or_curved(x, y, n_eff=counts.n_eff, n_eff_square=counts.n_eff_square)
+    return {"curve": Curvature.holding(curvature, point_um=pair.point_um)}
 
 
-def say_curve(bent: Curvature, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_curve(curvature: Curvature, _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Whether the relation is straight."""
-    shares = f"r² is {fixed(bent.r2_line, 2)} of the line and {fixed(bent.r2_parabola, 2)} of the parabola"
-    yield f"Over points of {plain(words.point_um)} the relation is {bent.words} ({shares})."
+    r2_text = f"r² is {fixed(curvature.r2_line, 2)} of the line and {fixed(curvature.r2_parabola, 2)} of the parabola"
+    yield f"Over points of {plain(words.point_um)} the relation is {curvature.words} ({r2_text})."

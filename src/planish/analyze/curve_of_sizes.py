@@ -16,7 +16,7 @@ from planish.core.facts import Interval, optional
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps
+    from planish.analyze.correlation_evidence import ComparedMaps
 
 
 class SizeRow(PointsCorrelation):
@@ -56,25 +56,25 @@ def size_curve(
     """
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     if sizes_um is None:  # up by factors of the square root of 2
-        most = min(n * p for n, p in zip(a.shape, pixel, strict=True)) / 8
-        count = math.floor(2 * math.log2(max(most / max(pixel), 1.0)) + 1e-9) + 1
-        sizes_um = [max(pixel) * 2 ** (k / 2) for k in range(count)]
+        largest_um = min(n * p for n, p in zip(a.shape, pixel, strict=True)) / 8
+        n_sizes = math.floor(2 * math.log2(max(largest_um / max(pixel), 1.0)) + 1e-9) + 1
+        sizes_um = [max(pixel) * 2 ** (k / 2) for k in range(n_sizes)]
     if min(sizes_um, default=0) < max(pixel) * (1 - 1e-9):
         raise SizeError(f"A point of {min(sizes_um, default=0):g} um is smaller than a pixel of {max(pixel):g} um.")
-    rows, parts = list[Correlation](), list[Floats]()
+    rows, tile_sums = list[Correlation](), list[Floats]()
     for size in map(float, sorted(sizes_um)):
         means = AreaMeans((a.shape[0], a.shape[1]), (size / pixel[0], size / pixel[1]))
         means.add(0, is_valid, a, b)
         x, y = means.means()
         rows.append(correlate(x, y, pixel_um=size))
         if not math.isnan(rows[-1].interval[0]) and abs(rows[-1].r) < 1:
-            parts.append(_by_tiles(x, y, rows[-1].r))
-    wider, curve = _wider(parts), list[SizeRow]()
+            tile_sums.append(_by_tiles(x, y, rows[-1].r))
+    widening, curve = _wider(tile_sums), list[SizeRow]()
     for row in rows:
         band = math.nan, math.nan
         if not math.isnan(row.interval[0]) and abs(row.r) < 1:
             z, (low, high) = math.atanh(row.r), (math.atanh(v) for v in row.interval)
-            band = math.tanh(z + wider * (low - z)), math.tanh(z + wider * (high - z))
+            band = math.tanh(z + widening * (low - z)), math.tanh(z + widening * (high - z))
         curve.append(SizeRow.of(row, band=band))
     return tuple(curve)
 
@@ -83,21 +83,21 @@ def _by_tiles(x: Floats, y: Floats, r: float) -> Floats:
     """Sum what the points of each tile of the field, six along its shorter side, add to r."""
     is_valid = np.isfinite(x) & np.isfinite(y)
     x, y = ((m - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for m in (x, y))
-    added = np.where(is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
-    side = min(is_valid.shape) / 6
+    contributions = np.where(is_valid, x * y - r / 2 * (x * x + y * y), 0.0)
+    tile_px = min(is_valid.shape) / 6
     for axis, n in enumerate(is_valid.shape):
-        count = max(round(n / side), 1)
-        added = np.add.reduceat(added, [round(k * n / count) for k in range(count)], axis=axis)
-    return added.ravel()
+        n_tiles = max(round(n / tile_px), 1)
+        contributions = np.add.reduceat(contributions, [round(k * n / n_tiles) for k in range(n_tiles)], axis=axis)
+    return contributions.ravel()
 
 
-def _wider(parts: list[Floats]) -> float:
+def _wider(tile_sums: list[Floats]) -> float:
     """By what factor intervals of each size are widened to hold all sizes together."""
-    if len(parts) < 2:
+    if len(tile_sums) < 2:
         return 1.0
-    count = min(p.size for p in parts)
-    power, vectors = np.linalg.eigh(np.nan_to_num(np.corrcoef(np.stack([p[:count] for p in parts]))))
-    drawn = np.random.default_rng(20090502).normal(size=(20_000, len(parts)))
+    n_tiles = min(p.size for p in tile_sums)
+    power, vectors = np.linalg.eigh(np.nan_to_num(np.corrcoef(np.stack([p[:n_tiles] for p in tile_sums]))))
+    drawn = np.random.default_rng(20090502).normal(size=(20_000, len(tile_sums)))
     drawn = drawn @ (vectors * np.sqrt(np.maximum(power, 0.0))).T
     return float(np.quantile(np.abs(drawn).max(axis=1), 0.95) / normal_quantile(0.975))
 

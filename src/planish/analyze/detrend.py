@@ -38,12 +38,12 @@ def without_trend(values: Floats, is_valid: Bools) -> Floats:
 
 def shared_trend(x: Floats, y: Floats, is_valid: Bools) -> str:
     """Say what trends over the field hold of two maps; empty where it is less than a quarter of either."""
-    rest = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
-    shares = [1.0 - float(m.var()) / float(v[is_valid].var()) for m, v in zip(rest, (x, y), strict=True)]
+    detrended = [without_trend(m, is_valid)[is_valid] for m in (x, y)]
+    shares = [1.0 - float(m.var()) / float(v[is_valid].var()) for m, v in zip(detrended, (x, y), strict=True)]
     if min(shares) < 0.25:
         return ""
-    spread = math.sqrt(float(rest[0].var()) * float(rest[1].var()))
-    r = float(np.mean(rest[0] * rest[1])) / spread if spread > 0 else math.nan
+    spread = math.sqrt(float(detrended[0].var()) * float(detrended[1].var()))
+    r = float(np.mean(detrended[0] * detrended[1])) / spread if spread > 0 else math.nan
     return (
         f"Trends over the whole field hold {100 * shares[0]:.0f} % of map a and {100 * shares[1]:.0f} % of map b; "
         f"without them r is {r:.2f}."
@@ -65,8 +65,8 @@ class PhaseSurrogate:
         # A map that is cut off at its borders is not periodic; without a taper the jump there whitens the spectrum, and
         # the null becomes too narrow.
         # A tapered cosine (Tukey) window; scipy.signal has it too but takes half a second to import.
-        borders = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1)) for n in values.shape)
-        taper = np.multiply.outer(*(0.5 - 0.5 * np.cos(np.pi * np.minimum(away, 1.0)) for away in borders))
+        border_depths = (np.minimum(np.arange(n), np.arange(n)[::-1]) * 2 / (0.4 * max(n - 1, 1)) for n in values.shape)
+        taper = np.multiply.outer(*(0.5 - 0.5 * np.cos(np.pi * np.minimum(depth, 1.0)) for depth in border_depths))
         self.amplitude = np.abs(np.asarray(fft.rfft2(np.where(valid, values - mean, 0.0) * taper)))
         self._shape = values.shape
         self._plane = Plane(valid)
@@ -81,9 +81,9 @@ class PhaseSurrogate:
         phase *= self.amplitude / np.maximum(np.abs(phase), 1e-300)
         return self._plane.taken_off(np.asarray(fft.irfft2(phase, self._shape), dtype=np.float64))
 
-    def draws(self, count: int, rng: np.random.Generator) -> Iterator[Floats]:
+    def draws(self, n_draws: int, rng: np.random.Generator) -> Iterator[Floats]:
         """Give the next so many of them."""
-        yield from (self.draw(rng) for _ in range(count))
+        yield from (self.draw(rng) for _ in range(n_draws))
 
 
 class Plane:
@@ -131,13 +131,13 @@ def in_band(values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float |
     short, long = band_um
     out = np.where(valid, values, 0.0)
     if short is not None:
-        out = np.where(valid, _low(out, valid, pixel_um, short), 0.0)
+        out = np.where(valid, _low_pass(out, valid, pixel_um, short), 0.0)
     if long is not None:
-        out = np.where(valid, out - _low(out, valid, pixel_um, long), 0.0)
+        out = np.where(valid, out - _low_pass(out, valid, pixel_um, long), 0.0)
     return out
 
 
-def _low(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> Floats:
+def _low_pass(values: Floats, valid: Bools, pixel_um: Pair, half_um: float) -> Floats:
     sigma = [half_um * float(np.sqrt(np.log(2.0) / 2)) / np.pi / p for p in pixel_um]
     total, weight = masked_gaussian(values, valid, sigma)
     return total / np.maximum(weight, 1e-12)

@@ -77,24 +77,26 @@ def paired_difference(
     if mask is not None:
         is_valid &= mask
     r = pearson(*(m[is_valid] for m in first)), pearson(*(m[is_valid] for m in second))
-    unknown = Difference(r=r, difference=r[1] - r[0])
+    without_interval = Difference(r=r, difference=r[1] - r[0])
     if any(math.isnan(v) or 1 - v * v < 1e-14 for v in r):
-        return unknown
+        return without_interval
     values = [np.where(is_valid, m, np.nan) for m in maps]
     maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
-    parts = [(x * y - v / 2 * (x * x + y * y)) / (1 - v * v) for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)]
+    influences = [
+        (x * y - v / 2 * (x * x + y * y)) / (1 - v * v) for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
+    ]
     lags = Lags(is_valid, pixel)
-    products = lags.own_products(parts[1] - parts[0])
+    products = lags.own_products(influences[1] - influences[0])
     if not products[0, 0] > 0:  # the same pair twice
-        return replace(unknown, interval=(r[1] - r[0], r[1] - r[0]))
+        return replace(without_interval, interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))
-    terms: list[tuple[int, int, float]] = []
-    for sign, of_pair, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
-        scale = sign / (1 - of_pair * of_pair)
-        terms += [(a, b, scale), (a, a, -scale * of_pair / 2), (b, b, -scale * of_pair / 2)]
-    variance = max(lags.variance_of_mean(covariance), variance_of_products(maps, terms, lags))
+    product_terms: list[tuple[int, int, float]] = []
+    for sign, pair_r, (a, b) in ((-1.0, r[0], (0, 1)), (1.0, r[1], (2, 3))):
+        scale = sign / (1 - pair_r * pair_r)
+        product_terms += [(a, b, scale), (a, a, -scale * pair_r / 2), (b, b, -scale * pair_r / 2)]
+    variance = max(lags.variance_of_mean(covariance), variance_of_products(maps, product_terms, lags))
     n_eff = float(covariance[0, 0]) / variance if variance > 0 else 0.0
-    return unknown if n_eff < LEAST_CLAIMED else _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
+    return without_interval if n_eff < LEAST_CLAIMED else _difference(r, t_95(n_eff - 1) * math.sqrt(variance))
 
 
 def difference_of(first: Correlation, second: Correlation) -> Difference:
@@ -121,8 +123,8 @@ def difference_of(first: Correlation, second: Correlation) -> Difference:
 def _difference(r: Pair, width: float) -> Difference:
     """Turn an interval of the difference of z into one of r, about the mean of both z."""
     z = [math.atanh(v) for v in r]
-    middle, change = sum(z) / 2, z[1] - z[0]
-    low, high = (math.tanh(middle + d / 2) - math.tanh(middle - d / 2) for d in (change - width, change + width))
+    z_mean, z_change = sum(z) / 2, z[1] - z[0]
+    low, high = (math.tanh(z_mean + d / 2) - math.tanh(z_mean - d / 2) for d in (z_change - width, z_change + width))
     return Difference(r=r, difference=r[1] - r[0], interval=(low, high))
 
 

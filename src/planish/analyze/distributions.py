@@ -21,54 +21,54 @@ def normal_tail(value: float) -> float:
     return float(special.ndtr(-value))
 
 
-def student_quantile(share: float, free: float) -> float:
-    """The value below which a share of Student's distribution with ``free`` degrees of freedom lies."""
-    return float(special.stdtrit(free, share))
+def student_quantile(share: float, df: float) -> float:
+    """The value below which a share of Student's distribution with ``df`` degrees of freedom lies."""
+    return float(special.stdtrit(df, share))
 
 
-def t_95(free: float) -> float:
-    """Standard errors within which 95 % of Student's distribution with ``free`` degrees of freedom lie."""
-    return student_quantile(0.975, free)
+def t_95(df: float) -> float:
+    """Standard errors within which 95 % of Student's distribution with ``df`` degrees of freedom lie."""
+    return student_quantile(0.975, df)
 
 
-def student_tail(value: float, free: float) -> float:
-    """The share of Student's distribution with ``free`` degrees of freedom above a value."""
-    return float(special.stdtr(free, -value))
+def student_tail(value: float, df: float) -> float:
+    """The share of Student's distribution with ``df`` degrees of freedom above a value."""
+    return float(special.stdtr(df, -value))
 
 
-def shifted_student_tail(value: float, free: float, shift: float) -> float:
+def shifted_student_tail(value: float, df: float, shift: float) -> float:
     """The share of the noncentral Student's distribution above a value."""
-    return float(1.0 - special.nctdtr(free, shift, value))
+    return float(1.0 - special.nctdtr(df, shift, value))
 
 
-def f_quantile(share: float, free: float, free_below: float) -> float:
+def f_quantile(share: float, df: float, df_below: float) -> float:
     """The value below which a share of the F distribution lies."""
-    return float(special.fdtri(free, free_below, share))
+    return float(special.fdtri(df, df_below, share))
 
 
-def f_tail(value: float, free: float, free_below: float) -> float:
+def f_tail(value: float, df: float, df_below: float) -> float:
     """The share of the F distribution above a value."""
-    return float(special.fdtrc(free, free_below, value))
+    return float(special.fdtrc(df, df_below, value))
 
 
-def chi_square_tail(value: float, free: float) -> float:
-    """The share of the chi-square distribution with ``free`` degrees of freedom above a value."""
-    return float(special.chdtrc(free, value))
+def chi_square_tail(value: float, df: float) -> float:
+    """The share of the chi-square distribution with ``df`` degrees of freedom above a value."""
+    return float(special.chdtrc(df, value))
 
 
 def largest_tail(maxima: Floats, value: float) -> float:
     """The share of further maxima above a value, by Gumbel's distribution fitted by maximum likelihood."""
-    away = maxima - maxima.min()
+    excesses = maxima - maxima.min()
 
     def excess(scale: float) -> float:
-        weight = np.exp(-away / scale)
-        return scale - float(away.mean() - (away * weight).sum() / weight.sum())
+        weight = np.exp(-excesses / scale)
+        return scale - float(excesses.mean() - (excesses * weight).sum() / weight.sum())
 
-    spread = float(away.std())
+    spread = float(excesses.std())
     if spread == 0:
         return float(value <= maxima[0])
     scale = float(optimize.brentq(excess, spread / 100, spread * 100))
-    location = float(maxima.min()) - scale * math.log(float(np.exp(-away / scale).mean()))
+    location = float(maxima.min()) - scale * math.log(float(np.exp(-excesses / scale).mean()))
     return -math.expm1(-math.exp((location - value) / scale))
 
 

@@ -26,7 +26,7 @@ from planish.core.numbers import number
 from planish.core.typing import Floats, Pair
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps
 
 # S times the mean of x, up to where a layer hides everything, and the backing.
 _LOW, _HIGH = np.array([0.0, 0.0]), np.array([1e6, 1.0])
@@ -88,14 +88,14 @@ def reflectance(weight: ArrayLike, *, scattering: ArrayLike, absorption: ArrayLi
     array([0.794, 0.839, 0.884])
     """
     weights, s, k = _at_least_0(weight=weight, scattering=scattering, absorption=absorption)
-    below = np.asarray(backing, dtype=np.float64)
-    if np.any((below < 0) | (below > 1)):
-        furthest = below.flat[int(np.nanargmax(np.abs(below - 0.5)))]
+    backings = np.asarray(backing, dtype=np.float64)
+    if np.any((backings < 0) | (backings > 1)):
+        worst_backing = backings.flat[int(np.nanargmax(np.abs(backings - 0.5)))]
         raise InputError(
-            f"The reflectance of the backing is {furthest:g}; it lies within 0 and 1. Divide the grey of the base by "
-            "that of a white reference, both less the dark level."
+            f"The reflectance of the backing is {worst_backing:g}; it lies within 0 and 1. Divide the grey of the base "
+            "by that of a white reference, both less the dark level."
         )
-    return layer_over(below, s, k, weights)
+    return layer_over(backings, s, k, weights)
 
 
 def stack(layers: Sequence[ScatteringLayer], backing: ArrayLike) -> Floats:
@@ -162,8 +162,8 @@ class KubelkaMunk(ResultModel):
 
     def reflectance(self, x: ArrayLike, scattering: float, backing: float) -> Floats:
         """Reflectance of a layer with the same K / S, over thicknesses in um or weights in g/m2."""
-        per_x = scattering * 1e-3 if self.weight else scattering  # kg to g
-        return layer_over(backing, per_x, per_x * self.ratio, x)
+        scattering_per_x = scattering * 1e-3 if self.weight else scattering  # kg to g
+        return layer_over(backing, scattering_per_x, scattering_per_x * self.ratio, x)
 
 
 def fit_kubelka_munk(
@@ -212,46 +212,48 @@ def fit_kubelka_munk(
     ----------
     Bates and Watts (1988), Nonlinear Regression Analysis and Its Applications, chapter 6, doi:10.1002/9780470316757.
     """
-    coat, values, count = known_points(x, y, n_eff)
+    xs, ys, n_slope = known_points(x, y, n_eff)
     ratio = float(absorption_over_scattering)
     if not 0 <= ratio < math.inf:
         raise InputError(f"absorption_over_scattering is {ratio:g}. Give K / S, 0 or above; 0 takes no absorption.")
-    if coat.min() < 0:
+    if xs.min() < 0:
         raise InputError(
-            f"{np.count_nonzero(coat < 0)} of {coat.size} thicknesses or weights are below 0, down to "
-            f"{coat.min():.3g}. Mask them, or check the side and the units."
+            f"{np.count_nonzero(xs < 0)} of {xs.size} thicknesses or weights are below 0, down to "
+            f"{xs.min():.3g}. Mask them, or check the side and the units."
         )
-    beyond = int(np.count_nonzero((values < 0) | (values > 1)))
-    if beyond:
+    n_outside = int(np.count_nonzero((ys < 0) | (ys > 1)))
+    if n_outside:
         raise InputError(
-            f"{beyond} of {values.size} greys are not within 0 and 1 ({values.min():.5g} to {values.max():.5g}). The "
-            "curve needs relative reflectance, for which a dark and a white reference are needed: correct the image by "
-            "both first, and mask glare."
+            f"{n_outside} of {ys.size} greys are not within 0 and 1 ({ys.min():.5g} to {ys.max():.5g}). "
+            "The curve needs relative reflectance, for which a dark and a white reference are needed: correct the "
+            "image by both first, and mask glare."
         )
-    level = count if n_eff_level is None else float(n_eff_level)
-    if not 0 < level < math.inf:
-        raise InputError(f"n_eff_level is {level:g}. Give a number above 0, or none where it is not known.")
-    mean = float(coat.mean())
+    n_level = n_slope if n_eff_level is None else float(n_eff_level)
+    if not 0 < n_level < math.inf:
+        raise InputError(f"n_eff_level is {n_level:g}. Give a number above 0, or none where it is not known.")
+    x_mean = float(xs.mean())
     # S times the mean of x is about 1, as the backing is.
-    fit = _Fit(coat / mean, values, ratio, math.sqrt(min(level / count, 1.0)))
+    fit = _Fit(xs / x_mean, ys, ratio, math.sqrt(min(n_level / n_slope, 1.0)))
     best = fit.best()
-    squares = fit.squares(*best)
-    rms = math.sqrt(squares / coat.size)
-    nothing = float(np.sum((values - values.mean()) ** 2))
-    if best[0] <= 1e-6 or squares >= nothing * (1 - 1e-9):
+    sum_of_squares = fit.squares(*best)
+    rms = math.sqrt(sum_of_squares / xs.size)
+    total_squares = float(np.sum((ys - ys.mean()) ** 2))
+    if best[0] <= 1e-6 or sum_of_squares >= total_squares * (1 - 1e-9):
         raise CannotMeasure(
-            f"No scattering layer of K/S = {ratio:g} fits: over {coat.size} points the grey does not rise with x as it "
-            "would. Look at the straight line; give absorption_over_scattering where the layer darkens what it covers."
+            f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not rise with x as "
+            "it would. Look at the straight line; give absorption_over_scattering where the layer darkens what it "
+            "covers."
         )
-    ends: list[Pair] = [(v, v) for v in best]
+    intervals: list[Pair] = [(v, v) for v in best]
     if rms > 1e-9:  # else the fit has no error
-        limit = squares * (1 + t_95(count - 2) ** 2 / (count - 2))
-        ends = [fit.interval(which, best, limit) for which in (0, 1)]
-    low, high = (fit.other(0, s, best) if s < math.inf else math.nan for s in ends[0])
-    scattering, *limits = (s / mean * (1000.0 if weight else 1.0) for s in (best[0], *ends[0]))  # g to kg
+        limit = sum_of_squares * (1 + t_95(n_slope - 2) ** 2 / (n_slope - 2))
+        intervals = [fit.interval(k, best, limit) for k in (0, 1)]
+    low_backing, high_backing = (fit.other(0, s, best) if s < math.inf else math.nan for s in intervals[0])
+    scattering, *s_ends = (s / x_mean * (1000.0 if weight else 1.0) for s in (best[0], *intervals[0]))  # g to kg
     return KubelkaMunk(
-        ratio=ratio, n=coat.size, n_eff=count, weight=weight, scattering=scattering, backing=best[1], rms=rms,
-        scattering_interval=(limits[0], limits[1]), backing_interval=ends[1], backing_at_ends=(low, high),
+        ratio=ratio, n=xs.size, n_eff=n_slope, weight=weight, scattering=scattering, backing=best[1], rms=rms,
+        scattering_interval=(s_ends[0], s_ends[1]), backing_interval=intervals[1],
+        backing_at_ends=(low_backing, high_backing),
     )  # fmt: skip
 
 
@@ -273,60 +275,57 @@ class _Fit:
         """Both free, from the straight line on: dR/dW of a layer is S [(1 - R)^2 - 2 R K/S]."""
         x, y = self._x, self._y
         slope = float(np.cov(x, y)[0, 1] / x.var(ddof=1))
-        middle = float(y.mean())
-        steep = (1 - middle) ** 2 - 2 * middle * self._ratio
-        s = slope / steep if abs(steep) > 1e-3 else 1.0
-        start = float(np.clip(s, 0.01, 100.0)), float(np.clip(middle - slope, 0.01, 0.99))
+        y_mean = float(y.mean())
+        slope_of_s = (1 - y_mean) ** 2 - 2 * y_mean * self._ratio
+        s = slope / slope_of_s if abs(slope_of_s) > 1e-3 else 1.0
+        start = float(np.clip(s, 0.01, 100.0)), float(np.clip(y_mean - slope, 0.01, 0.99))
         s, backing = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
         return float(s), float(backing)
 
-    def other(self, which: int, value: float, best: Pair) -> float:
+    def other(self, k: int, value: float, best: Pair) -> float:
         """The other parameter, near that of the best fit, that fits best with a value of one of them."""
-        free = slice(1 - which, 2 - which)
-        return float(_solved(lambda v: self._residuals(*_both(which, value, v[0])), best[free], free)[0])
+        free_slice = slice(1 - k, 2 - k)
+        return float(_solved(lambda v: self._residuals(*_both(k, value, v[0])), best[free_slice], free_slice)[0])
 
-    def interval(self, which: int, best: Pair, limit: float) -> Pair:
+    def interval(self, k: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
 
-        def beyond(value: float) -> float:
-            return self.squares(*_both(which, value, self.other(which, value, best))) - limit
+        def excess(value: float) -> float:
+            return self.squares(*_both(k, value, self.other(k, value, best))) - limit
 
-        low, high = float(_LOW[which]), float(_HIGH[which])
-        return (
-            _crossing(beyond, best[which], low, low),
-            _crossing(beyond, best[which], high, math.inf if which == 0 else high),
-        )
+        low, high = float(_LOW[k]), float(_HIGH[k])
+        return (_crossing(excess, best[k], low, low), _crossing(excess, best[k], high, math.inf if k == 0 else high))
 
     def _residuals(self, s: float, backing: float) -> Floats:
         residuals = layer_over(backing, s, s * self._ratio, self._x) - self._y
         return residuals - (1.0 - self._level) * float(residuals.mean())
 
 
-def _both(which: int, value: float, other: float) -> Pair:
-    return (value, other) if which == 0 else (other, value)
+def _both(k: int, value: float, other: float) -> Pair:
+    return (value, other) if k == 0 else (other, value)
 
 
-def _solved(residuals: Callable[[Floats], Floats], start: tuple[float, ...], free: slice) -> Floats:
+def _solved(residuals: Callable[[Floats], Floats], start: tuple[float, ...], free_slice: slice) -> Floats:
     """Least squares over the parameters that are free, within what is possible."""
-    low, high = _LOW[free], _HIGH[free]
+    low, high = _LOW[free_slice], _HIGH[free_slice]
     return optimize.least_squares(
         residuals, np.clip(start, low + 1e-9, high - 1e-9), bounds=(low, high), x_scale="jac", xtol=1e-12, ftol=1e-14,
         gtol=1e-14,
     ).x  # fmt: skip
 
 
-def _crossing(beyond: Callable[[float], float], inside: float, end: float, without: float) -> float:
-    """Where a function turns positive between ``inside`` and ``end``; ``without`` where it does not.
+def _crossing(excess: Callable[[float], float], inside: float, end: float, fallback: float) -> float:
+    """Where a function turns positive between ``inside`` and ``end``; ``fallback`` where it does not.
 
     The steps from ``inside`` double, so that a far end costs little and the crossing nearest to it is found.
     """
     near, step = inside, 0.05 * max(abs(inside), 0.1)
     while near != end:
         far = min(near + step, end) if end > inside else max(near - step, end)
-        if beyond(far) > 0:
-            return float(optimize.brentq(beyond, near, far, xtol=1e-9, rtol=1e-7))
+        if excess(far) > 0:
+            return float(optimize.brentq(excess, near, far, xtol=1e-9, rtol=1e-7))
         near, step = far, 2 * step
-    return without
+    return fallback
 
 
 def density_of(measured: xr.Dataset, name: str) -> float | None:
@@ -354,14 +353,14 @@ def kubelka_munk_of(
 
     ``density`` (g/cm3) turns the coating from um into g/m2, 1 where it is a weight already; None for lengths.
     """
-    weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
+    is_weight, x, y = density is not None, points[0] * (density or 1.0), points[1]
     try:
         count = independent_points(x, y, pixel_um=point_um)
         curve = fit_kubelka_munk(
-            x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio, weight=weight
+            x, y, n_eff=count.n_eff, n_eff_level=count.n_eff_level, absorption_over_scattering=ratio, weight=is_weight
         )
     except PlanishError as error:
-        return KubelkaMunk(point_um=point_um, ratio=ratio, weight=weight, silence=error.text)
+        return KubelkaMunk(point_um=point_um, ratio=ratio, weight=is_weight, silence=error.text)
     return KubelkaMunk.holding(curve, point_um=point_um)
 
 
@@ -384,20 +383,21 @@ def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:
     return {"kubelka_munk": kubelka_munk_of(pair.points, point_um=point_um, ratio=ratio, density=density)}
 
 
-def say_kubelka_munk(curve: KubelkaMunk, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
+def say_kubelka_munk(curve: KubelkaMunk, *_: object) -> Iterator[str]:
     """S and the backing with their intervals."""
-    name = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
+    title = f"Kubelka and Munk's curve with K/S = {curve.ratio:g}"
     if curve.silence is not None:
-        yield f"{name}: none. {curve.silence}"
+        yield f"{title}: none. {curve.silence}"
         return
-    per = "m²/kg" if curve.weight else "per µm"
-    sure = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
-    below = _limits_text(curve.backing_interval)
-    density = "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
+    unit_text = "m²/kg" if curve.weight else "per µm"
+    interval_text = _limits_text(curve.scattering_interval) or "its 95 % interval has no upper end"
+    backing_text = _limits_text(curve.backing_interval)
+    density_hint = "" if curve.weight else " (in m²/kg with the density of the coating: --coating-density)"
     yield (
-        f"{name}: the coating scatters with S = {number(curve.scattering)} {per} ({sure}){density}, over a backing of "
-        f"{number(curve.backing)} ({below}). S takes all that follows the thickness for the light of the coating; "
-        "errors of the thickness lower it, as they lower a slope."
+        f"{title}: the coating scatters with S = {number(curve.scattering)} {unit_text} "
+        f"({interval_text}){density_hint}, over a backing of {number(curve.backing)} ({backing_text}). S takes all "
+        "that follows the thickness for the light of the coating; errors of the thickness lower it, as they lower a "
+        "slope."
     )
 
 

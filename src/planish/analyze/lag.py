@@ -133,31 +133,35 @@ class Lag:
 
     def check(self, expected_error_um: float | None = None) -> Check:
         """What the lag says of the registration, whose expected error (rms, in um) may be unknown."""
-        inconclusive = "Image-based check: inconclusive, because"
+        inconclusive_text = "Image-based check: inconclusive, because"
         if self.silence is not None:
-            sentence = f"{inconclusive} {_SILENCE[self.silence]}."
+            sentence = f"{inconclusive_text} {_SILENCE[self.silence]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
-        length, error = self.length_um, self.length_se_um
-        offset = (
-            f"y their texture the maps lie {length:.1f} ± {error:.1f} um apart (x {self.lag_um[0]:.1f}, "
+        length, length_error = self.length_um, self.length_se_um
+        offset_text = (
+            f"y their texture the maps lie {length:.1f} ± {length_error:.1f} um apart (x {self.lag_um[0]:.1f}, "
             f"y {self.lag_um[1]:.1f} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
-            sentence = f"{inconclusive} the marks give no expected error; b{offset}."
+            sentence = f"{inconclusive_text} the marks give no expected error; b{offset_text}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
-        limit, expected = self._allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        make = partial(Check, name=NAME, value=length, limit=limit, units="um", figures=(POSITION, CORRELATION))
-        if length <= limit:
-            vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
-            end = "agrees, but is less certain than the marks" if vague else "agrees"
-            return make(state="pass", sentence=f"B{offset}, {expected}: {end}.")
-        beyond = f"more than the marks allow ({expected})"
-        if length <= 3.0 * error:
-            return make(
-                state="unknown", sentence=f"{inconclusive} b{offset}, which is {beyond} but within 3 standard errors."
+        limit_um, expected_text = self._allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
+        build_check = partial(
+            Check, name=NAME, value=length, limit=limit_um, units="um", figures=(POSITION, CORRELATION)
+        )
+        if length <= limit_um:
+            is_vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
+            verdict_text = "agrees, but is less certain than the marks" if is_vague else "agrees"
+            return build_check(state="pass", sentence=f"B{offset_text}, {expected_text}: {verdict_text}.")
+        excess_text = f"more than the marks allow ({expected_text})"
+        if length <= 3.0 * length_error:
+            return build_check(
+                state="unknown",
+                sentence=f"{inconclusive_text} b{offset_text}, which is {excess_text} but within 3 standard errors.",
             )
-        return make(
-            state="look", sentence=f"B{offset}, {beyond}. Such a shift of all marks together shows nowhere else.",
+        return build_check(
+            state="look",
+            sentence=f"B{offset_text}, {excess_text}. Such a shift of all marks together shows nowhere else.",
             advice="Compare the outlines of maps and image; if it is real, take it off, or use marks at the face that "
             "the image shows.",
         )  # fmt: skip
@@ -168,17 +172,17 @@ class Lag:
 
     def numbers(self, property_name: str, expected_error_um: float | None = None) -> LagNumbers:
         """Return what stands in the results of a run, with the first map's property and the expected error if known."""
-        expected = math.nan if expected_error_um is None else expected_error_um
-        tiles = () if self.field is None else zip(
+        expected_um = math.nan if expected_error_um is None else expected_error_um
+        tile_lags = () if self.field is None else zip(
             self.field.at_um.tolist(), self.field.lag_um.tolist(), self.field.distinct.tolist(), strict=True
         )  # fmt: skip
         return LagNumbers(
             property=property_name, lag_um=self.lag_um, se_um=self.se_um, length_um=self.length_um,
             length_se_um=self.length_se_um, r=self.r, r_at_zero=self.r_at_zero, limit_r=self.limit_r,
-            silence=self.silence, agrees=self.agrees(expected), expected_um=expected, sentence=self.sentence(expected),
-            pixel_um=self.pixel_um, n=self.n, reach_um=self.reach_um, light=self.light,
-            tile_um=math.nan if self.field is None else self.field.tile_um,
-            tiles=tuple(LagTile(x=x, y=y, lag_um=lag, distinct=distinct) for (x, y), lag, distinct in tiles),
+            silence=self.silence, agrees=self.agrees(expected_um), expected_um=expected_um,
+            sentence=self.sentence(expected_um), pixel_um=self.pixel_um, n=self.n, reach_um=self.reach_um,
+            light=self.light, tile_um=math.nan if self.field is None else self.field.tile_um,
+            tiles=tuple(LagTile(x=x, y=y, lag_um=lag, distinct=distinct) for (x, y), lag, distinct in tile_lags),
         )  # fmt: skip
 
 
@@ -223,30 +227,30 @@ def texture_lag(
     Worsley (1994), Adv. Appl. Probab. 26, 13, doi:10.2307/1427576.
     """
     pixel = texture.pixel_um
-    sides = texture.known.shape[0] * pixel[0], texture.known.shape[1] * pixel[1]
-    least, most = 3 * max(pixel), min(sides) / 4
-    if not least <= reach_um <= most:
+    sides_um = texture.known.shape[0] * pixel[0], texture.known.shape[1] * pixel[1]
+    least_um, most_um = 3 * max(pixel), min(sides_um) / 4
+    if not least_um <= reach_um <= most_um:
         raise SizeError(
-            f"A reach of {reach_um:g} um does not fit maps of {sides[1]:.0f} x {sides[0]:.0f} um in pixels of "
-            f"{max(pixel):g} um. Take one from 3 pixels ({least:g} um) to a quarter of the shorter side "
-            f"({most:.0f} um)."
+            f"A reach of {reach_um:g} um does not fit maps of {sides_um[1]:.0f} x {sides_um[0]:.0f} um in pixels of "
+            f"{max(pixel):g} um. Take one from 3 pixels ({least_um:g} um) to a quarter of the shorter side "
+            f"({most_um:.0f} um)."
         )
     reach = int(reach_um / pixel[0] + 1e-9), int(reach_um / pixel[1] + 1e-9)
-    build = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)
+    build_lag = partial(Lag, reach_um=reach_um, pixel_um=pixel, n=texture.n)
     if texture.n < 400 or not all(k in texture.maps and texture.maps[k].any() for k in (*first, last)):
-        return build(silence="few")
+        return build_lag(silence="few")
     halves = [texture.halves(k) for k in first]
     x, y = np.stack([m for two in halves for m in two]), texture.maps[last]
     search = LagSearch(x, y, texture.known, (reach[0] + MARGIN, reach[1] + MARGIN))
     allowed, limit = within(reach), search.limit(reach)
     above = allowed & (search.height > limit)
     peak = find_peak(search.share, above if above.any() else allowed)
-    zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
-    lag = build(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(zero, 0)))
+    share_at_zero = search.share[search.share.shape[0] // 2, search.share.shape[1] // 2]
+    lag = build_lag(silence="texture", limit_r=math.sqrt(limit), r_at_zero=math.sqrt(max(share_at_zero, 0)))
     if peak is None:
         return lag
-    model = search.weights(peak.pixel)
-    sign = float(np.vdot(np.tensordot(model[: len(halves[0])], x[: len(halves[0])], 1), texture.maps[first[0]]))
+    weights = search.weights(peak.lag_px)
+    sign = float(np.vdot(np.tensordot(weights[: len(halves[0])], x[: len(halves[0])], 1), texture.maps[first[0]]))
     lag = replace(lag, r=math.copysign(math.sqrt(max(peak.r, 0.0)), sign))
     if not above.any():
         return lag
@@ -255,18 +259,18 @@ def texture_lag(
     if rival_of(search.share, peak, allowed) > max(limit, 0.8 * peak.r):
         return replace(lag, silence="rival")
     step = np.array([pixel[1], pixel[0]])
-    spread = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
-    spread += (0.1 * max(pixel)) ** 2 * np.eye(2)  # what is lost between the pixels
+    covariance = search.covariance(peak, pixel)[::-1, ::-1] * np.outer(step, step)
+    covariance += (0.1 * max(pixel)) ** 2 * np.eye(2)  # what is lost between the pixels
     if slopes:
         without_slopes = slice(0, sum(map(len, halves[: len(first) - slopes])))
-        lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.pixel) / peak.r)
-    if not math.sqrt(float(np.linalg.eigvalsh(spread)[-1])) < reach_um / 4:  # else it locates nothing
+        lag = replace(lag, light=1.0 - search.share_of(without_slopes, peak.lag_px) / peak.r)
+    if not math.sqrt(float(np.linalg.eigvalsh(covariance)[-1])) < reach_um / 4:  # else it locates nothing
         return replace(lag, silence="light" if slopes else "texture")
-    x_um, y_um = (float(v) for v in peak.at[::-1] * step)
-    lag = replace(lag, silence=None, lag_um=(x_um, y_um), covariance_um2=spread)
+    lag_x_um, lag_y_um = (float(v) for v in peak.summit_px[::-1] * step)
+    lag = replace(lag, silence=None, lag_um=(lag_x_um, lag_y_um), covariance_um2=covariance)
     if tiles_um is None:
         return lag
     return replace(lag, field=lag_field(
-        np.tensordot(model, x, 1), y, texture.known, pixel, reach=reach, tile_um=tiles_um,
+        np.tensordot(weights, x, 1), y, texture.known, pixel, reach=reach, tile_um=tiles_um,
         unrelated=[*PhaseSurrogate(y, texture.known).draws(19, np.random.default_rng(20090501))],
     ))  # fmt: skip

@@ -55,14 +55,14 @@ class LagField:
         use = self.distinct
         if int(use.sum()) < 6:
             return None
-        places, lag = self.at_um[use], self.lag_um[use]
+        centres, lag = self.at_um[use], self.lag_um[use]
         weight = 1.0 / np.sqrt(np.trace(self.covariance_um2[use], axis1=1, axis2=2))
-        design = np.concatenate([np.ones((len(places), 1)), places - places.mean(axis=0)], axis=1) * weight[:, None]
+        design = np.concatenate([np.ones((len(centres), 1)), centres - centres.mean(axis=0)], axis=1) * weight[:, None]
         if np.linalg.matrix_rank(design) < 3:
             return None
         coefficients, *_ = np.linalg.lstsq(design, lag * weight[:, None], rcond=None)
         residuals = lag * weight[:, None] - design @ coefficients
-        variance = (residuals**2).sum(axis=0) / (len(places) - 3)
+        variance = (residuals**2).sum(axis=0) / (len(centres) - 3)
         spread = np.diag(np.linalg.inv(design.T @ design))[1:]
         return coefficients[0], coefficients[1:].T, np.sqrt(4.0 * np.outer(variance, spread))
 
@@ -77,44 +77,45 @@ def lag_field(
     all tiles together are the null, each put to the tile's size. Tiles that are no larger than twice the reach, or
     larger than the map, are refused.
     """
-    side = [round(tile_um / p) for p in pixel_um]
+    side_px = [round(tile_um / p) for p in pixel_um]
     allowed, wide = within(reach), (reach[0] + MARGIN, reach[1] + MARGIN)
-    if any(s <= 2 * k or s > n for s, k, n in zip(side, wide, a.shape, strict=True)):
+    if any(s <= 2 * k or s > n for s, k, n in zip(side_px, wide, a.shape, strict=True)):
         raise SizeError(
             f"Tiles of {tile_um:g} um are too small for the reach, or larger than the map. Take sides above "
             f"{2 * max(wide[0] * pixel_um[0], wide[1] * pixel_um[1]):.0f} um, or a shorter reach."
         )
     step = np.array([pixel_um[1], pixel_um[0]])
     tiles: list[tuple[Floats, Floats, Floats, float, float]] = []
-    null: list[float] = []
-    for row, col in product(*(range(0, n - s + 1, max(s // 2, 1)) for n, s in zip(a.shape, side, strict=True))):
+    null_z: list[float] = []
+    for row, col in product(*(range(0, n - s + 1, max(s // 2, 1)) for n, s in zip(a.shape, side_px, strict=True))):
         # The tile of a, and b around it as far as the search goes: every lag keeps its pairs.
-        rows = slice(max(row - wide[0], 0), row + side[0] + wide[0])
-        cols = slice(max(col - wide[1], 0), col + side[1] + wide[1])
+        rows = slice(max(row - wide[0], 0), row + side_px[0] + wide[0])
+        cols = slice(max(col - wide[1], 0), col + side_px[1] + wide[1])
         inside = np.zeros(a.shape, dtype=bool)
-        inside[row : row + side[0], col : col + side[1]] = True
+        inside[row : row + side_px[0], col : col + side_px[1]] = True
         masks = (is_valid & inside)[rows, cols], is_valid[rows, cols]
-        share = float(masks[0].sum()) / (side[0] * side[1])
+        share = float(masks[0].sum()) / (side_px[0] * side_px[1])
         if share < 0.5:
             continue
         correlate = MaskedNcc(a[rows, cols], a_valid=masks[0], b_valid=masks[1], reach=wide)
         peak = find_peak(correlate(b[rows, cols]), allowed)
-        highest = (float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated)
-        null += [float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)) for r in highest]
-        spread, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
+        highest_r = (float(np.nanmax(correlate(m[rows, cols])[allowed], initial=0.0)) for m in unrelated)
+        null_z += [float(np.arctanh(min(r, 0.999999)) * np.sqrt(share)) for r in highest_r]
+        covariance, lag = np.full((2, 2), np.nan), np.full(2, np.nan)
         if peak is not None and peak.inner:
-            lag = peak.at[::-1] * step
-            spread = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[::-1, ::-1] * np.outer(step, step)
-        place = (np.array([col, row]) + (np.array(side[::-1]) - 1) / 2) * step
-        tiles.append((place, lag, spread, np.nan if peak is None else peak.r, share))
-    limit = float(np.quantile(null, 0.99, method="higher")) if null else np.inf  # a field has many tiles
-    places, lags, spreads, r, shares = (
+            lag = peak.summit_px[::-1] * step
+            covariance = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[::-1, ::-1] * np.outer(step, step)
+        centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
+        tiles.append((centre_um, lag, covariance, np.nan if peak is None else peak.r, share))
+    # A field has many tiles.
+    limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
+    centres_um, lags, covariances, r, shares = (
         np.array([row[k] for row in tiles]).reshape(len(tiles), *size)
         for k, size in enumerate(((2,), (2,), (2, 2), (), ()))
     )
     height = np.arctanh(np.minimum(np.abs(r), 0.999999)) * np.sqrt(shares)
     distinct = np.isfinite(lags[:, 0]) & (height > limit)
     return LagField(
-        at_um=places, lag_um=np.where(distinct[:, None], lags, np.nan), r=r, distinct=distinct, tile_um=tile_um,
-        covariance_um2=np.where(distinct[:, None, None], spreads, np.nan),
+        at_um=centres_um, lag_um=np.where(distinct[:, None], lags, np.nan), r=r, distinct=distinct, tile_um=tile_um,
+        covariance_um2=np.where(distinct[:, None, None], covariances, np.nan),
     )  # fmt: skip

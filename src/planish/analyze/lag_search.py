@@ -35,13 +35,13 @@ class LagSearch:
         self.share: Floats = np.where(enough, share, np.nan)
         self.height: Floats = np.where(enough, share * pairs / max(n, 1), 0.0)
 
-    def weights(self, pixel: tuple[int, int]) -> Floats:
+    def weights(self, lag_px: tuple[int, int]) -> Floats:
         """Weights of the maps at a lag, (k,)."""
-        return self._inverse @ self._products_at(pixel)
+        return self._inverse @ self._products_at(lag_px)
 
-    def share_of(self, subset: slice, pixel: tuple[int, int]) -> float:
+    def share_of(self, subset: slice, lag_px: tuple[int, int]) -> float:
         """R² at a lag with some of the maps only."""
-        g = self._products_at(pixel)[subset]
+        g = self._products_at(lag_px)[subset]
         return float(g @ np.linalg.pinv(self._inner[subset, subset], rcond=1e-6, hermitian=True) @ g)
 
     def limit(self, reach: tuple[int, int]) -> float:
@@ -73,22 +73,22 @@ class LagSearch:
         m, the rest e = y - m and w = G⁻¹ times the slopes of the products of x and y: the second part is what the
         weights of the maps, which are fitted as well, add.
         """
-        fixed, moved = overlap(self._y.shape, peak.pixel)
-        is_valid = self._is_valid[fixed] & self._is_valid[moved]
-        x, y = self._x[:, fixed[0], fixed[1]], self._y[moved]
-        slopes = np.stack([np.where(is_valid, np.gradient(self._y, axis=k)[moved], 0.0) for k in (0, 1)])
+        x_slices, y_slices = overlap(self._y.shape, peak.lag_px)
+        is_valid = self._is_valid[x_slices] & self._is_valid[y_slices]
+        x, y = self._x[:, x_slices[0], x_slices[1]], self._y[y_slices]
+        slopes = np.stack([np.where(is_valid, np.gradient(self._y, axis=k)[y_slices], 0.0) for k in (0, 1)])
         n = int(np.count_nonzero(is_valid))
-        fitted = np.tensordot(self.weights(peak.pixel), x, 1)
-        rest = np.where(is_valid, y - fitted, 0.0)
+        fitted = np.tensordot(self.weights(peak.lag_px), x, 1)
+        residual = np.where(is_valid, y - fitted, 0.0)
         w = np.tensordot(slopes, x, ((1, 2), (1, 2))) / n @ self._inverse  # (2, k)
-        scores = (fitted - peak.r * y) * slopes + rest * np.tensordot(w, x, 1)
+        scores = (fitted - peak.r * y) * slopes + residual * np.tensordot(w, x, 1)
         scores = np.where(is_valid, scores - scores.sum(axis=(1, 2), keepdims=True) / n, 0.0)
-        parts = tile_sums(scores, pixel_um, 150.0).reshape(2, -1)
-        back = np.linalg.inv(-0.5 * peak.curvature)
-        return back @ (parts @ parts.T / n**2) @ back
+        score_sums = tile_sums(scores, pixel_um, 150.0).reshape(2, -1)
+        inverse_curvature = np.linalg.inv(-0.5 * peak.curvature)
+        return inverse_curvature @ (score_sums @ score_sums.T / n**2) @ inverse_curvature
 
-    def _products_at(self, pixel: tuple[int, int]) -> Floats:
-        return self._g[:, pixel[0] + self._wide[0], pixel[1] + self._wide[1]]
+    def _products_at(self, lag_px: tuple[int, int]) -> Floats:
+        return self._g[:, lag_px[0] + self._wide[0], lag_px[1] + self._wide[1]]
 
     def _transform(self, values: Floats) -> Complexes:
         return np.asarray(fft.rfft2(values, self._size), dtype=np.complex128)

@@ -20,7 +20,7 @@ from planish.core.numbers import count, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps
 
 
 class _Spread(ResultModel):
@@ -74,10 +74,11 @@ def spread_light(
     constant stays so; along borders and holes the mean leans to one side.
     """
     is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
-    side = min(n * p for n, p in zip(values.shape, pixel, strict=True))
-    if not 0 < width_um < side:
+    side_um = min(n * p for n, p in zip(values.shape, pixel, strict=True))
+    if not 0 < width_um < side_um:
         raise SizeError(
-            f"Light would spread over {width_um:g} um; the map is {side:g} um wide. Give a width above 0, below that."
+            f"Light would spread over {width_um:g} um; the map is {side_um:g} um wide. Give a width above 0, below "
+            "that."
         )
     if not is_valid.any():
         raise CannotMeasure("No pixel of the map is known and counts. Look at the mask.")
@@ -89,11 +90,11 @@ def spread_light(
     transfer = (1.0 + (2 * math.pi * width_um) ** 2 * square) ** -1.5
     mean = float(np.mean(values[is_valid], dtype=np.float64))
     rows, cols = values.shape
-    moved, weight = (
+    blurred, weight = (
         np.asarray(fft.irfft2(np.asarray(fft.rfft2(m, shape)) * transfer, shape))[:rows, :cols]
         for m in (np.where(is_valid, values - mean, 0.0), is_valid.astype(np.float64))
     )
-    return np.where(is_valid, mean + moved / np.where(is_valid, weight, 1.0), np.nan)
+    return np.where(is_valid, mean + blurred / np.where(is_valid, weight, 1.0), np.nan)
 
 
 def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
@@ -101,37 +102,38 @@ def answer_light_spread(pair: ComparedMaps) -> dict[str, Any]:
     width_um, point_um, cell_um = pair.params.light_spread_um, pair.point_um, pair.cell_um
     if width_um is None or not pair.is_coat_on_image:
         return {}
-    spread_r = partial(LightSpread, width_um=width_um, point_um=point_um)
+    build_result = partial(LightSpread, width_um=width_um, point_um=point_um)
     if pair.why_no_points:
-        return {"light_spread": spread_r(silence=pair.why_no_points)}
+        return {"light_spread": build_result(silence=pair.why_no_points)}
     try:
         blurred = spread_light(pair.x, pixel_um=cell_um, width_um=width_um, mask=pair.lags.is_valid)
-        spread = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
-        plain_map, image = pair.points
-        row = correlate(spread, image, pixel_um=point_um)
-        change = paired_difference((plain_map, image), (spread, image), pixel_um=point_um)
+        blurred_points = area_mean(blurred, (point_um / cell_um[0], point_um / cell_um[1]))
+        coating, image = pair.points
+        correlation = correlate(blurred_points, image, pixel_um=point_um)
+        difference = paired_difference((coating, image), (blurred_points, image), pixel_um=point_um)
     except PlanishError as error:
-        return {"light_spread": spread_r(silence=error.text)}
-    if math.isnan(row.r):
-        return {"light_spread": spread_r(n=row.n, silence=" ".join(row.warnings))}
+        return {"light_spread": build_result(silence=error.text)}
+    if math.isnan(correlation.r):
+        return {"light_spread": build_result(n=correlation.n, silence=" ".join(correlation.warnings))}
     return {"light_spread": LightSpread.of(
-        row, width_um=width_um, point_um=point_um, difference=change.difference, difference_interval=change.interval
+        correlation, width_um=width_um, point_um=point_um, difference=difference.difference,
+        difference_interval=difference.interval
     )}  # fmt: skip
 
 
-def say_light_spread(spread: LightSpread, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
+def say_light_spread(spread: LightSpread, *_: object) -> Iterator[str]:
     """R with the coating blurred, and whether it differs from that of the coating as it is."""
-    width = f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
+    width_text = f"With the coating blurred by light that spreads over {plain(spread.width_um)} (declared)"
     if not is_known(spread.r):
-        yield f"{width}, there is no r. {spread.silence or ''}".strip()
+        yield f"{width_text}, there is no r. {spread.silence or ''}".strip()
         return
-    text = f"{width}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
-    if limits := limits_text(spread.interval):
-        text += f" ({limits}; {count(round(spread.n_eff))} independent points)"
+    text = f"{width_text}, r = {fixed(spread.r, 2)} at points of {plain(spread.point_um)}"
+    if interval_text := limits_text(spread.interval):
+        text += f" ({interval_text}; {count(round(spread.n_eff))} independent points)"
     if not is_known(spread.difference_interval):
         yield f"{text}."
         return
     low, high = spread.difference_interval
     verdict = "not distinguishable from" if low <= 0 <= high else "distinguishable from"
-    change = f"r changes by {fixed(spread.difference, 3)}, {limits_text(spread.difference_interval, 3)}"
-    yield f"{text}: {verdict} that of the coating as it is ({change})."
+    change_text = f"r changes by {fixed(spread.difference, 3)}, {limits_text(spread.difference_interval, 3)}"
+    yield f"{text}: {verdict} that of the coating as it is ({change_text})."

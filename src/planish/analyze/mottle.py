@@ -92,36 +92,38 @@ def print_mottle(
     >>> [(b.shortest_um, b.longest_um) for b in print_mottle(image, pixel_um=40.0).bands]
     [(250.0, 500.0), (500.0, 1000.0)]
     """
-    image, valid, pixel = known_pixels(reflectance, mask, pixel_um)
-    least = 4.0 * max(pixel)  # shorter ones are no waves on a grid
-    most = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))  # of longer waves a field has too few
-    longest = most if longest_um is None else longest_um
-    if not (least <= shortest_um < math.inf and 2 * shortest_um <= longest * (1 + 1e-9) <= most * (1 + 2e-9)):
+    image, is_valid, pixel = known_pixels(reflectance, mask, pixel_um)
+    least_um = 4.0 * max(pixel)  # shorter ones are no waves on a grid
+    most_um = 0.2 * min(n * p for n, p in zip(image.shape, pixel, strict=True))  # of longer waves a field has too few
+    limit_um = most_um if longest_um is None else longest_um
+    if not (least_um <= shortest_um < math.inf and 2 * shortest_um <= limit_um * (1 + 1e-9) <= most_um * (1 + 2e-9)):
         raise SizeError(
-            f"No octave lies between waves of {shortest_um:g} and {longest:g} um: this image shows waves from "
-            f"{least:g} um (4 pixels) to {most:g} um (a fifth of its shorter side), and an octave ends at twice its "
-            "beginning. Take other wavelengths, smaller pixels or a larger field."
+            f"No octave lies between waves of {shortest_um:g} and {limit_um:g} um: this image shows waves from "
+            f"{least_um:g} um (4 pixels) to {most_um:g} um (a fifth of its shorter side), and an octave ends at twice "
+            "its beginning. Take other wavelengths, smaller pixels or a larger field."
         )
-    edges = [shortest_um * 2.0**k for k in range(math.floor(math.log2(longest / shortest_um) + 1e-9) + 1)]
-    mean = float(image[valid].mean(dtype=np.float64))
+    edges_um = [shortest_um * 2.0**k for k in range(math.floor(math.log2(limit_um / shortest_um) + 1e-9) + 1)]
+    mean = float(image[is_valid].mean(dtype=np.float64))
     if not mean > 0:
         raise CannotMeasure(
             f"The mean of the image is {mean:.3g}; variation relative to it needs one above 0. Give reflectance, not "
             "its difference from a mean."
         )
-    values = np.where(valid, image - mean, 0.0)  # first, so that rounding is that of the variation
-    weight = valid.astype(np.float64)
-    means = (smooth(values, weight, valid, [_HALF * edge / p for p in pixel], truncate=4.0)[valid] for edge in edges)
-    bands: list[MottleBand] = []
-    for (short, fine), (long, coarse) in pairwise(zip(edges, means, strict=True)):
-        spread = float((fine - coarse).std()) / _OCTAVE
-        bands.append(MottleBand(shortest_um=short, longest_um=long, coefficient_of_variation=spread / mean))
-    measured = (
-        f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g} um, as differences "
-        f"of Gaussian means over {np.count_nonzero(valid)} pixels; after ISO/IEC 24790 and ISO 15311, conforming to "
-        "neither."
+    values = np.where(is_valid, image - mean, 0.0)  # first, so that rounding is that of the variation
+    weight = is_valid.astype(np.float64)
+    means = (
+        smooth(values, weight, is_valid, [_HALF * edge / p for p in pixel], truncate=4.0)[is_valid] for edge in edges_um
     )
-    return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(valid)), measured=measured)
+    bands: list[MottleBand] = []
+    for (short_um, fine), (long_um, coarse) in pairwise(zip(edges_um, means, strict=True)):
+        sd = float((fine - coarse).std()) / _OCTAVE
+        bands.append(MottleBand(shortest_um=short_um, longest_um=long_um, coefficient_of_variation=sd / mean))
+    measured = (
+        f"Coefficient of variation of the {quantity} in octaves from {edges_um[0]:g} to {edges_um[-1]:g} um, as "
+        f"differences of Gaussian means over {np.count_nonzero(is_valid)} pixels; after ISO/IEC 24790 and ISO 15311, "
+        "conforming to neither."
+    )
+    return Mottle(bands=tuple(bands), mean=mean, n=int(np.count_nonzero(is_valid)), measured=measured)
 
 
 def mottle_of(name: str, data: xr.Dataset, *, quantity: str) -> Mottle:

@@ -70,20 +70,20 @@ def cropped(circular: Floats, reach: tuple[int, int]) -> Floats:
     return circular[np.ix_(rows % circular.shape[0], cols % circular.shape[1])]
 
 
-def _mean_and_sd(values: Floats, valid: Bools) -> Pair:
-    inside = values[valid]
-    if inside.size == 0:
+def _mean_and_sd(values: Floats, is_valid: Bools) -> Pair:
+    known_values = values[is_valid]
+    if known_values.size == 0:
         return 0.0, 1.0
-    sd = float(inside.std())
-    return float(inside.mean()), sd if sd > 0 else 1.0
+    sd = float(known_values.std())
+    return float(known_values.mean()), sd if sd > 0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Peak:
     """The largest correlation, in pixels (rows, columns)."""
 
-    pixel: tuple[int, int]  # whole lag
-    at: Floats  # (2,): lag between the pixels
+    lag_px: tuple[int, int]  # whole lag
+    summit_px: Floats  # (2,): lag between the pixels
     r: float  # correlation there
     curvature: Floats = field(default_factory=lambda: np.full((2, 2), np.nan))  # second derivatives, negative definite
     inner: bool = False  # whether it is a summit, not a slope that goes on beyond the lags searched
@@ -101,41 +101,42 @@ def find_peak(r: Floats, allowed: Bools) -> Peak | None:
     row, col = divmod(int(np.argmax(height)), r.shape[1])
     if not np.isfinite(height[row, col]):
         return None
-    pixel = (row - r.shape[0] // 2, col - r.shape[1] // 2)
-    around = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
-    flat = Peak(pixel=pixel, at=np.array(pixel, dtype=np.float64), r=float(r[row, col]))
-    full = 2 * MARGIN + 1
-    if r[row, col] < 0 or around.shape != (full, full) or not np.isfinite(around).all():
-        return flat
-    if around[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > around[MARGIN, MARGIN]:
-        return flat
+    lag_px = (row - r.shape[0] // 2, col - r.shape[1] // 2)
+    neighbourhood = r[row - MARGIN : row + MARGIN + 1, col - MARGIN : col + MARGIN + 1]
+    pixel_peak = Peak(lag_px=lag_px, summit_px=np.array(lag_px, dtype=np.float64), r=float(r[row, col]))
+    width_px = 2 * MARGIN + 1
+    if r[row, col] < 0 or neighbourhood.shape != (width_px, width_px) or not np.isfinite(neighbourhood).all():
+        return pixel_peak
+    if neighbourhood[MARGIN - 1 : MARGIN + 2, MARGIN - 1 : MARGIN + 2].max() > neighbourhood[MARGIN, MARGIN]:
+        return pixel_peak
     axis = np.arange(-MARGIN, MARGIN + 1, dtype=np.float64)
-    spline = RectBivariateSpline(axis, axis, around, kx=3, ky=3, s=0)
+    spline = RectBivariateSpline(axis, axis, neighbourhood, kx=3, ky=3, s=0)
 
-    def at(place: Floats, down: int = 0, across: int = 0) -> float:
-        return float(spline.ev(place[0], place[1], dx=down, dy=across))
+    def slope(offset_px: Floats, order_y: int = 0, order_x: int = 0) -> float:
+        return float(spline.ev(offset_px[0], offset_px[1], dx=order_y, dy=order_x))
 
-    spot, step = np.zeros(2), np.ones(2)
+    offset, step = np.zeros(2), np.ones(2)
     for k in range(21):
-        mixed = at(spot, 1, 1)
-        curvature = np.array([[at(spot, 2, 0), mixed], [mixed, at(spot, 0, 2)]])
+        d2_yx = slope(offset, 1, 1)
+        curvature = np.array([[slope(offset, 2, 0), d2_yx], [d2_yx, slope(offset, 0, 2)]])
         if curvature[0, 0] >= 0 or np.linalg.det(curvature) <= 0:
-            return flat
+            return pixel_peak
         if k == 20 or np.abs(step).max() < 1e-10:
-            return Peak(pixel=pixel, at=flat.at + spot, r=at(spot), curvature=curvature, inner=True)
-        step = np.clip(-np.linalg.solve(curvature, [at(spot, 1, 0), at(spot, 0, 1)]), -0.5, 0.5)
-        spot = spot + step
-        if np.abs(spot).max() > 2.0:  # on a ridge, the summit is not within the pixel that is highest
-            return flat
-    return flat
+            summit = pixel_peak.summit_px + offset
+            return Peak(lag_px=lag_px, summit_px=summit, r=slope(offset), curvature=curvature, inner=True)
+        step = np.clip(-np.linalg.solve(curvature, [slope(offset, 1, 0), slope(offset, 0, 1)]), -0.5, 0.5)
+        offset = offset + step
+        if np.abs(offset).max() > 2.0:  # on a ridge, the summit is not within the pixel that is highest
+            return pixel_peak
+    return pixel_peak
 
 
 def rival_of(share: Floats, peak: Peak, allowed: Bools) -> float:
     """Height of the second peak: beyond where what is explained, R² by lag, stays above half of the first one's."""
     height = np.where(allowed & np.isfinite(share), share, 0.0)
-    parts, _ = ndimage.label(height > 0.5 * peak.r)
-    first = parts[share.shape[0] // 2 + peak.pixel[0], share.shape[1] // 2 + peak.pixel[1]]
-    return float(np.where(parts == first, 0.0, height).max())
+    labels, _ = ndimage.label(height > 0.5 * peak.r)
+    peak_label = labels[share.shape[0] // 2 + peak.lag_px[0], share.shape[1] // 2 + peak.lag_px[1]]
+    return float(np.where(labels == peak_label, 0.0, height).max())
 
 
 def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Bools) -> Floats:
@@ -148,17 +149,17 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     R_uv(h) R_uv(-h) / n`` with the sums of products R at the lag h and the number n of their pairs. The peak moves by
     the slope over the curvature of r.
     """
-    fixed, moved = overlap(a.shape, peak.pixel)
+    a_slices, b_slices = overlap(a.shape, peak.lag_px)
     # A cubic spline between the pixels, as in `find_peak`: its slope in a pixel is half the difference of neighbouring
     # coefficients.
     spline = np.where(b_valid, b - float(b[b_valid].mean()), 0.0)
     spline = np.pad(np.asarray(ndimage.spline_filter(spline, order=3), dtype=np.float64), 1, mode="edge")
-    steps = spline[2:, 1:-1] - spline[:-2, 1:-1], spline[1:-1, 2:] - spline[1:-1, :-2]
-    slopes = np.stack([0.5 * step[moved] for step in steps])
-    is_valid = a_valid[fixed] & b_valid[moved]
+    differences = spline[2:, 1:-1] - spline[:-2, 1:-1], spline[1:-1, 2:] - spline[1:-1, :-2]
+    slopes = np.stack([0.5 * difference[b_slices] for difference in differences])
+    is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
-    u = np.where(is_valid, _standard(a[fixed], is_valid) - peak.r * _standard(b[moved], is_valid), 0.0)
-    v = np.where(is_valid, slopes / float(b[moved][is_valid].std()), 0.0)
+    u = np.where(is_valid, _standard(a[a_slices], is_valid) - peak.r * _standard(b[b_slices], is_valid), 0.0)
+    v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
     reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
     shape = tuple(fft.next_fast_len(m + k, real=True) for m, k in zip(u.shape, reach, strict=True))
@@ -171,22 +172,22 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     pairs = np.maximum(np.rint(lags(mask_hat, mask_hat)), 1.0)
     r_u = lags(u_hat, u_hat) / pairs
     r_uv = [lags(u_hat, s) for s in v_hat]
-    spread = np.array([
+    covariance = np.array([
         [float(np.sum(r_u * lags(v_hat[i], v_hat[j]) + r_uv[i] * r_uv[j][::-1, ::-1] / pairs)) for j in (0, 1)]
         for i in (0, 1)
     ])  # fmt: skip
-    values, vectors = np.linalg.eigh(0.5 * (spread + spread.T) / n**2)
-    spread = (vectors * np.maximum(values, 0.0)) @ vectors.T
-    return np.linalg.inv(peak.curvature) @ spread @ np.linalg.inv(peak.curvature)
+    values, vectors = np.linalg.eigh(0.5 * (covariance + covariance.T) / n**2)
+    covariance = (vectors * np.maximum(values, 0.0)) @ vectors.T
+    return np.linalg.inv(peak.curvature) @ covariance @ np.linalg.inv(peak.curvature)
 
 
 def overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, slice], tuple[slice, slice]]:
     """Return the pixels of a, and those of b that lie on them at a lag."""
-    fixed = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
-    moved = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
-    return (fixed[0], fixed[1]), (moved[0], moved[1])
+    a_slices = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
+    b_slices = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
+    return (a_slices[0], a_slices[1]), (b_slices[0], b_slices[1])
 
 
 def _standard(values: Floats, is_valid: Bools) -> Floats:
-    inside = values[is_valid]
-    return np.where(is_valid, (values - inside.mean()) / inside.std(), 0.0)
+    known_values = values[is_valid]
+    return np.where(is_valid, (values - known_values.mean()) / known_values.std(), 0.0)

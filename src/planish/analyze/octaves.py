@@ -17,7 +17,7 @@ from planish.core.facts import ResultModel, Unsaved, Value, optional
 from planish.core.typing import Array, Bools, Complexes, Floats, Ints, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps
+    from planish.analyze.correlation_evidence import ComparedMaps
 
 
 class Band(ResultModel):
@@ -77,8 +77,8 @@ def coherence(
     """
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     shortest_side = min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-    longest = 0.25 * shortest_side  # of longer waves a field holds too few
-    count = min(bands, int(math.log2(max(longest / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
+    limit_um = 0.25 * shortest_side  # of longer waves a field holds too few
+    count = min(bands, int(math.log2(max(limit_um / (2 * max(pixel)), 1e-9)))) if is_valid.any() else 0
     if count < 1:
         raise CannotMeasure(
             f"The field of {shortest_side:g} um holds no octave of waves from a quarter of it to two pixels. Give a "
@@ -86,31 +86,33 @@ def coherence(
         )
     waves = Waves(is_valid, pixel, a, b)
     half = half_plane(is_valid.shape) & waves.stand_out
-    white = [m / np.sqrt(np.maximum(p, 1e-300))[waves.ring] for m, p in zip(waves.spectra, waves.powers, strict=True)]
+    white_spectra = [
+        m / np.sqrt(np.maximum(p, 1e-300))[waves.ring] for m, p in zip(waves.spectra, waves.powers, strict=True)
+    ]
     octaves: list[Band] = []
     for k in range(count):
-        high, low = longest / 2**k, longest / 2 ** (k + 1)
-        inside = half & (waves.frequency > 1 / high) & (waves.frequency <= 1 / low)
-        whole_in, white_in = ([m[inside] for m in maps] for maps in (waves.spectra, white))
-        band = _band(whole_in, white_in, np.count_nonzero(inside) / waves.joined, count)
-        octaves.append(Band(shortest_um=low, longest_um=high, **band))
+        longest_um, shortest_um = limit_um / 2**k, limit_um / 2 ** (k + 1)
+        in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
+        raw_waves, white_waves = ([m[in_octave] for m in maps] for maps in (waves.spectra, white_spectra))
+        band_fields = _band(raw_waves, white_waves, np.count_nonzero(in_octave) / waves.joined, count)
+        octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **band_fields))
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
 
 
-def _band(whole: list[Complexes], white: list[Complexes], modes: float, count: int) -> dict[str, float]:
+def _band(raw: list[Complexes], whitened: list[Complexes], modes: float, count: int) -> dict[str, float]:
     """What the waves of both maps, as they are and whitened, have in common in one of so many bands."""
-    cross, gain = complex(np.vdot(white[0], white[1])), complex(np.vdot(whole[0], whole[1]))
-    spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in white))
-    power = float(np.vdot(whole[0], whole[0]).real)
-    p = right = math.nan
+    cross, gain = complex(np.vdot(whitened[0], whitened[1])), complex(np.vdot(raw[0], raw[1]))
+    spread = math.sqrt(math.prod(float(np.vdot(m, m).real) for m in whitened))
+    power_a = float(np.vdot(raw[0], raw[0]).real)
+    p = unbiased = math.nan
     if modes >= 4 and spread > 0:
         share = abs(cross) ** 2 / spread**2
         # Of m complex waves without relation the squared coherence exceeds x with the probability (1 - x)^(m - 1).
-        p, right = (1 - share) ** (modes - 1), (share - 1 / modes) / (1 - 1 / modes)
+        p, unbiased = (1 - share) ** (modes - 1), (share - 1 / modes) / (1 - 1 / modes)
     return {
-        "coherence": right, "p": p, "p_of_bands": 1 - (1 - p) ** count, "modes": modes,
+        "coherence": unbiased, "p": p, "p_of_bands": 1 - (1 - p) ** count, "modes": modes,
         "phase_deg": -math.degrees(math.atan2(cross.imag, cross.real)) if spread > 0 else math.nan,
-        "gain": math.copysign(abs(gain), gain.real) / power if power > 0 else math.nan,
+        "gain": math.copysign(abs(gain), gain.real) / power_a if power_a > 0 else math.nan,
     }  # fmt: skip
 
 
@@ -120,15 +122,15 @@ class Waves:
     def __init__(self, is_valid: Bools, pixel_um: Pair, *maps: Array) -> None:
         window = window_of(is_valid)
         self.spectra = [spectrum_of(m, is_valid, window) for m in maps]
-        down, across = fft.fftfreq(is_valid.shape[0], pixel_um[0]), fft.rfftfreq(is_valid.shape[1], pixel_um[1])
-        self.frequency = np.hypot(down[:, None], across)  # waves a um
+        frequency_y = fft.fftfreq(is_valid.shape[0], pixel_um[0])[:, None]
+        self.frequency = np.hypot(frequency_y, fft.rfftfreq(is_valid.shape[1], pixel_um[1]))  # waves a um
         # Width of the window in frequency: one over the field it leaves.
         self.joined = is_valid.size * float(np.sum(window**4)) / float(np.sum(window**2)) ** 2
         self.resolution = math.sqrt(self.joined) / min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
-        rings = self.ring.ravel()
-        powers = [np.bincount(rings, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
-        self.powers = np.stack(powers) / np.maximum(np.bincount(rings), 1)  # (maps, rings)
+        ring_numbers = self.ring.ravel()
+        ring_powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
+        self.powers = np.stack(ring_powers) / np.maximum(np.bincount(ring_numbers), 1)  # (maps, rings)
 
     @property
     def stand_out(self) -> Bools:
@@ -161,5 +163,5 @@ def half_plane(shape: tuple[int, ...]) -> Bools:
 
 def answer_octaves(pair: ComparedMaps) -> dict[str, Any]:
     """Coherence by octaves of wavelength."""
-    waves = coherence(pair.x, pair.y, pixel_um=pair.cell_um)
-    return {"bands": waves.bands, "resolution_per_um": waves.resolution_per_um}
+    octaves = coherence(pair.x, pair.y, pixel_um=pair.cell_um)
+    return {"bands": octaves.bands, "resolution_per_um": octaves.resolution_per_um}

@@ -112,7 +112,7 @@ def pooled_r(r: Fields, n_eff: Sequence[float]) -> SheetMean:
     fields differ in size, but with few sheets it would hold in less than 95 %, as the weights take the variance between
     sheets for known (docs/series.md).
     """
-    z, variance = _of_z(r, n_eff)
+    z, variance = _fisher_z(r, n_eff)
     mean = over_sheets(z)
     fields = [(k, v) for k, v in zip(z.values, variance.values, strict=True) if not math.isnan(k)]
     of_sheets = [float(v.sum()) / v.size**2 for v in variance.by_sheet.values()]
@@ -152,25 +152,25 @@ def difference_of_pooled_r(first: Fields, second: Fields, *, paired: bool, squar
     Means are taken of Fisher's z, in which r of few independent points has no bias, and each sheet adds to the
     difference of r what it adds to z, times the slope of r over z there (delta method).
     """
-    z = [_of_z(m, None)[0] for m in (first, second)]
+    z = [_fisher_z(m, None)[0] for m in (first, second)]
     compare = paired_over_sheets if paired else two_groups
     means = compare(*z).means
-    linear: list[Fields] = []  # values of r, or r², that are linear in z and right at its mean
-    for fields, centre in zip(z, means, strict=True):
-        r = math.tanh(centre)
-        middle, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
-        linear.append(replace(fields, values=[middle + slope * (k - centre) for k in fields.values]))
-    return compare(*linear)
+    linearised: list[Fields] = []  # values of r, or r², that are linear in z and right at its mean
+    for fields, mean_z in zip(z, means, strict=True):
+        r = math.tanh(mean_z)
+        r_at_mean, slope = (r * r, 2 * r * (1 - r * r)) if squared else (r, 1 - r * r)
+        linearised.append(replace(fields, values=[r_at_mean + slope * (k - mean_z) for k in fields.values]))
+    return compare(*linearised)
 
 
-def _of_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, Fields]:
+def _fisher_z(r: Fields, n_eff: Sequence[float] | None) -> tuple[Fields, Fields]:
     """Fisher's z of fields and its variances, both NaN where a field does not count."""
     if n_eff is not None and len(n_eff) != len(r.values):
         raise InputError(f"There are {len(r.values)} correlations and {len(n_eff)} n_eff. Give one for each.")
     if any(abs(v) > 1 for v in r.values):
         raise InputError("A correlation is beyond 1. Give r of every field, from -1 to 1, or NaN.")
-    points = [math.inf] * len(r.values) if n_eff is None else n_eff
-    counts = [abs(v) < 1 and n > 4 for v, n in zip(r.values, points, strict=True)]
-    z = [math.atanh(v) if use else math.nan for v, use in zip(r.values, counts, strict=True)]
-    variance = [1 / (n - 3) if use else math.nan for n, use in zip(points, counts, strict=True)]
+    n_effs = [math.inf] * len(r.values) if n_eff is None else n_eff
+    uses = [abs(v) < 1 and n > 4 for v, n in zip(r.values, n_effs, strict=True)]
+    z = [math.atanh(v) if is_used else math.nan for v, is_used in zip(r.values, uses, strict=True)]
+    variance = [1 / (n - 3) if is_used else math.nan for n, is_used in zip(n_effs, uses, strict=True)]
     return replace(r, values=z), replace(r, values=variance)

@@ -124,52 +124,55 @@ def cross_fitted(
             f"The guard between tiles is {guard:.0f} um, but the maps are correlated over {length:.0f} um: tiles would "
             "not be independent. Take a guard of at least that length, or take the slow variations off the maps first."
         )
-    side, looks, reported = _checkerboard(is_valid, pixel_um, guard, tile_um)
-    first, refined, marked = (np.full(a.shape, np.nan) for _ in range(3))
+    side, tuned_masks, report_masks = _checkerboard(is_valid, pixel_um, guard, tile_um)
+    a_centred, refined_centred, marks_centred = (np.full(a.shape, np.nan) for _ in range(3))
     halves: list[float] = []
-    for look, report in zip(looks, reported, strict=True):
-        placed = tune(np.where(look, a, np.nan), look)
-        use = report & np.isfinite(placed)
-        for values, out in ((a, first), (placed, refined), (b, marked)):
-            out[use] = values[use] - values[use].mean()
-        halves.append(pearson(a[use], placed[use]))
-    row = correlate(first, refined, pixel_um=pixel_um)
-    gain = paired_difference((first, marked), (first, refined), pixel_um=pixel_um)
+    for is_tuned, is_reported in zip(tuned_masks, report_masks, strict=True):
+        placed = tune(np.where(is_tuned, a, np.nan), is_tuned)
+        is_used = is_reported & np.isfinite(placed)
+        for values, out in ((a, a_centred), (placed, refined_centred), (b, marks_centred)):
+            out[is_used] = values[is_used] - values[is_used].mean()
+        halves.append(pearson(a[is_used], placed[is_used]))
+    fitted = correlate(a_centred, refined_centred, pixel_um=pixel_um)
+    gain = paired_difference((a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um)
     low, high = gain.interval
-    limits = "" if math.isnan(row.interval[0]) else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
-    change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
+    low, high = fitted.interval
+    interval_text = "" if math.isnan(low) else f" (95 %: {low:.2f} to {high:.2f})"
+    change_text = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
     if low <= 0 <= high:
-        change = ", which is not distinguishable from it"
+        change_text = ", which is not distinguishable from it"
     return CrossFitted(
-        r=row.r, interval=row.interval, n_eff=row.n_eff, r_of_halves=(halves[0], halves[1]), r_of_marks=gain.r[0],
-        gain_interval=gain.interval, n=row.n, share=row.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard,
-        length_um=length, sentence=f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
+        r=fitted.r, interval=fitted.interval, n_eff=fitted.n_eff, r_of_halves=(halves[0], halves[1]),
+        r_of_marks=gain.r[0], gain_interval=gain.interval, n=fitted.n,
+        share=fitted.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard, length_um=length,
+        sentence=f"r = {fitted.r:.2f}{interval_text}; the marks alone give {gain.r[0]:.2f} there{change_text}; "
         f"{RegistrationBasis.CROSS_FITTED.sentence}",
     )  # fmt: skip
 
 
 def _checkerboard(
-    is_valid: Bools, pixel_um: Pair, guard: float, tile_um: float | None
+    is_valid: Bools, pixel_um: Pair, guard_um: float, tile_um: float | None
 ) -> tuple[float, list[Bools], list[Bools]]:
     """Side of the tiles, and for either colour what is tuned on and what is reported then."""
-    shape, sides = is_valid.shape, [6 * guard, 4 * guard] if tile_um is None else [tile_um]
-    for side in sides:
-        numbers: list[Ints] = []  # of the tile of every row and column; a rest at the border goes half to either side
-        for n, pixel in zip(shape, pixel_um, strict=True):
-            first = 0.5 * (n * pixel - max(int(n * pixel / side), 1) * side)
-            numbers.append(np.floor(((np.arange(n) + 0.5) * pixel - first) / side).astype(np.intp))
-        row, col = numbers[0][:, None], numbers[1]
-        looks = [is_valid & ((row + col) % 2 == k) for k in (0, 1)]
-        reported = [
-            looks[1 - k] & (ndimage.distance_transform_edt(~looks[k], sampling=pixel_um) > guard) for k in (0, 1)
+    shape, sides_um = is_valid.shape, [6 * guard_um, 4 * guard_um] if tile_um is None else [tile_um]
+    for side_um in sides_um:
+        tile_numbers: list[Ints] = []  # of every row and column; a rest at the border goes half to either side
+        for n, pitch_um in zip(shape, pixel_um, strict=True):
+            edge_um = 0.5 * (n * pitch_um - max(int(n * pitch_um / side_um), 1) * side_um)
+            tile_numbers.append(np.floor(((np.arange(n) + 0.5) * pitch_um - edge_um) / side_um).astype(np.intp))
+        tile_row, tile_col = tile_numbers[0][:, None], tile_numbers[1]
+        tuned_masks = [is_valid & ((tile_row + tile_col) % 2 == k) for k in (0, 1)]
+        report_masks = [
+            tuned_masks[1 - k] & (ndimage.distance_transform_edt(~tuned_masks[k], sampling=pixel_um) > guard_um)
+            for k in (0, 1)
         ]
-        tiles = [np.unique((row * shape[1] + col)[m]).size for m in reported]
-        if min(tiles) >= 4 and min(map(np.sum, reported)) >= 100:
-            return side, looks, reported
+        tile_counts = [np.unique((tile_row * shape[1] + tile_col)[m]).size for m in report_masks]
+        if min(tile_counts) >= 4 and min(map(np.sum, report_masks)) >= 100:
+            return side_um, tuned_masks, report_masks
     raise CannotMeasure(
-        f"Tiles of {sides[-1]:.0f} um with a guard of {guard:.0f} um leave fewer than 4 of either colour to report on: "
-        "the map is too small for its texture. Report the marks-only correlation, or the refined one with a searched "
-        "null."
+        f"Tiles of {sides_um[-1]:.0f} um with a guard of {guard_um:.0f} um leave fewer than 4 of either colour to "
+        "report on: the map is too small for its texture. Report the marks-only correlation, or the refined one with a "
+        "searched null."
     )
 
 
@@ -202,15 +205,15 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
     rng = np.random.default_rng(20090502)
 
     def searched(candidate: Floats) -> float:
-        shown = np.where(is_valid, candidate, np.nan)
-        return pearson(shown, tune(shown, is_valid))
+        a_known = np.where(is_valid, candidate, np.nan)
+        return pearson(a_known, tune(a_known, is_valid))
 
     r = searched(flat)
-    null = [abs(searched(draw)) for draw in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)]
+    null = [abs(searched(surrogate)) for surrogate in PhaseSurrogate(flat, is_valid).draws(surrogates, rng)]
     p = (1 + sum(v >= abs(r) for v in null)) / (1 + surrogates)
     if surrogates < 199:  # a tail is not known further than half of one over their number squared
-        tail = largest_tail(np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12)))
-        p = max(tail, 0.5 / len(null) ** 2)
+        tail_share = largest_tail(np.arctanh(np.minimum(null, 1 - 1e-12)), math.atanh(min(abs(r), 1 - 1e-12)))
+        p = max(tail_share, 0.5 / len(null) ** 2)
     null_95 = float(np.quantile(null, 0.95, method="higher"))
     return SearchedNull(
         r=r, null_95=null_95, p=p, surrogates=surrogates,
@@ -269,7 +272,7 @@ def refine_link(
     pixel, valid = grid.pixel_um, linked["valid"].values
     a, b = (_detail(linked[name].values, valid, pixel) for name in (headline, "image"))
     options = RefineOptions(model=model)
-    moved = refine(a, b, valid, pixel_um=pixel, fit=fit, options=options)
+    fine = refine(a, b, valid, pixel_um=pixel, fit=fit, options=options)
 
     def tune(other: Floats, look: Bools) -> Floats:
         return refine(other, b, look, pixel_um=pixel, fit=fit, options=replace(options, bounded=False)).image_at(
@@ -281,11 +284,11 @@ def refine_link(
     except CannotMeasure:
         of_r = searched_null(a, tune, valid=valid, surrogates=19)
     facts = RefinementFacts(
-        model=moved.model, metric=moved.metric, property=headline, moved_rms_um=moved.moved_um[0],
-        moved_most_um=moved.moved_um[1], share_of_expected_error=moved.share, area=moved.area, strain=moved.strain,
-        warnings=moved.warnings, sentence=moved.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
+        model=fine.model, metric=fine.metric, property=headline, moved_rms_um=fine.moved_um[0],
+        moved_most_um=fine.moved_um[1], share_of_expected_error=fine.share, area=fine.area, strain=fine.strain,
+        warnings=fine.warnings, sentence=fine.sentence, longest_wave_um=_COARSEST_UM, correlation=of_r,
     )  # fmt: skip
-    return RefinedTransform(marks=Chain(fits=(fit,)), refined=moved), facts
+    return RefinedTransform(marks=Chain(fits=(fit,)), refined=fine), facts
 
 
 def _detail(values: Floats, valid: Bools, pixel_um: Pair) -> Floats:

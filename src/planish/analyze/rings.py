@@ -76,9 +76,9 @@ def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um:
     def sums(values: Array) -> Floats:
         return np.bincount(waves.ring[inside], weights=values[inside], minlength=last + 1)[1:].astype(np.float64)
 
-    count, (wave_a, wave_b) = sums(np.ones(inside.shape)), waves.spectra
-    spread = np.sqrt(sums(np.abs(wave_a) ** 2) * sums(np.abs(wave_b) ** 2))
-    correlation = sums((np.conj(wave_a) * wave_b).real) / np.maximum(spread, 1e-300)
+    count, (spectrum_a, spectrum_b) = sums(np.ones(inside.shape)), waves.spectra
+    spread = np.sqrt(sums(np.abs(spectrum_a) ** 2) * sums(np.abs(spectrum_b) ** 2))
+    correlation = sums((np.conj(spectrum_a) * spectrum_b).real) / np.maximum(spread, 1e-300)
     weak = np.flatnonzero(sums(waves.stand_out.astype(np.float64)) < count)
     middle, modes = sums(waves.frequency) / count, (count / waves.joined).tolist()
     rings = tuple(
@@ -88,8 +88,8 @@ def ring_correlation(a: Array, b: Array, *, mask: Bools | None = None, pixel_um:
         )
         for k in range(int(weak[0]) if weak.size else last)
     )  # fmt: skip
-    wave, sentence = _resolved(rings, middle.tolist(), leaking=bool(weak.size))
-    return RingCorrelation(rings=rings, resolution_um=wave, sentence=sentence)
+    resolution_um, sentence = _resolved(rings, middle.tolist(), leaking=bool(weak.size))
+    return RingCorrelation(rings=rings, resolution_um=resolution_um, sentence=sentence)
 
 
 def half_bit(modes: float) -> float:
@@ -101,15 +101,15 @@ def half_bit(modes: float) -> float:
 
 def _resolved(rings: tuple[Ring, ...], frequencies: list[float], *, leaking: bool) -> tuple[float | None, str]:
     """Wavelength down to which the rings agree, None where they do not say, and the same in words."""
-    above = [ring.correlation - ring.threshold for ring in rings]
-    first = next((k for k, v in enumerate(above) if v < 0), None)
-    if first is None:
+    excesses = [ring.correlation - ring.threshold for ring in rings]
+    first_below = next((k for k, v in enumerate(excesses) if v < 0), None)
+    if first_below is None:
         why = "shorter waves are too weak to be distinguished from leakage" if leaking else "the pixels end there"
         shortest = f"{rings[-1].wavelength_um:.3g} um" if rings else "the longest waves"
         return None, f"Both show the same down to {shortest}; {why}. No resolution."
-    if first == 0:
+    if first_below == 0:
         return None, f"Not even the longest waves ({rings[0].wavelength_um:.3g} um) agree. No resolution."
-    share = above[first - 1] / (above[first - 1] - above[first])
-    longer, shorter = frequencies[first - 1 : first + 1]
-    wave = 1 / (longer + share * (shorter - longer))
-    return wave, f"Both show the same down to waves of {wave:.3g} um (half bit)."
+    share = excesses[first_below - 1] / (excesses[first_below - 1] - excesses[first_below])
+    frequency_above, frequency_below = frequencies[first_below - 1 : first_below + 1]
+    resolution_um = 1 / (frequency_above + share * (frequency_below - frequency_above))
+    return resolution_um, f"Both show the same down to waves of {resolution_um:.3g} um (half bit)."

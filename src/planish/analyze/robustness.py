@@ -12,14 +12,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from planish.analyze.correlation import (
-    LEAST,
-    Correlation,
-    PointsCorrelation,
-    check_varying,
-    correlate,
-    valid_pixels,
-)
+from planish.analyze.correlation import LEAST, Correlation, PointsCorrelation, check_varying, correlate, valid_pixels
 from planish.analyze.curve_of_sizes import SizeRow
 from planish.analyze.detrend import without_trend
 from planish.analyze.texture import low_pass
@@ -30,7 +23,7 @@ from planish.core.numbers import count, decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Floats, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 
 class _Given(ResultModel):
@@ -69,14 +62,14 @@ def origins(
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
     x = np.where(is_valid, a, np.nan)
     steps = [sorted({round(k * point_um / p / 4) for k in range(4)}) for p in pixel]
-    correlations = [
+    r_of_origins = [
         correlate(x[down:, across:], b[down:, across:], pixel_um=pixel, point_um=point_um).r
         for down, across in product(*steps)
     ]
-    finite = [r for r in correlations if not math.isnan(r)]
-    if not finite:
+    known_r = [r for r in r_of_origins if not math.isnan(r)]
+    if not known_r:
         raise SizeError(f"No grid of points of {point_um:g} um fits into the map. Give smaller points.")
-    return Origins(r=float(np.mean(finite)), least=min(finite), largest=max(finite), count=len(finite))
+    return Origins(r=float(np.mean(known_r)), least=min(known_r), largest=max(known_r), count=len(known_r))
 
 
 def of_short_waves(
@@ -154,18 +147,18 @@ def partial(
     for m in covariates:
         is_valid &= valid_pixels(a, m, None, pixel)[0]
     check_varying(is_valid)
-    terms = np.stack([m[is_valid] - m[is_valid].mean() for m in covariates], axis=1)
-    rests: list[Floats] = []
+    covariate_columns = np.stack([m[is_valid] - m[is_valid].mean() for m in covariates], axis=1)
+    residual_maps: list[Floats] = []
     for m in (a, b):
         y = m[is_valid] - m[is_valid].mean()
-        rest = y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]
-        if float(rest @ rest) <= 1e-10 * float(y @ y):
+        residual = y - covariate_columns @ np.linalg.lstsq(covariate_columns, y, rcond=None)[0]
+        if float(residual @ residual) <= 1e-10 * float(y @ y):
             raise InputError(
                 "The other maps explain all of one map: parts stand beside their sum. Leave one of them out."
             )
-        rests.append(np.full(m.shape, np.nan))
-        rests[-1][is_valid] = rest
-    return correlate(*rests, pixel_um=pixel)
+        residual_maps.append(np.full(m.shape, np.nan))
+        residual_maps[-1][is_valid] = residual
+    return correlate(*residual_maps, pixel_um=pixel)
 
 
 def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = None) -> dict[str, float]:
@@ -205,16 +198,16 @@ def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = No
     subsets = [chosen for size in range(1, len(names) + 1) for chosen in combinations(names, size)]
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
     for chosen in subsets:
-        terms = np.stack([columns[k] for k in chosen], axis=1)
-        rest = y - terms @ np.linalg.lstsq(terms, y, rcond=None)[0]
-        explained[frozenset(chosen)] = 1.0 - float(rest @ rest) / float(y @ y)
+        regressors = np.stack([columns[k] for k in chosen], axis=1)
+        residual = y - regressors @ np.linalg.lstsq(regressors, y, rcond=None)[0]
+        explained[frozenset(chosen)] = 1.0 - float(residual @ residual) / float(y @ y)
     shares: dict[str, float] = {}
     for chosen in subsets:
-        others = frozenset(names) - frozenset(chosen)
+        other_names = frozenset(names) - frozenset(chosen)
         # What is gained by these maps over the others, counted in and out.
         shares[" and ".join(chosen)] = -sum(
-            (-1) ** k * explained[others | frozenset(part)]
-            for k in range(len(chosen) + 1) for part in combinations(chosen, k)
+            (-1) ** k * explained[other_names | frozenset(subset)]
+            for k in range(len(chosen) + 1) for subset in combinations(chosen, k)
         )  # fmt: skip
     return shares
 
@@ -226,17 +219,17 @@ def answer_origins(pair: ComparedMaps) -> dict[str, Any]:
     """Least, mean and largest r over grids of points that begin elsewhere."""
     if not pair.has_points:
         return {}
-    spread = origins(pair.x, pair.y, **pair.sizes)
-    return {"origins": (spread.least, spread.r, spread.largest)}
+    r_of_origins = origins(pair.x, pair.y, **pair.sizes)
+    return {"origins": (r_of_origins.least, r_of_origins.r, r_of_origins.largest)}
 
 
-def say_origins(limits: tuple[float, float, float], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
+def say_origins(r_range: tuple[float, float, float], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """How far r depends on where the grid of points begins."""
-    digits = decimals_of_r((limits[0], limits[2]))
-    least, mean, largest = (fixed(v, digits) for v in limits)
+    decimals = decimals_of_r((r_range[0], r_range[2]))
+    least_text, mean_text, largest_text = (fixed(v, decimals) for v in r_range)
     yield (
-        f"Where the grid of points of {plain(words.point_um)} begins is arbitrary: over 16 origins r is {mean} on "
-        f"average, from {least} to {largest}."
+        f"Where the grid of points of {plain(words.point_um)} begins is arbitrary: over 16 origins r is {mean_text} on "
+        f"average, from {least_text} to {largest_text}."
     )
 
 
@@ -244,18 +237,18 @@ def answer_short_waves(pair: ComparedMaps) -> dict[str, Any]:
     """R without the waves of which the field holds few."""
     if not pair.has_points:
         return {}
-    short, longest_um = of_short_waves(pair.x, pair.y, **pair.sizes)
-    return {"short_waves": SizeRow.of(short), "short_waves_um": longest_um}
+    correlation, longest_um = of_short_waves(pair.x, pair.y, **pair.sizes)
+    return {"short_waves": SizeRow.of(correlation), "short_waves_um": longest_um}
 
 
-def say_short_waves(short: SizeRow, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """R of short waves, where it has an interval."""
-    if is_known(short.interval) and evidence.short_waves_um:
-        digits = decimals_of_r(short.interval)
+    if is_known(short_waves.interval) and evidence.short_waves_um:
+        decimals = decimals_of_r(short_waves.interval)
         yield (
-            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r = {fixed(short.r, digits)} "
-            f"({limits_text(short.interval, digits)}; {count(round(short.n_eff))} independent points). This says "
-            "nothing of longer waves."
+            f"Waves below {plain(round(evidence.short_waves_um, -1))} alone: r = {fixed(short_waves.r, decimals)} "
+            f"({limits_text(short_waves.interval, decimals)}; {count(round(short_waves.n_eff))} independent points). "
+            "This says nothing of longer waves."
         )
 
 
@@ -267,45 +260,45 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     InputError
         If the sheet lacks a map that is to stand beside.
     """
-    (first, second), covariates, point_um, grid = pair.layers, pair.params.beside, pair.point_um, pair.grid
-    if "thickness" not in first:
+    (sheet_maps, image_maps), covariates, point_um, grid = pair.layers, pair.params.beside, pair.point_um, pair.grid
+    if "thickness" not in sheet_maps:
         return {}
-    rest = functools.partial(Partial, given=covariates, point_um=point_um)
-    if lacking := [name for name in covariates if name not in first]:
+    build_partial = functools.partial(Partial, given=covariates, point_um=point_um)
+    if missing_names := [name for name in covariates if name not in sheet_maps]:
         raise InputError(
-            f"The sheet has no map {', '.join(lacking)} to stand beside. Leave it out of --beside, or measure it."
+            f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of --beside, or measure it."
         )
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
-        why = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
-        return {"partial": rest(silence=why)}
+        reason = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
+        return {"partial": build_partial(silence=reason)}
     names = (pair.a[1], *covariates)
-    maps = [*(first[name] for name in names), second[pair.b[1]]]
-    *sheet, image = common_means(maps, factor, masks=(first["valid"], second["valid"]))
-    is_valid = np.isfinite(image)  # all maps count where all are known
+    maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]
+    *sheet_points, image_points = common_means(maps, factor, masks=(sheet_maps["valid"], image_maps["valid"]))
+    is_valid = np.isfinite(image_points)  # all maps count where all are known
     n = int(np.count_nonzero(is_valid))
-    flat = [name for name, m in zip(names, sheet, strict=True) if n < LEAST or not np.ptp(m[is_valid]) > 0]
-    if flat:
-        why = f"Over {n} points that are valid in all maps, {', '.join(flat)} does not vary."
-        return {"partial": rest(n=n, silence=why)}
+    flat_maps = [name for name, m in zip(names, sheet_points, strict=True) if n < LEAST or not np.ptp(m[is_valid]) > 0]
+    if flat_maps:
+        reason = f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
+        return {"partial": build_partial(n=n, silence=reason)}
     try:
-        row = partial(sheet[0], image, sheet[1:], pixel_um=point_um)
-        shares = commonality(image, dict(zip(names, sheet, strict=True)))
+        correlation = partial(sheet_points[0], image_points, sheet_points[1:], pixel_um=point_um)
+        shares = commonality(image_points, dict(zip(names, sheet_points, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": rest(silence=error.text)}
-    return {"partial": Partial.of(row, given=covariates, point_um=point_um), "commonality": shares}
+        return {"partial": build_partial(silence=error.text)}
+    return {"partial": Partial.of(correlation, given=covariates, point_um=point_um), "commonality": shares}
 
 
-def say_partial(rest: Partial, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
+def say_partial(partial_r: Partial, evidence: EvidenceFacts, _: PairWords) -> Iterator[str]:
     """R given other maps, and the share that the map explains alone."""
-    names = " and ".join(name.replace("_", " ") for name in rest.given)
-    if not is_known(rest.r):
-        yield f"Given {names}, there is no r. {rest.silence or ''}".strip()
+    names_text = " and ".join(name.replace("_", " ") for name in partial_r.given)
+    if not is_known(partial_r.r):
+        yield f"Given {names_text}, there is no r. {partial_r.silence or ''}".strip()
         return
-    limits = f"{limits_text(rest.interval)}; ".lstrip("; ")
-    alone = (evidence.commonality or {}).get(evidence.a_map)
-    share = "" if alone is None else f" Alone, the map explains {fixed(alone, 2)} of the variance."
+    interval_text = f"{limits_text(partial_r.interval)}; ".lstrip("; ")
+    unique_share = (evidence.commonality or {}).get(evidence.a_map)
+    unique_text = "" if unique_share is None else f" Alone, the map explains {fixed(unique_share, 2)} of the variance."
     yield (
-        f"Given {names}, r = {fixed(rest.r, 2)} at points of {plain(rest.point_um)} ({limits}"
-        f"{count(round(rest.n_eff) if is_known(rest.n_eff) else 0)} independent points).{share}"
+        f"Given {names_text}, r = {fixed(partial_r.r, 2)} at points of {plain(partial_r.point_um)} ({interval_text}"
+        f"{count(round(partial_r.n_eff) if is_known(partial_r.n_eff) else 0)} independent points).{unique_text}"
     )

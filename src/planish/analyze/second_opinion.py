@@ -13,14 +13,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from pydantic import Field
 
-from planish.analyze.correlation import (
-    BANDWIDTH,
-    LEAST_CLAIMED,
-    UNEVEN,
-    correlate,
-    pearson,
-    valid_pixels,
-)
+from planish.analyze.correlation import BANDWIDTH, LEAST_CLAIMED, UNEVEN, correlate, pearson, valid_pixels
 from planish.analyze.covariance import Lags, PairCovariances
 from planish.analyze.distributions import t_95
 from planish.core.area import area_mean
@@ -29,7 +22,7 @@ from planish.core.numbers import decimals_of_r, fixed, limits_text, plain
 from planish.core.typing import Array, Bools, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps
 
 
 class SecondOpinion(ResultModel):
@@ -78,21 +71,21 @@ def second_opinion(
     Satterthwaite (1946), Biometrics Bulletin 2, 110, doi:10.2307/3002019.
     """
     is_valid, pixel = valid_pixels(a, b, mask, pixel_um)
-    row = correlate(a, b, mask=mask, pixel_um=pixel, point_um=point_um)
+    correlation = correlate(a, b, mask=mask, pixel_um=pixel, point_um=point_um)
     if point_um is not None:
         factor = point_um / pixel[0], point_um / pixel[1]
         a, b = (area_mean(np.where(is_valid, m, np.nan), factor) for m in (a, b))
         pixel, is_valid = (point_um, point_um), np.isfinite(a)
     x, y = (np.where(is_valid, m, 0.0).astype(np.float64) for m in (a, b))
     r, critical, error, ratio = pearson(x[is_valid], y[is_valid]), math.nan, math.nan, math.nan
-    if row.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
-        reach = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
-        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach)
+    if correlation.n_eff >= LEAST_CLAIMED and 1 - r * r >= 1e-14:
+        reach_um = BANDWIDTH * min(n * p for n, p in zip(is_valid.shape, pixel, strict=True))
+        spatial_error, ratio = PairCovariances(x, y, Lags(is_valid, pixel)).spatial_error(r, reach_um)
         if spatial_error > 0:
             error, critical = spatial_error, critical_value(is_valid, pixel)
     z = math.atanh(r) if critical > 0 else math.nan
     return SecondOpinion(
-        point_um=row.point_um, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
+        point_um=correlation.point_um, r=r, interval=(math.tanh(z - critical * error), math.tanh(z + critical * error)),
         standard_error=error, critical=critical, ratio=ratio,
     )  # fmt: skip
 
@@ -106,15 +99,15 @@ def critical_value(is_valid: Bools, pixel_um: Pair) -> float:
     k = max(1, math.ceil(math.sqrt(np.count_nonzero(is_valid) / 400)))  # of 400 cells or fewer
     shape = [n // k * k for n in is_valid.shape]
     cells = is_valid[: shape[0], : shape[1]].reshape(shape[0] // k, k, shape[1] // k, k).mean(axis=(1, 3)) >= 0.5
-    places = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
+    places_um = np.argwhere(cells) * (k * pixel_um[0], k * pixel_um[1])
     side = min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
-    distance = np.hypot(*(places[:, None, axis] - places[:, axis] for axis in (0, 1)))
+    distance = np.hypot(*(places_um[:, None, axis] - places_um[:, axis] for axis in (0, 1)))
     weight = np.maximum(1.0 - distance / (BANDWIDTH * side), 0.0)
     rows = weight.mean(axis=1)
-    about = weight - rows - rows[:, None] + rows.mean()
-    expected = float(np.trace(about))
-    free = expected**2 / float(np.sum(about * about))
-    return t_95(free) * math.sqrt(places.shape[0] / expected)
+    centred_weight = weight - rows - rows[:, None] + rows.mean()
+    expected = float(np.trace(centred_weight))
+    free = expected**2 / float(np.sum(centred_weight * centred_weight))
+    return t_95(free) * math.sqrt(places_um.shape[0] / expected)
 
 
 def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
@@ -122,12 +115,12 @@ def answer_second_opinion(pair: ComparedMaps) -> dict[str, Any]:
     return {"second_opinion": second_opinion(pair.x, pair.y, **pair.sizes)} if pair.has_points else {}
 
 
-def say_second_opinion(second: SecondOpinion, _: EvidenceFacts, __: PairWords) -> Iterator[str]:
+def say_second_opinion(opinion: SecondOpinion, *_: object) -> Iterator[str]:
     """The second interval, where there is one."""
-    if limits := limits_text(second.interval, decimals_of_r(second.interval)):
-        uneven = second.ratio > UNEVEN
-        end = "the maps do not vary alike everywhere" if uneven else "it is too narrow where maps reach far"
+    if interval_text := limits_text(opinion.interval, decimals_of_r(opinion.interval)):
+        is_uneven = opinion.ratio > UNEVEN
+        caveat = "the maps do not vary alike everywhere" if is_uneven else "it is too narrow where maps reach far"
         yield (
-            f"Second opinion, from what single points of {plain(second.point_um)} add to r: {limits} "
-            f"({fixed(second.critical, 2)} standard errors after Conley); {end}."
+            f"Second opinion, from what single points of {plain(opinion.point_um)} add to r: {interval_text} "
+            f"({fixed(opinion.critical, 2)} standard errors after Conley); {caveat}."
         )

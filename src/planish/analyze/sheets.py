@@ -59,19 +59,19 @@ class Fields:
             )
         if any(math.isinf(v) for v in self.values):
             raise InputError("The value of a field is infinite. Give numbers, or NaN where one is missing.")
-        pairs = list(zip(self.sheets, self.names, strict=False))
-        if len(set(pairs)) < len(pairs):
-            twice = next(pair for pair in pairs if pairs.count(pair) > 1)
+        field_keys = list(zip(self.sheets, self.names, strict=False))
+        if len(set(field_keys)) < len(field_keys):
+            twice = next(pair for pair in field_keys if field_keys.count(pair) > 1)
             raise InputError(f"Sheet {twice[0]} has the field {twice[1]} twice. Give each field a name of its own.")
 
     @property
     def by_sheet(self) -> dict[str, Floats]:
         """The known values of each sheet that has any, sheets in the order in which they come."""
-        values_of: dict[str, list[float]] = {}
+        values_by_sheet: dict[str, list[float]] = {}
         for sheet, value in zip(self.sheets, self.values, strict=True):
             if not math.isnan(value):
-                values_of.setdefault(sheet, []).append(float(value))
-        return {sheet: np.array(values) for sheet, values in values_of.items()}
+                values_by_sheet.setdefault(sheet, []).append(float(value))
+        return {sheet: np.array(values) for sheet, values in values_by_sheet.items()}
 
     @property
     def means(self) -> Floats:
@@ -133,9 +133,9 @@ def over_sheets(fields: Fields) -> SheetMean:
     Every sheet counts alike, however many fields it has. Means of sheets are taken for normal; where sheets have
     different numbers of fields, their means scatter differently, which the interval withstands (docs/series.md).
     """
-    means, missing = fields.means, sum(map(math.isnan, fields.values))
+    means, n_missing = fields.means, sum(map(math.isnan, fields.values))
     k = means.size
-    counts: dict[str, Any] = {"sheets": k, "fields": len(fields.values) - missing, "missing": missing}
+    counts: dict[str, Any] = {"sheets": k, "fields": len(fields.values) - n_missing, "missing": n_missing}
     if k == 0:
         return SheetMean(**counts, reason=too_few(k))
     mean, spread = float(means.mean()), spread_of(means)
@@ -187,24 +187,24 @@ def variances_of(fields: Fields) -> SheetVariances:
     counts = np.array([v.size for v in sheets])
     k, n = len(sheets), int(counts.sum())
     if k < 2 or n == k:
-        why = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
-        return SheetVariances(sd_within=float(sheets[0].std(ddof=1)) if k == 1 and n > 1 else math.nan, reason=why)
+        reason = "no sheet has two fields" if k > 1 else f"{k} of at least 2 sheets"
+        return SheetVariances(sd_within=float(sheets[0].std(ddof=1)) if k == 1 and n > 1 else math.nan, reason=reason)
     means = fields.means
-    inside = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
-    within, spread = inside / (n - k), spread_of(means) ** 2
+    squares_within = sum(float(np.sum((v - v.mean()) ** 2)) for v in sheets)
+    within, spread = squares_within / (n - k), spread_of(means) ** 2
     if not within > (_SAME * float(np.abs(means).max())) ** 2:
         return SheetVariances(
             sd_between=math.sqrt(spread), sd_within=0.0, share=1.0 if spread > 0 else math.nan,
             reason="all fields of a sheet have the same value",
         )  # fmt: skip
-    each = k / float(np.sum(1 / counts))  # fields of a sheet, harmonic mean
-    between = max(spread - within / each, 0.0)
-    whole = sum(float(v.sum()) for v in sheets) / n
-    ratio = float(np.sum(counts * (means - whole) ** 2)) / (k - 1) / within
+    fields_per_sheet = k / float(np.sum(1 / counts))  # fields of a sheet, harmonic mean
+    between = max(spread - within / fields_per_sheet, 0.0)
+    grand_mean = sum(float(v.sum()) for v in sheets) / n
+    ratio = float(np.sum(counts * (means - grand_mean) ** 2)) / (k - 1) / within
     interval = (math.nan, math.nan)
     if not too_few(k):
         low, high = (
-            max(each * spread / within / f_quantile(share, k - 1, n - k) - 1, 0.0) / each
+            max(fields_per_sheet * spread / within / f_quantile(share, k - 1, n - k) - 1, 0.0) / fields_per_sheet
             for share in ((1 + 0.95) / 2, (1 - 0.95) / 2)
         )
         interval = (low / (1 + low), high / (1 + high))

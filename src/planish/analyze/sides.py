@@ -70,67 +70,68 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
             _check("unknown", f"Specimen: inconclusive, because the sheet and the {image} share no field.")
         )
     coatings = _faces(texture, {k: [f"coating_{k}"] for k in coated if f"coating_{k}" in texture.maps})
-    words = f"The {side} side was {'given' if is_given else 'assumed (--image-side not given)'}"
+    side_text = f"The {side} side was {'given' if is_given else 'assumed (--image-side not given)'}"
     other: Side = "bottom" if side == "top" else "top"
-    shown, hidden = coatings.get(side), coatings.get(other)
-    if shown is not None and _stands_out(shown, hidden):
+    side_coating, other_coating = coatings.get(side), coatings.get(other)
+    if side_coating is not None and _stands_out(side_coating, other_coating):
         end = f"; no coating is seen on the {other} side"
-        if hidden is not None:
-            end = f"{_than(hidden)} that of the {other} side ({hidden})"
-        text = f"The {image} goes with the coating of the {side} side ({shown}){end}. {words}."
-        return SideFound(_check("pass", text, shown), side)
-    if hidden is not None and _stands_out(hidden, shown):
-        text, advice = f"The {image} goes with the coating of the {other} side ({hidden})", _TURN.format(side=other)
-        if shown is not None:
-            text += f"{_than(shown)} that of the {side} side ({shown}). {words}."
-            return SideFound(_check("fail", text, hidden, advice=advice, figures=_OF_SIDES), other)
-        text += f", and none is seen on the {side} side. {words}."
+        if other_coating is not None:
+            end = f"{_preposition(other_coating)} that of the {other} side ({other_coating})"
+        text = f"The {image} goes with the coating of the {side} side ({side_coating}){end}. {side_text}."
+        return SideFound(_check("pass", text, side_coating), side)
+    if other_coating is not None and _stands_out(other_coating, side_coating):
+        text = f"The {image} goes with the coating of the {other} side ({other_coating})"
+        advice = _TURN.format(side=other)
+        if side_coating is not None:
+            text += f"{_preposition(side_coating)} that of the {side} side ({side_coating}). {side_text}."
+            return SideFound(_check("fail", text, other_coating, advice=advice, figures=_OF_SIDES), other)
+        text += f", and none is seen on the {side} side. {side_text}."
         advice += " Light that goes through the sheet may show it as well."
-        return SideFound(_check("look", text, hidden, advice=advice, figures=_OF_SIDES), other)
-    strongest = max(coatings.values(), key=lambda k: abs(k.z), default=None)
-    if strongest is not None and abs(strongest.z) > Z_RELATED:
+        return SideFound(_check("look", text, other_coating, advice=advice, figures=_OF_SIDES), other)
+    strongest_coating = max(coatings.values(), key=lambda k: abs(k.z), default=None)
+    if strongest_coating is not None and abs(strongest_coating.z) > Z_RELATED:
         text = f"Side: inconclusive, because the {image} goes with both coatings, the coating of the {side} side "
-        text += f"({shown}) and that of the {other} side ({hidden}), {_ONE}."
-        return SideFound(_check("unknown", text, strongest))
-    return _by_the_rest(texture, coatings, side, words, image)
+        text += f"({side_coating}) and that of the {other} side ({other_coating}), {_ONE}."
+        return SideFound(_check("unknown", text, strongest_coating))
+    return _by_slopes_and_thickness(texture, coatings, side, side_text, image)
 
 
-def _by_the_rest(
-    texture: Textures, coatings: Mapping[Side, Relation], side: Side, words: str, image: str
+def _by_slopes_and_thickness(
+    texture: Textures, coatings: Mapping[Side, Relation], side: Side, side_text: str, image: str
 ) -> SideFound:  # fmt: skip
     """No coating goes with the image: what slopes of the faces under light from one side say, and the thickness."""
     for k in SIDES:
         if f"topography_{k}" in texture.maps:
             texture = texture.with_slopes(f"topography_{k}")
     slopes = _faces(texture, {k: [f"topography_{k}_{way}" for way in "xy"] for k in SIDES})
-    tried = "; ".join(f"coating of the {k} side {relation}" for k, relation in coatings.items())
+    tried_text = "; ".join(f"coating of the {k} side {relation}" for k, relation in coatings.items())
     rivals: dict[Side, Side] = {"top": "bottom", "bottom": "top"}
     for face in (side, rivals[side]):
         if face in slopes and _stands_out(slopes[face], slopes.get(rivals[face])):
-            tail = f", not with the coatings ({tried})" if tried else ""
+            not_coatings_text = f", not with the coatings ({tried_text})" if tried_text else ""
             text = f"The {image} goes with the slopes of the {face} face, as light from one side shows them "
-            text += f"({slopes[face]}){tail}. {words}."
+            text += f"({slopes[face]}){not_coatings_text}. {side_text}."
             if face == side:
                 return SideFound(_check("pass", text, slopes[face]), face)
             advice = _TURN.format(side=face)
             return SideFound(_check("look", text, slopes[face], advice=advice, figures=_OF_SIDES), face)
-    plain = {
+    relations = {
         k: relate(m, texture.maps["image"], texture.known, texture.pixel_um)
         for k, m in texture.maps.items() if k in ("thickness", "base_thickness", f"topography_{side}")
     }  # fmt: skip
-    plain |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
-    best = max(plain, key=lambda k: abs(plain[k].z), default=None)
-    rest, figures = _NO_WORD, _OF_A_SPECIMEN
-    if best is not None and abs(plain[best].z) > Z_RELATED:
-        rest = f"it goes with the {best.replace('_', ' ')} of the sheet ({plain[best]}), {_ONE}"
+    relations |= {f"slopes of the {k} face": relation for k, relation in slopes.items()}
+    best_map = max(relations, key=lambda k: abs(relations[k].z), default=None)
+    specimen_text, figures = _NO_WORD, _OF_A_SPECIMEN
+    if best_map is not None and abs(relations[best_map].z) > Z_RELATED:
+        specimen_text = f"it goes with the {best_map.replace('_', ' ')} of the sheet ({relations[best_map]}), {_ONE}"
         figures = (CORRELATION,)
     if side in coatings:
-        text = f"The {image} goes with no coating ({tried}; {Z_RELATED} is needed), and {rest}."
+        text = f"The {image} goes with no coating ({tried_text}; {Z_RELATED} is needed), and {specimen_text}."
         advice = "Compare map and image by eye: is it this specimen, this place, and a side that shows its coating?"
-        strongest = max(coatings.values(), key=lambda k: abs(k.z))
-        return SideFound(_check("look", text, strongest, advice=advice, figures=figures))
-    text = f"Side: inconclusive, because no coating is seen on the {side} side; {rest}."
-    return SideFound(_check("unknown", text, plain[best] if best else None))
+        strongest_coating = max(coatings.values(), key=lambda k: abs(k.z))
+        return SideFound(_check("look", text, strongest_coating, advice=advice, figures=figures))
+    text = f"Side: inconclusive, because no coating is seen on the {side} side; {specimen_text}."
+    return SideFound(_check("unknown", text, relations[best_map] if best_map else None))
 
 
 def two_images(texture: Textures, names: tuple[str, str]) -> Check:
@@ -199,13 +200,13 @@ def _stands_out(face: Relation, rival: Relation | None) -> bool:
         face.part_se, rival.part_se)  # fmt: skip
 
 
-def _than(other: Relation) -> str:
+def _preposition(other: Relation) -> str:
     return ", not with" if abs(other.z) < Z_CLEAR else ", more than with"
 
 
 def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relation]:
     """Partial correlation of each face with the image; of several maps of a face that which stands out most."""
-    image, strongest = texture.maps["image"], dict[Side, Relation]()
+    image, strongest_relations = texture.maps["image"], dict[Side, Relation]()
     for side, names_of_side in names.items():
         relations: list[Relation] = []
         for k, name in enumerate(names_of_side):
@@ -216,16 +217,16 @@ def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Rel
                 a, b = (unexplained(m, texture.maps[rival]) for m in (a, b))
             relations.append(relate(a, b, texture.known, texture.pixel_um, of=image))
         if relations:
-            strongest[side] = max(relations, key=lambda r: abs(r.z))
-    return strongest
+            strongest_relations[side] = max(relations, key=lambda r: abs(r.z))
+    return strongest_relations
 
 
 def _mean(relations: Iterable[Relation | None]) -> Relation | None:
     """Mean of correlations of maps that go together or not as one."""
-    maps = [k for k in relations if k is not None]
-    if not maps:
+    pooled = [relation for relation in relations if relation is not None]
+    if not pooled:
         return None
-    r, sd = sum(k.r for k in maps) / len(maps), math.sqrt(sum(k.sd**2 for k in maps)) / len(maps)
+    r, sd = sum(k.r for k in pooled) / len(pooled), math.sqrt(sum(k.sd**2 for k in pooled)) / len(pooled)
     return Relation(r, sd, r, sd)
 
 
@@ -256,37 +257,37 @@ def texture_of(
         return TextureFound(None, (Check(name=NAME, state="unknown", sentence=text),))
     coated_sides = [_coated(d) for d in (a, b) if "thickness" in d]
     coated: list[Side] = [k for k in SIDES if all(k in sides for sides in coated_sides)]
-    slopes: tuple[str, ...] = ()
+    slope_names: tuple[str, ...] = ()
     if one_sheet:
-        last = "image"
+        target_map = "image"
         check, face = image_of_sheet(texture, coated=coated, side=side, is_given=is_given, image=names[1])
         # An image of a face follows its coating, or thickness and height, and slopes under light from one side.
         face = face or side
-        height = f"topography_{face}"
-        first_maps = [f"coating_{face}"] if face in coated else ["thickness"]
-        if height in texture.maps:
-            first_maps += [] if face in coated else [height]
-            texture, slopes = texture.with_slopes(height), (f"{height}_x", f"{height}_y")
+        height_map = f"topography_{face}"
+        source_maps = [f"coating_{face}"] if face in coated else ["thickness"]
+        if height_map in texture.maps:
+            source_maps += [] if face in coated else [height_map]
+            texture, slope_names = texture.with_slopes(height_map), (f"{height_map}_x", f"{height_map}_y")
     elif coated_sides:
         check = two_sheets(texture, names, coated=coated)
-        first_maps = [next((f"coating_{k}" for k in coated), "thickness")]
-        last = f"other {first_maps[0]}"
+        source_maps = [next((f"coating_{k}" for k in coated), "thickness")]
+        target_map = f"other {source_maps[0]}"
     else:
-        check, first_maps, last = two_images(texture, names), ["image"], "other image"
+        check, source_maps, target_map = two_images(texture, names), ["image"], "other image"
     if any("reach_um" in d["image"].attrs for d in (a, b) if "image" in d):
-        gone = "was taken off with the screen."
+        screen_text = "was taken off with the screen."
         if check.state == "look":  # the texture that would show the side is gone: that none goes is no evidence
-            text = f"Side and specimen: inconclusive, because the fine texture that would show it {gone}"
+            text = f"Side and specimen: inconclusive, because the fine texture that would show it {screen_text}"
             check = Check(name=NAME, state="unknown", sentence=text)
-        text = f"Image-based check: not made, because the fine texture that it aligns {gone}"
+        text = f"Image-based check: not made, because the fine texture that it aligns {screen_text}"
         moved = Check(name=lag.NAME, state="unknown", figures=(POSITION,), sentence=text)
         return TextureFound(None, (check, moved))
-    error = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
-    expected_um = None if error is None else rms_of(error, valid)
+    error_map = next((d["expected_error"] for d in (a, b) if "expected_error" in d), None)
+    expected_um = None if error_map is None else rms_of(error_map, valid)
     short = min(n * um for n, um in zip(texture.known.shape, texture.pixel_um, strict=True))
     try:
         offset = lag.texture_lag(
-            texture, [*first_maps, *slopes], last, slopes=len(slopes), reach_um=min(150.0, short / 4),
+            texture, [*source_maps, *slope_names], target_map, slopes=len(slope_names), reach_um=min(150.0, short / 4),
             tiles_um=_TILE_UM if short >= 2 * _TILE_UM else None,
         )  # fmt: skip
     except SizeError:
@@ -294,7 +295,7 @@ def texture_of(
     if offset.distinct and check.state == "look" and set(check.figures) <= {POSITION, CORRELATION}:
         text = f"{check.sentence} Moved by {offset.length_um:.0f} um they do go together (position by texture)."
         check = check.model_copy(update={"sentence": text})
-    return TextureFound(offset.numbers(first_maps[0], expected_um), (check, offset.check(expected_um)))
+    return TextureFound(offset.numbers(source_maps[0], expected_um), (check, offset.check(expected_um)))
 
 
 def _coated(sheet: xr.Dataset) -> list[Side]:
@@ -303,8 +304,8 @@ def _coated(sheet: xr.Dataset) -> list[Side]:
     for side in SIDES:
         name = f"coating_{side}"
         use, *maps = thinned(sheet["valid"], *(sheet[k] for k in (name, f"{name}_se") if k in sheet))[1]
-        coat, *errors = (m[use & np.isfinite(m)] for m in maps)
+        coat_um, *errors = (m[use & np.isfinite(m)] for m in maps)
         limit = 3.0 * float(np.median(errors[0])) if errors and errors[0].size else 0.0
-        if coat.size and coat.size >= 0.5 * np.count_nonzero(use) and float(np.median(coat)) > limit:
+        if coat_um.size and coat_um.size >= 0.5 * np.count_nonzero(use) and float(np.median(coat_um)) > limit:
             sides.append(side)
     return sides

@@ -29,7 +29,7 @@ from planish.core.transform import Similarity
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts
 
 _ENDS = {
     "thickness": ("top", "bottom"), "base_thickness": ("interface_top", "interface_bottom"),
@@ -60,9 +60,9 @@ class Reliability(ResultModel):
     def sentence(self) -> str:
         """What may be said."""
         low, high = self.interval
-        is_valid = "no interval" if math.isnan(low) else f"95 %: {low:.2f} to {high:.2f}"
+        interval_text = "no interval" if math.isnan(low) else f"95 %: {low:.2f} to {high:.2f}"
         bound = "; an upper bound, as both measurements share errors" if self.shared_errors else ""
-        return f"The reliability is {self.value:.2f} at points of {self.point_um:g} um ({is_valid}){bound}."
+        return f"The reliability is {self.value:.2f} at points of {self.point_um:g} um ({interval_text}){bound}."
 
 
 def split_reliability(
@@ -97,13 +97,15 @@ def split_reliability(
     Spearman (1910), Brit. J. Psychol. 3, 271, doi:10.1111/j.2044-8295.1910.tb00206.x.
     Brown (1910), Brit. J. Psychol. 3, 296, doi:10.1111/j.2044-8295.1910.tb00207.x.
     """
-    row = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
-    if math.isnan(row.r):
-        raise CannotMeasure(f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary.")
-    low, high = (_of_both(v) for v in row.interval)
+    correlation = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
+    if math.isnan(correlation.r):
+        raise CannotMeasure(
+            f"The halves have no correlation. {' '.join(correlation.warnings)} Give two maps that vary."
+        )
+    low, high = (_of_both(v) for v in correlation.interval)
     return Reliability(
-        point_um=row.point_um, n=row.n, halves_r=row.r, value=_of_both(row.r), interval=(low, high),
-        n_eff=row.n_eff, shared_errors=shared_errors,
+        point_um=correlation.point_um, n=correlation.n, halves_r=correlation.r, value=_of_both(correlation.r),
+        interval=(low, high), n_eff=correlation.n_eff, shared_errors=shared_errors,
     )  # fmt: skip
 
 
@@ -187,9 +189,9 @@ def half_points(
     alone : bool
         Whether no column's value holds anything of its neighbours.
     """
-    enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
-    turn, shift = columns.similarity.matrix(), columns.similarity.shift_um
-    number_of, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
+    is_enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
+    turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um
+    n_columns, totals, alone = np.zeros(is_enough.size), np.zeros((2, is_enough.size)), True
     for rows in bands(columns.measured.sizes["y"]):
         # Two rows more on either side, for the slopes beside and the means between rows; an even number of them.
         before = min(rows.start, 2)
@@ -197,17 +199,21 @@ def half_points(
         values, alone = part.values(name)
         halves = [_half(values, first)[before : before + rows.stop - rows.start].ravel() for first in (1, 0)]
         u, v = (part.flat[axis].values[before : before + rows.stop - rows.start].ravel() for axis in "uv")
-        x = turn[0, 0] * u + turn[0, 1] * v + (shift[0] - origin_um[0])
-        y = turn[1, 0] * u + turn[1, 1] * v + (shift[1] - origin_um[1])
-        use = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
-        use &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
-        use &= (y < enough.shape[0] * point_um) & (x < enough.shape[1] * point_um)
-        use[use] = is_valid[(y[use] / cell_um[0]).astype(np.intp), (x[use] / cell_um[1]).astype(np.intp)]
-        number = (y[use] / point_um).astype(np.intp) * enough.shape[1] + (x[use] / point_um).astype(np.intp)
-        number_of += np.bincount(number, minlength=enough.size)
-        totals += [np.bincount(number, weights=half[use], minlength=enough.size) for half in halves]
-    counted = enough & (number_of > 0).reshape(enough.shape)
-    means = [np.where(counted, (m / np.maximum(number_of, 1)).reshape(counted.shape), np.nan) for m in totals]
+        x = turn[0, 0] * u + turn[0, 1] * v + (shift_um[0] - origin_um[0])
+        y = turn[1, 0] * u + turn[1, 1] * v + (shift_um[1] - origin_um[1])
+        is_used = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
+        is_used &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
+        is_used &= (y < is_enough.shape[0] * point_um) & (x < is_enough.shape[1] * point_um)
+        is_used[is_used] = is_valid[
+            (y[is_used] / cell_um[0]).astype(np.intp), (x[is_used] / cell_um[1]).astype(np.intp)
+        ]
+        point_ids = (y[is_used] / point_um).astype(np.intp) * is_enough.shape[1] + (x[is_used] / point_um).astype(
+            np.intp
+        )
+        n_columns += np.bincount(point_ids, minlength=is_enough.size)
+        totals += [np.bincount(point_ids, weights=half[is_used], minlength=is_enough.size) for half in halves]
+    is_counted = is_enough & (n_columns > 0).reshape(is_enough.shape)
+    means = [np.where(is_counted, (m / np.maximum(n_columns, 1)).reshape(is_counted.shape), np.nan) for m in totals]
     return means[0], means[1], alone
 
 
@@ -227,10 +233,10 @@ def _half(values: Floats, first: int) -> Floats:
 def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
     """How much of a map two halves of its measurement show alike, or why that cannot be said."""
     columns, grid, point_um = pair.columns[layer], pair.grid, pair.point_um
-    corner = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
+    corner_um = grid.origin_um[0] - grid.pixel_um[1] / 2, grid.origin_um[1] - grid.pixel_um[0] / 2
     try:
         odd, even, alone = half_points(
-            columns, name, pair.lags.is_valid, origin_um=corner, cell_um=pair.cell_um, point_um=point_um
+            columns, name, pair.lags.is_valid, origin_um=corner_um, cell_um=pair.cell_um, point_um=point_um
         )
         reliability = split_reliability(odd, even, pixel_um=point_um)
     except PlanishError as error:
@@ -240,23 +246,25 @@ def reliability_of(pair: ComparedMaps, layer: str, name: str) -> Reliability:
 
 def say_reliability(evidence: EvidenceFacts) -> Iterator[str]:
     """How far two halves of each measurement agree and, behind the last one, what that bounds."""
-    for k, row in enumerate(evidence.reliability):
-        name = row.map.replace("_", " ") + (f" of {row.layer}" if len(evidence.reliability) > 1 else "")
-        if not is_known(row.value):
-            yield f"Reliability of {name}: not known. {row.silence or ''}".strip()
+    for k, reliability in enumerate(evidence.reliability):
+        map_text = reliability.map.replace("_", " ")
+        if len(evidence.reliability) > 1:
+            map_text += f" of {reliability.layer}"
+        if not is_known(reliability.value):
+            yield f"Reliability of {map_text}: not known. {reliability.silence or ''}".strip()
             continue
-        size, noise = f"over {count(row.n)} points of {plain(row.point_um)}", percent(1 - row.value, 1)
+        size_text = f"over {count(reliability.n)} points of {plain(reliability.point_um)}"
+        noise_text = percent(1 - reliability.value, 1)
         text = (
-            f"Odd and even rows of columns are two half measurements of {name}: {size} they correlate with r = "
-            f"{_near_one(row.halves_r)}, so that at least {noise} of the variance of the map is noise"
+            f"Odd and even rows of columns are two half measurements of {map_text}: {size_text} they correlate with r "
+            f"= {_near_one(reliability.halves_r)}, so that at least {noise_text} of the variance of the map is noise"
         )
         if k == len(evidence.reliability) - 1 and evidence.ceiling_noise is not None:
-            with_misplacement = evidence.ceiling_both
-            alone = "" if with_misplacement is None else f", {_near_one(with_misplacement)} with misplacement"
-            text += (
-                f"; a perfect relation would show r = {_near_one(evidence.ceiling_noise)} at most by noise alone{alone}"
-            )
-        yield f"{text}. It is a bound: both halves share {row.shared}."
+            ceiling_both = evidence.ceiling_both
+            shift_text = "" if ceiling_both is None else f", {_near_one(ceiling_both)} with misplacement"
+            noise_r = _near_one(evidence.ceiling_noise)
+            text += f"; a perfect relation would show r = {noise_r} at most by noise alone{shift_text}"
+        yield f"{text}. It is a bound: both halves share {reliability.shared}."
 
 
 def _near_one(value: float) -> str:

@@ -154,13 +154,13 @@ def relate(
     n = int(np.count_nonzero(is_valid))
     if n == 0:
         return Relation(0.0, math.inf, 0.0, math.inf)
-    whole = float(np.std((b if of is None else of)[is_valid]))
-    share = float(np.std(b[is_valid])) / whole if whole > 0 else 0.0
+    sd_whole = float(np.std((b if of is None else of)[is_valid]))
+    share = float(np.std(b[is_valid])) / sd_whole if sd_whole > 0 else 0.0
     a, b = standard(a, is_valid), standard(b, is_valid)
     r = float(np.vdot(a, b)) / n
-    rest = math.sqrt(max(1.0 - r * r, 0.0))
+    unexplained_share = math.sqrt(max(1.0 - r * r, 0.0))
     sd, part_se = _scatter(a, b, r, n, pixel_um), _scatter(a, standard(b - r * a, is_valid), 0.0, n, pixel_um)
-    return Relation(r, sd, share * r, share * rest * part_se)
+    return Relation(r, sd, share * r, share * unexplained_share * part_se)
 
 
 def _scatter(a: Floats, b: Floats, r: float, n: int, pixel_um: Pair) -> float:
@@ -184,8 +184,8 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
 
 def unexplained(values: Floats, other: Floats) -> Floats:
     """What a texture does not share with another one: the residual of least squares."""
-    square = float(np.vdot(other, other))
-    return values - float(np.vdot(values, other)) / square * other if square > 0 else values
+    sum_of_squares = float(np.vdot(other, other))
+    return values - float(np.vdot(values, other)) / sum_of_squares * other if sum_of_squares > 0 else values
 
 
 def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:
@@ -238,5 +238,5 @@ class _Band:
         return standard(np.where(is_valid, out - ring_mean[self._ring], 0.0), is_valid)
 
     def _neighbourhood(self, values: Floats) -> Floats:
-        twice = ndimage.uniform_filter(values, self._local, mode="constant")
-        return ndimage.uniform_filter(twice, self._local, mode="constant")
+        smoothed = ndimage.uniform_filter(values, self._local, mode="constant")
+        return ndimage.uniform_filter(smoothed, self._local, mode="constant")

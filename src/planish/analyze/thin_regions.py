@@ -18,7 +18,7 @@ from planish.core.numbers import number, percent, plain
 from planish.core.typing import Array, Bools, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 THIN_UM = (2.0, 5.0, 10.0)
 
@@ -65,50 +65,52 @@ def region_difference(
     """
     is_valid, pixel = valid_pixels(values, values, mask, pixel_um)
     on_one_grid(values, inside, inside, pixel)
-    within, outside = is_valid & inside, is_valid & ~inside
-    count = int(np.count_nonzero(within)), int(np.count_nonzero(outside))
+    is_inside, is_outside = is_valid & inside, is_valid & ~inside
+    count = int(np.count_nonzero(is_inside)), int(np.count_nonzero(is_outside))
     if min(count) < LEAST:
         raise CannotMeasure(
             f"{count[0]} valid pixels lie inside of the regions and {count[1]} outside, {LEAST} are needed on either "
             "side. Give another limit."
         )
     share = count[0] / sum(count)
-    means = float(values[within].mean()), float(values[outside].mean())
-    added = np.zeros(is_valid.shape)
-    added[within] = (values[within] - means[0]) / share
-    added[outside] = -(values[outside] - means[1]) / (1 - share)
-    square, n_eff = scatter_of(added, Lags(is_valid, pixel))
+    means = float(values[is_inside].mean()), float(values[is_outside].mean())
+    contributions = np.zeros(is_valid.shape)
+    contributions[is_inside] = (values[is_inside] - means[0]) / share
+    contributions[is_outside] = -(values[is_outside] - means[1]) / (1 - share)
+    variance, n_eff = scatter_of(contributions, Lags(is_valid, pixel))
     width = math.nan
-    if not square > 0:
+    if not variance > 0:
         width, n_eff = 0.0, float(sum(count))
     elif n_eff >= LEAST_CLAIMED:
-        width = t_95(n_eff - 1) * math.sqrt(square / n_eff)
-    shift = means[0] - means[1]
-    return RegionDifference(share=share, difference=shift, interval=(shift - width, shift + width), n_eff=n_eff)
+        width = t_95(n_eff - 1) * math.sqrt(variance / n_eff)
+    difference = means[0] - means[1]
+    return RegionDifference(
+        share=share, difference=difference, interval=(difference - width, difference + width), n_eff=n_eff
+    )
 
 
 def answer_thin(pair: ComparedMaps) -> dict[str, Any]:
     """The image inside and outside of thin regions of the coating, for the limits that some pixels are below."""
     if not (pair.a[1].startswith("coating_") and "image" in pair.layers[1]):
         return {}
-    counted, regions = pair.lags.is_valid, list[RegionDifference]()
-    for limit in THIN_UM:
+    is_valid, differences = pair.lags.is_valid, list[RegionDifference]()
+    for limit_um in THIN_UM:
         try:
             difference = region_difference(
-                pair.y, np.where(counted, pair.x, np.inf) < limit, mask=counted, pixel_um=pair.cell_um
+                pair.y, np.where(is_valid, pair.x, np.inf) < limit_um, mask=is_valid, pixel_um=pair.cell_um
             )
         except PlanishError:
             continue
-        regions.append(RegionDifference.holding(difference, thinner_than_um=limit))
-    return {"thin": tuple(regions)}
+        differences.append(RegionDifference.holding(difference, thinner_than_um=limit_um))
+    return {"thin": tuple(differences)}
 
 
 def say_thin(regions: tuple[RegionDifference, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """How the image differs where the coating is thin."""
-    for thin in regions:
-        if is_known(thin.interval):
-            low, high = map(number, thin.interval)
+    for region in regions:
+        if is_known(region.interval):
+            low, high = map(number, region.interval)
             yield (
-                f"Where the coating is below {plain(thin.thinner_than_um)} ({percent(thin.share, 2)} of the valid "
-                f"area) the mean {words.image} differs by {number(thin.difference)} (95 %: {low} to {high})."
+                f"Where the coating is below {plain(region.thinner_than_um)} ({percent(region.share, 2)} of the valid "
+                f"area) the mean {words.image} differs by {number(region.difference)} (95 %: {low} to {high})."
             )

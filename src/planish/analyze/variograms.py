@@ -19,7 +19,7 @@ from planish.core.numbers import in_words, number, percent, plain, unit
 from planish.core.typing import Array, Bools, Floats, Pair, Pixel
 
 if TYPE_CHECKING:
-    from planish.analyze.diagnostics import ComparedMaps, EvidenceFacts, PairWords
+    from planish.analyze.correlation_evidence import ComparedMaps, EvidenceFacts, PairWords
 
 
 _LEAST_RINGS = 4  # for a model of three numbers
@@ -92,31 +92,33 @@ def variogram_of(a: Array, lags: Lags, md_deg: float | None = None) -> Variogram
             f"Half of the field holds {distance.size} rings of distance, {_LEAST_RINGS} are needed. Give a larger map."
         )
     shared = min(_at_zero(distance, covariance, max(lags.pixel_um)), sill)
-    along = across = math.nan
+    range_along_um = range_across_um = math.nan
     if md_deg is not None:
         turned = np.degrees(np.arctan2(lags.lag_um[0][:, None], lags.lag_um[1][None, :]))
         sectors = (np.abs((turned - direction + 90) % 180 - 90) for direction in (md_deg, md_deg + 90))
-        along, across = (_range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared) for away in sectors)
+        range_along_um, range_across_um = (
+            _range(*_by_ring(lags, products, away <= 22.5 + 1e-9)[:2], shared) for away in sectors
+        )
     return Variogram(
         cell_um=lags.pixel_um, nugget=sill - shared, sill=sill, range_um=_range(distance, covariance, shared),
-        md_deg=math.nan if md_deg is None else md_deg, range_along_um=along, range_across_um=across,
-        ratio=along / across if math.isfinite(along) and math.isfinite(across) else math.nan,
+        md_deg=math.nan if md_deg is None else md_deg, range_along_um=range_along_um, range_across_um=range_across_um,
+        ratio=range_along_um / range_across_um if np.isfinite([range_along_um, range_across_um]).all() else math.nan,
         distances_um=tuple(distance.tolist()), values=tuple((sill - covariance).tolist()), pairs=tuple(pairs.tolist()),
     )  # fmt: skip
 
 
-def _by_ring(lags: Lags, products: Floats, subset: Bools) -> tuple[Floats, Floats, Floats]:
+def _by_ring(lags: Lags, products: Floats, is_used: Bools) -> tuple[Floats, Floats, Floats]:
     """Mean distance and covariance, and number of pairs, of rings one pixel wide; lag 0 is left out."""
     step = max(lags.pixel_um)
     ring = np.rint(lags.distance_um / step).astype(np.intp)
-    side = min(n * p for n, p in zip(lags.is_valid.shape, lags.pixel_um, strict=True))
-    use = subset & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side / 2)
-    number = ring[use]
-    pairs, total = (np.bincount(number, weights=m[use]) for m in (lags.pairs, products))
-    far = np.bincount(number, weights=(lags.pairs * lags.distance_um)[use])
+    side_um = min(n * p for n, p in zip(lags.is_valid.shape, lags.pixel_um, strict=True))
+    is_in_reach = is_used & lags.inside & (lags.pairs > 0) & (ring >= 1) & (lags.distance_um <= side_um / 2)
+    ring_numbers = ring[is_in_reach]
+    pairs, total = (np.bincount(ring_numbers, weights=m[is_in_reach]) for m in (lags.pairs, products))
+    distance_sums = np.bincount(ring_numbers, weights=(lags.pairs * lags.distance_um)[is_in_reach])
     has_pairs = pairs > 0
     # Each pair of points stands at two lags, one the negative of the other.
-    return far[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs], pairs[has_pairs] / 2
+    return distance_sums[has_pairs] / pairs[has_pairs], total[has_pairs] / pairs[has_pairs], pairs[has_pairs] / 2
 
 
 def _at_zero(distance: Floats, covariance: Floats, step: float) -> float:
@@ -162,8 +164,8 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
         except PlanishError:
             continue
         # At up to 60 distances, closer for short ones.
-        far = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
-        thinned = {k: tuple(getattr(curve, k)[n] for n in far) for k in ("distances_um", "values")}
+        shown = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
+        thinned = {k: tuple(getattr(curve, k)[n] for n in shown) for k in ("distances_um", "values")}
         curves.append(Variogram.holding(curve, layer=layer, map=name, units=units, **thinned))
     return {"variograms": tuple(curves)}
 
@@ -171,22 +173,22 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
 def say_variograms(curves: tuple[Variogram, ...], _: EvidenceFacts, words: PairWords) -> Iterator[str]:
     """Nugget, range and direction of each map."""
     for curve, title in zip(curves, words.titles, strict=True):
-        share = curve.nugget / curve.sill if curve.sill > 0 else 1.0
-        nugget = f"nugget {number(curve.nugget, 2)} {squared_unit(curve, title)}"
-        if share > 0.999:
-            yield f"{title}: neighbours share nothing ({nugget}): noise, no texture."
+        nugget_share = curve.nugget / curve.sill if curve.sill > 0 else 1.0
+        nugget_text = f"nugget {number(curve.nugget, 2)} {squared_unit(curve, title)}"
+        if nugget_share > 0.999:
+            yield f"{title}: neighbours share nothing ({nugget_text}): noise, no texture."
             continue
-        noise = f"{nugget}, {percent(share, 2)} of the sill" if share > 5e-4 else "no nugget"
-        far = plain(round(curve.distances_um[-1]))
+        noise_text = f"{nugget_text}, {percent(nugget_share, 2)} of the sill" if nugget_share > 5e-4 else "no nugget"
+        farthest_text = plain(round(curve.distances_um[-1]))
         if not is_known(curve.md_deg):
-            turned = "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
+            direction_text = "no direction, as the machine direction is not given (--md-deg, --image-md-deg)"
         else:
-            ratio = f" ({number(curve.ratio, 2)} times as far)" if is_known(curve.ratio) else ""
-            turned = (
-                f"{_range_text(curve.range_along_um, far)} along and {_range_text(curve.range_across_um, far)} across "
-                f"the machine direction{ratio}"
+            ratio_text = f" ({number(curve.ratio, 2)} times as far)" if is_known(curve.ratio) else ""
+            direction_text = (
+                f"{_range_text(curve.range_along_um, farthest_text)} along and "
+                f"{_range_text(curve.range_across_um, farthest_text)} across the machine direction{ratio_text}"
             )
-        yield f"{title}: {noise}; range {_range_text(curve.range_um, far)}; {turned}."
+        yield f"{title}: {noise_text}; range {_range_text(curve.range_um, farthest_text)}; {direction_text}."
 
 
 def squared_unit(curve: Variogram, title: str) -> str:
@@ -194,5 +196,5 @@ def squared_unit(curve: Variogram, title: str) -> str:
     return f"{unit(curve.units) or in_words(title.partition(',')[0])}²"
 
 
-def _range_text(value: float, far: str) -> str:
-    return plain(round(value, 0 if value >= 10 else 1)) if is_known(value) else f"beyond {far}"
+def _range_text(range_um: float, farthest_text: str) -> str:
+    return plain(round(range_um, 0 if range_um >= 10 else 1)) if is_known(range_um) else f"beyond {farthest_text}"

@@ -73,8 +73,8 @@ def study(
     from planish.series.jobs import series_folder
     from planish.series.pages import write_series
     from planish.series.quantities import check_maps_known
-    from planish.series.run import run_series
     from planish.series.watch import watched
+    from planish.series.workers import run_series
 
     plan = read_plan(specimens, changes)
     check_maps_known(plan.declared)

@@ -14,7 +14,7 @@ import numpy as np
 import xarray as xr
 from numpy.typing import NDArray
 
-from planish.analyze.diagnostics import PairWords, Section, sentences
+from planish.analyze.correlation_evidence import PairWords, Section, sentences
 from planish.core.arrays import check_path, not_taken
 from planish.core.facts import is_known
 from planish.core.files import write_whole

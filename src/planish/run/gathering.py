@@ -13,7 +13,7 @@ import xarray as xr
 
 from planish import __version__
 from planish.analyze.compare import comparison_rows, correlate_layers
-from planish.analyze.diagnostics import EvidenceFacts, correlation_diagnostics
+from planish.analyze.correlation_evidence import EvidenceFacts, correlation_diagnostics
 from planish.analyze.mottle import mottle_of
 from planish.analyze.refinement import refine_link
 from planish.analyze.sides import TextureFound, texture_of

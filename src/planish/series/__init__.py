@@ -1,6 +1,6 @@
 """Series of specimens: many links as one piece of work, and what they say together.
 
-``plan`` reads the table of specimens, ``jobs`` does one and knows what is done, ``run`` does all, ``watch`` takes
+``plan`` reads the table of specimens, ``jobs`` does one and knows what is done, ``workers`` does all, ``watch`` takes
 scans as they come. ``gather`` reads the runs, ``quantities`` and ``summary`` compare them, ``cautions`` warns,
 ``pages`` writes, ``open`` gives arrays.
 """

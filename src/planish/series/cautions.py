@@ -22,18 +22,20 @@ def cautions_of(
     yield from _left_out(counted, quantities)
     yield from _sheets(gathered, counted)
     yield from _factors(counted, grouped_by, compared_by, most_levels)
-    kinds = Counter(specimen.kind for specimen in counted)
-    if len(kinds) > 1:
-        words = {"map": "maps without an image", "sheet on image": "links to an image", "two volumes": "links of two "
-                 "volumes", "layers": "links of several layers"}  # fmt: skip
-        numbers = ", ".join(f"{n} {words[str(kind)]}" for kind, n in kinds.items())
-        yield f"The runs are of different kinds ({numbers}): only figures that are of the same maps meet."
-    sizes = [um for specimen in counted if (um := gathered.runs[specimen.name].column_um) is not None]
+    kind_counts = Counter(specimen.kind for specimen in counted)
+    if len(kind_counts) > 1:
+        kind_names = {
+            "map": "maps without an image", "sheet on image": "links to an image",
+            "two volumes": "links of two volumes", "layers": "links of several layers",
+        }  # fmt: skip
+        kinds_text = ", ".join(f"{n} {kind_names[str(kind)]}" for kind, n in kind_counts.items())
+        yield f"The runs are of different kinds ({kinds_text}): only figures that are of the same maps meet."
+    widths_um = [um for specimen in counted if (um := gathered.runs[specimen.name].column_um) is not None]
     # Standard deviations of unlike supports are of different things.
-    if sizes and max(sizes) > 1.05 * min(sizes) and any(q.what in ("sd", "thin_share") for q in quantities):
+    if widths_um and max(widths_um) > 1.05 * min(widths_um) and any(q.what in ("sd", "thin_share") for q in quantities):
         yield (
-            f"Columns are {min(sizes):.3g} to {max(sizes):.3g} um wide. Standard deviations and thin shares depend on "
-            "that: compare those of one width only."
+            f"Columns are {min(widths_um):.3g} to {max(widths_um):.3g} um wide. Standard deviations and thin shares "
+            "depend on that: compare those of one width only."
         )
 
 
@@ -42,13 +44,13 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
         return [specimen.name for specimen in counted if any(map(is_meant, specimen.cells))]
 
     for word, meaning in (("withheld", "a check failed"), ("doubtful", "a check asks for a look")):
-        numbers = {s.name: sum(cell.why_not.startswith(word) for cell in s.cells) for s in counted}
-        if names := [name for name, number in numbers.items() if number]:
-            is_all = all(number in (0, len(quantities)) for number in numbers.values())
-            figures = "all figures" if is_all else "some figures (marked in the table)"
+        figure_counts = {s.name: sum(cell.why_not.startswith(word) for cell in s.cells) for s in counted}
+        if names := [name for name, n_figures in figure_counts.items() if n_figures]:
+            is_every_figure = all(n_figures in (0, len(quantities)) for n_figures in figure_counts.values())
+            figures_text = "all figures" if is_every_figure else "some figures (marked in the table)"
             yield (
-                f"{word.capitalize()} figures take part in no mean and no comparison, because {meaning}: {figures} of "
-                f"{listed(names)}."
+                f"{word.capitalize()} figures take part in no mean and no comparison, because {meaning}: "
+                f"{figures_text} of {listed(names)}."
             )
     if names := named(lambda cell: cell.trust == "doubtful" and cell.counts):
         yield f"Doubtful figures take part in means and comparisons, as was declared: those of {listed(names)}."
@@ -64,8 +66,8 @@ def _left_out(counted: Sequence[SeriesSpecimen], quantities: Sequence[Quantity])
 def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[str]:
     without = _without("sheet", counted)
     if without and len(counted) > 1:
-        is_all = len(without) == len(counted)
-        which = "The table names no sheets" if is_all else f"No sheet is named for {listed(without)}"
+        is_every_specimen = len(without) == len(counted)
+        which = "The table names no sheets" if is_every_specimen else f"No sheet is named for {listed(without)}"
         yield (
             f"{which}: each specimen counts as a sheet of its own. If some are fields of one sheet, the intervals are "
             "too narrow; if sheets were measured before and after, they do not pair. Add a column sheet."
@@ -82,11 +84,11 @@ def _sheets(gathered: Gathered, counted: Sequence[SeriesSpecimen]) -> Iterator[s
             )
         elif len(same) > 1 and not same[0].factor("sheet"):
             yield f"{names} are of the same volume and count as one sheet."
-    fields: dict[tuple[str, ...], list[str]] = {}
+    names_of_field: dict[tuple[str, ...], list[str]] = {}
     for specimen in counted:
         if specimen.factor("field"):
-            fields.setdefault((specimen.sheet, *specimen.member.factors.values()), []).append(specimen.name)
-    for names in fields.values():
+            names_of_field.setdefault((specimen.sheet, *specimen.member.factors.values()), []).append(specimen.name)
+    for names in names_of_field.values():
         if len(names) > 1:
             yield f"{listed(names)} have the same factors, sheet and field; they count as fields of one sheet."
 
@@ -112,21 +114,22 @@ def _factors(
         return
     if compared_by not in FACTORS:
         # Sheets that pair by a factor of which the program cannot know whether it is done to a sheet, or tells sheets.
-        of_sheets: dict[str, set[str]] = {}
+        levels_of_sheets: dict[str, set[str]] = {}
         for specimen in counted:
             if specimen.factor("sheet") and (level := specimen.factor(compared_by)):
-                of_sheets.setdefault(specimen.sheet, set()).add(level)
-        if paired := [sheet for sheet, of_sheet in of_sheets.items() if len(of_sheet) > 1]:
+                levels_of_sheets.setdefault(specimen.sheet, set()).add(level)
+        if paired_sheets := [sheet for sheet, levels_of_sheet in levels_of_sheets.items() if len(levels_of_sheet) > 1]:
             yield (
-                f"{listed(paired)} stand under several levels of {compared_by} and count as the same sheets, measured "
-                "under each. If they are different ones, call the factor paper, or give each sheet a name of its own."
+                f"{listed(paired_sheets)} stand under several levels of {compared_by} and count as the same sheets, "
+                "measured under each. If they are different ones, call the factor paper, or give each sheet a name of "
+                "its own."
             )
-    many = len(levels.get(compared_by, {}))
-    if many < 2:
+    n_levels = len(levels.get(compared_by, {}))
+    if n_levels < 2:
         yield f"There is nothing to compare: {compared_by} has one level among the specimens that have a run."
-    if many > most_levels:
+    if n_levels > most_levels:
         yield (
-            f"{compared_by.capitalize()} has {many} levels. Of more than {most_levels}, differences of every two "
+            f"{compared_by.capitalize()} has {n_levels} levels. Of more than {most_levels}, differences of every two "
             "are not listed: compare fewer of them."
         )
 

@@ -130,9 +130,9 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
     Gathered
         A run that is missing or damaged does not end it: its member says so.
     """
-    states, rows, runs = list[Member](), list[FigureRow](), dict[str, RunSummary]()
-    for timed in members:
-        member = timed.model_copy(update={"seconds": None})  # of a clock: no two runs take the same
+    judged_members, rows, runs = list[Member](), list[FigureRow](), dict[str, RunSummary]()
+    for timed_member in members:
+        member = timed_member.model_copy(update={"seconds": None})  # of a clock: no two runs take the same
         folder = member.folder(home)
         if folder is not None and member.state not in ("refused", "damaged"):
             try:
@@ -144,26 +144,26 @@ def gather(members: Sequence[Member], home: Path) -> Gathered:
                 member = as_judged(member, results)
                 rows += rows_of(member, results)
                 runs[member.name] = _summary(member, results)
-        states.append(member)
-    return Gathered(members=tuple(states), rows=rows, runs=runs)
+        judged_members.append(member)
+    return Gathered(members=tuple(judged_members), rows=rows, runs=runs)
 
 
 def as_judged(member: Member, results: Results) -> Member:
     """A member with the state of its run, and what the failed checks say where it says nothing yet."""
     if results.passed:
         return member.model_copy(update={"state": "whole"})
-    failed = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.checks_in("fail")]
-    return member.model_copy(update={"state": "withheld", "message": member.message or " ".join(failed)})
+    failures = [f"{check.name}: {check.sentence} {check.advice}".rstrip() for check in results.checks_in("fail")]
+    return member.model_copy(update={"state": "withheld", "message": member.message or " ".join(failures)})
 
 
 def _summary(member: Member, results: Results) -> RunSummary:
     sheets = [layer for layer in results.layers if layer.kind == "sheet"]
-    registered = [layer.registration for layer in results.moving if layer.registration is not None]
-    widths = [um for layer in sheets for um in layer.source.size_um[1:]]
+    registrations = [layer.registration for layer in results.moving if layer.registration is not None]
+    widths_um = [um for layer in sheets for um in layer.source.size_um[1:]]
     for layer in sheets:
         if layer.sheet is not None and layer.sheet.numbers is not None:
-            widths += [thin.support_um for thin in layer.sheet.numbers.thin.values()]
-    thin = results.parameters.get("correlate", {}).get("thin_um")
+            widths_um += [thin_um.support_um for thin_um in layer.sheet.numbers.thin.values()]
+    thin_um = results.parameters.get("correlate", {}).get("thin_um")
     kind = "layers" if results.is_link else "map"
     if results.is_link and len(results.layers) == 2 and sheets:
         kind = "two volumes" if len(sheets) == 2 else "sheet on image"
@@ -172,16 +172,16 @@ def _summary(member: Member, results: Results) -> RunSummary:
         specimen=SeriesSpecimen(
             member=member, kind=kind, light=results.state,
             spoken={s: tuple(c.name for c in checks) for s in _STATES if (checks := results.checks_in(s))},
-            marks_used=min((r.matched for r in registered), default=None),
-            leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registered]),
-            expected_error_um=_largest([e.median_um for r in registered if (e := r.expected_error)]),
+            marks_used=min((r.matched for r in registrations), default=None),
+            leave_one_out_um=_largest([r.leave_one_out_rms_um for r in registrations]),
+            expected_error_um=_largest([e.median_um for r in registrations if (e := r.expected_error)]),
         ),
         sheets=tuple(layer.name for layer in sheets),
         images=tuple(layer.name for layer in results.layers if layer.kind == "image"),
         headlines=tuple(dict.fromkeys(layer.headline for layer in sheets)),
         volumes=tuple(layer.source.sha256 for layer in sheets),
-        thin_um=float(thin) if isinstance(thin, int | float) else None,
-        column_um=max(widths, default=None),
+        thin_um=float(thin_um) if isinstance(thin_um, int | float) else None,
+        column_um=max(widths_um, default=None),
         instruments=tuple(facts for facts in instruments if facts is not None),
     )  # fmt: skip
 
@@ -201,11 +201,11 @@ def _instruments(member: Member, results: Results, e: EvidenceFacts, twice: Twic
         return None
     figures: dict[str, Any] = {}
     if row.trust != "withheld":
-        is_sloped = is_known(row.slope) and row.slope_x_on_y
+        has_slopes = is_known(row.slope) and row.slope_x_on_y
         figures = {
             "bias": row.difference_mean, "bias_interval": twice.bias_interval, "limits": row.limits,
             "limit_intervals": twice.limit_intervals, "shared_um": twice.resolution_um,
-            "slopes": (row.slope, 1 / row.slope_x_on_y) if is_sloped else None, "sentence": twice.sentence or "",
+            "slopes": (row.slope, 1 / row.slope_x_on_y) if has_slopes else None, "sentence": twice.sentence or "",
         }  # fmt: skip
     return InstrumentFacts(
         specimen=member.name, a=e.a, b=e.b, map=e.a_map, trust=row.trust, unit=row.units or "1", point_um=row.point_um,
@@ -230,63 +230,63 @@ def rows_of(member: Member, results: Results) -> list[FigureRow]:
     list of FigureRow
         In the order of the layers and maps of the run.
     """
-    row = partial(FigureRow, specimen=member.name, factors=member.factors)
+    make_row = partial(FigureRow, specimen=member.name, factors=member.factors)
     rows: list[FigureRow] = []
     for layer in results.layers:
-        rows += _of_layer(layer, results, row)
-    rows += _of_pairs(results, row)
+        rows += _of_layer(layer, results, make_row)
+    rows += _of_pairs(results, make_row)
     states: tuple[State, ...] = ("fail", "look", "unknown", "pass")
-    return rows + [row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states]
+    return rows + [make_row(f"checks_{state}", float(len(results.checks_in(state)))) for state in states]
 
 
-def _of_layer(layer: LayerFacts, results: Results, row: MakeRow) -> Iterator[FigureRow]:
-    sheet, r = layer.sheet, layer.registration
-    row = partial(row, layer=layer.name)
+def _of_layer(layer: LayerFacts, results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
+    sheet, registration = layer.sheet, layer.registration
+    make_row = partial(make_row, layer=layer.name)
     if sheet is not None:
-        thin_of, rough_of = (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
-        for name, p in sheet.properties.items():
-            of_map = partial(row, map=name, **_trusted(p.trust, results, (layer.name,), (name,)))
+        thin_by_side, roughness_by_side = (sheet.numbers.thin, sheet.numbers.roughness) if sheet.numbers else ({}, {})
+        for name, stats in sheet.properties.items():
+            make_map_row = partial(make_row, map=name, **_trusted(stats.trust, results, (layer.name,), (name,)))
             for quantity in ("mean", "sd", "p5", "median", "p95"):
-                yield of_map(quantity, getattr(p, quantity), p.units)
-            yield of_map("columns", float(p.n))
-            for quantity, unit in (("n_independent", "1"), ("mean_standard_error", p.units), ("support_um", "um")):
-                if (value := getattr(p, quantity)) is not None:
-                    yield of_map(quantity, float(value), unit)
+                yield make_map_row(quantity, getattr(stats, quantity), stats.units)
+            yield make_map_row("columns", float(stats.n))
+            for quantity, unit in (("n_independent", "1"), ("mean_standard_error", stats.units), ("support_um", "um")):
+                if (value := getattr(stats, quantity)) is not None:
+                    yield make_map_row(quantity, float(value), unit)
             for side in SIDES:
-                if name == f"coating_{side}" and side in thin_of:  # those of a withheld map are withheld as well
-                    for limit, share in zip(thin_of[side].thinner_than_um, thin_of[side].share, strict=True):
-                        yield of_map("thin_share", share, at_um=limit)
-                if name == f"topography_{side}" and side in rough_of:
-                    yield of_map("sa", rough_of[side].sa, "um")
-                    yield of_map("sq", rough_of[side].sq, "um")
-        yield row("measured_share", sheet.surfaces.shares.get("measured"))
-    if r is not None:
-        row = partial(row, other_layer=r.to)
-        yield row("marks_used", float(r.matched))
-        yield row("residual", r.rms_um, "um")
-        yield row("leave_one_out", r.leave_one_out_rms_um, "um")
-        if (e := r.expected_error) is not None:
-            trusted = _trusted(e.trust, results, (layer.name,), ("position",))
-            yield row("expected_error", e.median_um, "um", **trusted)
-            yield row("largest_expected_error", e.largest_um, "um", **trusted)
+                if name == f"coating_{side}" and side in thin_by_side:  # those of a withheld map are withheld as well
+                    for limit, share in zip(thin_by_side[side].thinner_than_um, thin_by_side[side].share, strict=True):
+                        yield make_map_row("thin_share", share, at_um=limit)
+                if name == f"topography_{side}" and side in roughness_by_side:
+                    yield make_map_row("sa", roughness_by_side[side].sa, "um")
+                    yield make_map_row("sq", roughness_by_side[side].sq, "um")
+        yield make_row("measured_share", sheet.surfaces.shares.get("measured"))
+    if registration is not None:
+        make_row = partial(make_row, other_layer=registration.to)
+        yield make_row("marks_used", float(registration.matched))
+        yield make_row("residual", registration.rms_um, "um")
+        yield make_row("leave_one_out", registration.leave_one_out_rms_um, "um")
+        if (errors := registration.expected_error) is not None:
+            trust_fields = _trusted(errors.trust, results, (layer.name,), ("position",))
+            yield make_row("expected_error", errors.median_um, "um", **trust_fields)
+            yield make_row("largest_expected_error", errors.largest_um, "um", **trust_fields)
 
 
-def _of_pairs(results: Results, row: MakeRow) -> Iterator[FigureRow]:
-    measured_twice = {key_of(e): e.twice for e in results.evidence}
+def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
+    twice_by_pair = {key_of(e): e.twice for e in results.evidence}
     for c in results.correlations:
-        trusted = _trusted(c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation"))
-        maps = {"layer": c.a, "map": c.a_map, "other_layer": c.b, "other_map": c.b_map}
-        of_pair = partial(row, **maps, **trusted, at_um=c.point_um)
+        trust_fields = _trusted(c.trust, results, (c.a, c.b), (c.a_map, c.b_map, "position", "correlation"))
+        pair_fields = {"layer": c.a, "map": c.a_map, "other_layer": c.b, "other_map": c.b_map}
+        make_pair_row = partial(make_row, **pair_fields, **trust_fields, at_um=c.point_um)
         low, high = map(_number, c.interval)
-        yield of_pair("r", _number(c.r), low=low, high=high)
+        yield make_pair_row("r", _number(c.r), low=low, high=high)
         for quantity in ("r2", "slope", "n", "n_eff", "n_eff_interval"):
             name = "points" if quantity == "n" else quantity
-            yield of_pair(name, _number(float(getattr(c, quantity))))
+            yield make_pair_row(name, _number(float(getattr(c, quantity))))
         if c.same_quantity:
-            yield from _differences(c, measured_twice.get(key_of(c)), partial(of_pair, unit=c.units or "1"))
+            yield from _differences(c, twice_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1"))
     for image in results.mottle:
         for band in image.bands:
-            yield row(
+            yield make_row(
                 "coefficient_of_variation", band.coefficient_of_variation, layer=image.layer, map="image",
                 at_um=band.longest_um,
             )  # fmt: skip
@@ -296,7 +296,7 @@ def _number(value: float) -> float | None:
     return value if is_known(value) else None
 
 
-def _differences(c: CorrelationRow, twice: Twice | None, row: MakeRow) -> Iterator[FigureRow]:
+def _differences(c: CorrelationRow, twice: Twice | None, make_row: MakeRow) -> Iterator[FigureRow]:
     """Bias and limits of two measurements of one quantity, with intervals at the points where the run states them."""
     if twice is not None and (c.trust == "withheld" or not abs(twice.point_um - c.point_um) < 1e-6):
         twice = None
@@ -305,9 +305,9 @@ def _differences(c: CorrelationRow, twice: Twice | None, row: MakeRow) -> Iterat
         ("bias", "limit_low", "limit_high"), (c.difference_mean, *c.limits), intervals, strict=True
     ):
         low, high = ends if ends is not None and is_known(ends) else (None, None)
-        yield row(quantity, _number(value), low=low, high=high)
+        yield make_row(quantity, _number(value), low=low, high=high)
     if twice is not None and twice.resolution_um is not None:
-        yield row("shared_um", twice.resolution_um, unit="um")
+        yield make_row("shared_um", twice.resolution_um, unit="um")
 
 
 def _trusted(trust: Trust, results: Results, layers: Sequence[str], figures: Sequence[str]) -> dict[str, Any]:

@@ -114,17 +114,17 @@ class SeriesState:
             return specimen.member.model_copy(update=_reason_of(error))
         k = 1
         while True:  # another folder where there is a run with other files or options
-            name = specimen.name if k == 1 else f"{specimen.name}-{k}"
-            folder = self.home / RUNS / name
-            earlier = self._read(folder)
-            is_same = earlier is not None and earlier.key == note.key
-            if (k == 1 or name.casefold() not in self._reserved) and (is_same or not folder.exists()):
+            folder_name = specimen.name if k == 1 else f"{specimen.name}-{k}"
+            folder = self.home / RUNS / folder_name
+            old_note = self._read(folder)
+            is_same_job = old_note is not None and old_note.key == note.key
+            if (k == 1 or folder_name.casefold() not in self._reserved) and (is_same_job or not folder.exists()):
                 break
             k += 1
         if is_run(folder):
             return self.member(specimen, folder)
-        if earlier is not None and is_same and earlier.state == "refused":
-            return _without_run(specimen, earlier)
+        if old_note is not None and is_same_job and old_note.state == "refused":
+            return _without_run(specimen, old_note)
         return Job(name=specimen.name, study=study, folder=folder, compute=compute, note=note)
 
     def close(self, specimen: PlannedSpecimen, job: Job, note: Note) -> Member:
@@ -166,9 +166,9 @@ class SeriesState:
             return Estimate(words=f"refused: {error.text}")
         notes = [self._read(Path(path.stem)) for path in (self.home / NOTES).glob("*.json")]
         seconds = [note.seconds for note in notes if note and note.seconds and note.state in ("whole", "withheld")]
-        usual = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
+        modelled_s = _START_S + _PER_VOXEL_S * voxels + _PER_PIXEL_S * pixels
         return Estimate(
-            words="to do", seconds=usual if len(seconds) < 3 else median(seconds),
+            words="to do", seconds=modelled_s if len(seconds) < 3 else median(seconds),
             memory_bytes=PROGRAM_BYTES + min(compute.for_work, volume_bytes + _PER_PIXEL * pixels),
             disk_bytes=_PER_COLUMN * columns + _PER_PIXEL * pixels,
         )  # fmt: skip
@@ -182,10 +182,10 @@ class SeriesState:
             return find_place(path).name
 
         options = to_dict(with_paths(study, without))
-        earlier = self._read(self.home / RUNS / specimen.name)
+        old = self._read(self.home / RUNS / specimen.name)
         stamps = {str(k): stamp_of(Path(path)) for k, path in enumerate(paths)}
         hashes = {
-            k: earlier.hashes[k] if earlier is not None and earlier.stamps.get(k) == stamp and k in earlier.hashes
+            k: old.hashes[k] if old is not None and old.stamps.get(k) == stamp and k in old.hashes
             else hash_of_input(path)
             for (k, stamp), path in zip(stamps.items(), paths, strict=True)
         }  # fmt: skip
@@ -204,18 +204,18 @@ class SeriesState:
 
 def do(job: Job) -> Note:
     """Link the layers of a specimen, or map its volume; whatever goes wrong is noted, too."""
-    begin, reason = time.perf_counter(), {"state": "damaged", "message": ""}
+    begin, outcome = time.perf_counter(), {"state": "damaged", "message": ""}
     try:
         # Of a worker that was lost when all was written, there is a run.
-        passed = is_run(job.folder) or run_study(job.study, job.folder, compute=job.compute).passed
-        reason["state"] = "whole" if passed else "withheld"
+        has_passed = is_run(job.folder) or run_study(job.study, job.folder, compute=job.compute).passed
+        outcome["state"] = "whole" if has_passed else "withheld"
     except PlanishError as error:
-        reason = _reason_of(error)
+        outcome = _reason_of(error)
     except MemoryError:
-        reason["message"] = "The memory is used up. Give fewer --jobs, or more --memory."
+        outcome["message"] = "The memory is used up. Give fewer --jobs, or more --memory."
     except Exception as error:  # noqa: BLE001  one specimen stops no other
-        reason["message"] = f"A fault of planish: {type(error).__name__}: {error}. Please report it."
-    return job.note.model_copy(update={**reason, "seconds": round(time.perf_counter() - begin, 1)})
+        outcome["message"] = f"A fault of planish: {type(error).__name__}: {error}. Please report it."
+    return job.note.model_copy(update={**outcome, "seconds": round(time.perf_counter() - begin, 1)})
 
 
 # State and message of a job whose process ended again and again
@@ -243,9 +243,9 @@ def stamp_of(path: Path) -> str:
             place = find_place(path)
             files = [place.path]
             files = files_of(place)
-    count = size = changed = 0
+    count = size = changed_ns = 0
     for file in files:
         with suppress(OSError):
             stat = file.stat()
-            count, size, changed = count + 1, size + stat.st_size, changed + stat.st_mtime_ns
-    return f"{count} {size} {changed}"
+            count, size, changed_ns = count + 1, size + stat.st_size, changed_ns + stat.st_mtime_ns
+    return f"{count} {size} {changed_ns}"

@@ -37,29 +37,29 @@ def members_of(runs: Sequence[Path], *, home: Path, table: Path | None = None) -
     InputError
         If a run is given twice, also as a copy, or the table does not fit.
     """
-    sheet = None
+    csv_table = None
     if table is not None:
         advice = "It needs a column run or name."
-        sheet = parse_table(read_text(table), table.name, needed=(), error=InputError, advice=advice)
-        if not {"run", "name"} & set(sheet.header):
-            sheet.faults.append(f"neither a column run nor name (found {', '.join(sheet.header)[:120]})")
-        sheet.check("Correct the table.")
-        if not sheet.rows:
-            raise InputError(f"{sheet.name} has a header and no rows. Give a row for each run.")
-    if sheet is not None and not runs:
-        if "run" not in sheet.header:
-            raise InputError(f"{sheet.name} has no column run. Add one with the folders of the runs, or name them.")
-        runs = [_from_table(table, sheet.text(row, "run")) for row in sheet.rows]
+        csv_table = parse_table(read_text(table), table.name, needed=(), error=InputError, advice=advice)
+        if not {"run", "name"} & set(csv_table.header):
+            csv_table.faults.append(f"neither a column run nor name (found {', '.join(csv_table.header)[:120]})")
+        csv_table.check("Correct the table.")
+        if not csv_table.rows:
+            raise InputError(f"{csv_table.name} has a header and no rows. Give a row for each run.")
+    if csv_table is not None and not runs:
+        if "run" not in csv_table.header:
+            raise InputError(f"{csv_table.name} has no column run. Add one with the folders of the runs, or name them.")
+        runs = [_from_table(table, csv_table.text(row, "run")) for row in csv_table.rows]
     folders = [_folder_of(run) for run in runs]
     _refuse_twice(runs, folders)
     names, depth = [folder.name for folder in folders], 1
     while len(set(names)) < len(names):  # with the folders above them where two are the same
         depth += 1
         names = ["/".join(folder.parts[-depth:]) for folder in folders]
-    factors = [{} for _ in folders] if sheet is None else _factors(sheet, table, folders)
+    factors = [{} for _ in folders] if csv_table is None else _factors(csv_table, table, folders)
     return tuple(
-        Member(name=name, factors=of_run, run=relative_path(folder, home))
-        for name, of_run, folder in zip(names, factors, folders, strict=True)
+        Member(name=name, factors=run_factors, run=relative_path(folder, home))
+        for name, run_factors, folder in zip(names, factors, folders, strict=True)
     )
 
 
@@ -82,42 +82,42 @@ def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
     if len(set(folders)) < len(folders):
         run = next(run for k, run in enumerate(runs) if folders[k] in folders[:k])
         raise InputError(f"{run} is given twice. Give each run once: a specimen counts once.")
-    originals: dict[bytes, Path] = {}
+    run_by_content: dict[bytes, Path] = {}
     for run, folder in zip(runs, folders, strict=True):
         file = folder / "results.json"
         content = file.read_bytes() if file.is_file() else b""
-        if content and content in originals:
+        if content and content in run_by_content:
             raise InputError(
-                f"{originals[content]} and {run} hold the same results, byte by byte: one is a copy. Give one of "
+                f"{run_by_content[content]} and {run} hold the same results, byte by byte: one is a copy. Give one of "
                 "them: a specimen counts once."
             )
-        originals[content] = run
+        run_by_content[content] = run
 
 
-def _factors(sheet: CsvTable, table: Path | None, folders: Sequence[Path]) -> list[dict[str, str]]:
+def _factors(csv_table: CsvTable, table: Path | None, folders: Sequence[Path]) -> list[dict[str, str]]:
     """The factors of each run: of the row whose run, or name, is its folder."""
 
     def is_of(row: CsvRow, folder: Path) -> bool:
-        cell = sheet.text(row, "run")
-        paths = (_from_table(table, cell).resolve(), Path(cell).resolve()) if cell else ()
-        return folder in paths or folder.name in (cell, sheet.text(row, "name"))
+        run_cell = csv_table.text(row, "run")
+        paths = (_from_table(table, run_cell).resolve(), Path(run_cell).resolve()) if run_cell else ()
+        return folder in paths or folder.name in (run_cell, csv_table.text(row, "name"))
 
     factors, used = list[dict[str, str]](), set[int]()
     for folder in folders:
-        rows = [row for row in sheet.rows if is_of(row, folder)]
+        rows = [row for row in csv_table.rows if is_of(row, folder)]
         if len(rows) != 1:
             few = "no row" if not rows else f"{len(rows)} rows"
             raise InputError(
-                f"{sheet.name} has {few} for the run {folder.name}. Give it one row: its path or name in the column "
-                f"{'run' if 'run' in sheet.header else 'name'}."
+                f"{csv_table.name} has {few} for the run {folder.name}. Give it one row: its path or name in the "
+                f"column {'run' if 'run' in csv_table.header else 'name'}."
             )
         used.add(rows[0].line)
-        cells = {name: sheet.text(rows[0], name) for name in sheet.header if name not in ("run", "name", "")}
+        cells = {name: csv_table.text(rows[0], name) for name in csv_table.header if name not in ("run", "name", "")}
         factors.append({name: cell for name, cell in cells.items() if cell})
-    if idle := [row for row in sheet.rows if row.line not in used]:
-        shown = ", ".join(sheet.text(row, "run") or sheet.text(row, "name") or "empty" for row in idle[:5])
+    if idle := [row for row in csv_table.rows if row.line not in used]:
+        shown = ", ".join(csv_table.text(row, "run") or csv_table.text(row, "name") or "empty" for row in idle[:5])
         raise InputError(
-            f"{sheet.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: {shown}. "
-            "Give these runs, too, or take the rows out."
+            f"{csv_table.name} has {len(idle)} row{'s' if len(idle) > 1 else ''} without a run that was given: "
+            f"{shown}. Give these runs, too, or take the rows out."
         )
     return factors

@@ -73,7 +73,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
     """
     gathered = gather(members, home)
     results = summary_of(gathered, declared)
-    maps = _small_maps(results, home)
+    small_maps = _small_maps(results, home)
     specimens: list[SeriesSpecimen] = []
     for specimen in results.specimens:
         folder = specimen.member.folder(home)
@@ -86,7 +86,7 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
         (VALUES, table_text(header, rows).encode()),
         (PARQUET, parquet_bytes(header, rows) if find_spec("pyarrow") is not None else None),
         (SPECIMENS, _specimens_text(results).encode()), (RESULTS, results.to_json().encode()),
-        (REPORT, series_page(results, maps).encode()),
+        (REPORT, series_page(results, small_maps).encode()),
     ):  # fmt: skip
         if content is None:
             delete(out / name)  # one of an earlier time would say something else
@@ -97,28 +97,30 @@ def write_series(members: Sequence[Member], home: Path, declared: Declared, out:
 
 def _small_maps(results: SeriesResults, home: Path) -> list[SmallMap]:
     """The map that leads of every specimen that has it, one read after the other; without values where none can be."""
-    maps: list[SmallMap] = []
+    small_maps: list[SmallMap] = []
     # The maps of more than 250 specimens have fewer pixels: the page has to stay below 10 MB.
     pixels = 150.0 * min(1.0, math.sqrt(250 / max(len(results.specimens), 1)))  # along the longer side
     for specimen in results.specimens if results.quantities else ():
-        folder, lead = specimen.member.folder(home), results.quantities[0]
+        folder, quantity = specimen.member.folder(home), results.quantities[0]
         if specimen.kind is None or folder is None or specimen.cells[0].why_not == "not measured":
             continue
         try:
-            data = _read_map(folder / MAPS, specimen.kind, lead)
+            data = _read_map(folder / MAPS, specimen.kind, quantity)
         except (PlanishError, OSError, KeyError):
             data = None
-        maps.append(small_map(specimen.name, data, pixels=pixels))
-    return maps
+        small_maps.append(small_map(specimen.name, data, pixels=pixels))
+    return small_maps
 
 
-def _read_map(store: Path, kind: RunKind, lead: Quantity) -> xr.DataArray | None:
+def _read_map(store: Path, kind: RunKind, quantity: Quantity) -> xr.DataArray | None:
     """The map of a sheet, flat or, of two sheets, on the pixels of the reference; the smallest copy that will do."""
-    name, of_layer = lead.map, f"layers/{lead.layer}"
-    for group in (f"{of_layer}/maps", of_layer, "maps", *(() if kind == "map" else ("linked",))):
+    name, layer_group = quantity.map, f"layers/{quantity.layer}"
+    for group in (f"{layer_group}/maps", layer_group, "maps", *(() if kind == "map" else ("linked",))):
         if (store / group / name).is_dir():
-            smallest = [group, *overviews_of(store, group, name)][-1]
-            data = read_group(store, smallest, [v for v in (name, "valid") if (store / smallest / v).is_dir()])
+            smallest_group = [group, *overviews_of(store, group, name)][-1]
+            data = read_group(
+                store, smallest_group, [v for v in (name, "valid") if (store / smallest_group / v).is_dir()]
+            )
             values = data[name].values.astype(np.float64)
             if "valid" in data:
                 values = np.where(data["valid"].values.astype(bool), values, np.nan)
@@ -160,16 +162,16 @@ def _specimens_text(results: SeriesResults) -> str:
     """Text of specimens.csv: one row a specimen, its quantities in columns named by map, statistic and unit."""
     header = ["specimen", *factor_columns(results.factors, _OF_A_SPECIMEN), *_OF_A_SPECIMEN[1:]]
     for q in results.quantities:
-        parts, ends = [q.layer, q.map, q.what], ("", "_trust")
+        name_parts, suffixes = [q.layer, q.map, q.what], ("", "_trust")
         if q.what == "r":
-            parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
-            ends = ("", "_low", "_high", "_n_eff", "_trust")
+            name_parts += [q.other_layer, q.other_map if q.other_map != q.map else ""]
+            suffixes = ("", "_low", "_high", "_n_eff", "_trust")
         if q.at_um is not None:
-            parts += [f"{q.at_um:g}", "um"]
+            name_parts += [f"{q.at_um:g}", "um"]
         elif q.unit != "1":
-            parts.append(q.unit.replace("/", "_per_"))
-        name = "_".join(filter(None, parts)).replace(" ", "_")
-        header += [f"{name}{end}" for end in ends]
+            name_parts.append(q.unit.replace("/", "_per_"))
+        name = "_".join(filter(None, name_parts)).replace(" ", "_")
+        header += [f"{name}{suffix}" for suffix in suffixes]
     rows: list[list[Any]] = []
     for specimen in results.specimens:
         row: list[Any] = [specimen.name, *map(specimen.factor, results.factors), specimen.member.state, specimen.kind]
@@ -177,7 +179,7 @@ def _specimens_text(results: SeriesResults) -> str:
         row += [specimen.marks_used, specimen.leave_one_out_um, specimen.expected_error_um]
         cells = specimen.cells or [Cell()] * len(results.quantities)
         for quantity, cell in zip(results.quantities, cells, strict=True):
-            interval = [cell.low, cell.high, cell.n_eff] if quantity.what == "r" else []
-            row += [cell.value, *interval, cell.trust if cell.value is not None or cell.trust != "ok" else None]
+            interval_cells = [cell.low, cell.high, cell.n_eff] if quantity.what == "r" else []
+            row += [cell.value, *interval_cells, cell.trust if cell.value is not None or cell.trust != "ok" else None]
         rows.append([*row, specimen.member.message, specimen.member.run])
     return table_text([*header, "message", "run"], rows)

@@ -127,7 +127,7 @@ def read_plan(path: Path, changes: Sequence[str] = ()) -> Plan:
 class _TableRow:
     """One specimen before it is checked, and where it stands."""
 
-    where: str
+    location: str
     cells: dict[str, str]
     changes: tuple[str, ...] = ()
     layers: tuple[str, ...] = ()
@@ -145,10 +145,10 @@ def _rows_of(path: Path, text: str) -> list[_TableRow]:
     table.check("Correct the table.")
     rows: list[_TableRow] = []
     for row in table.rows:
-        texts = {name: cell for name in table.header if name and (cell := table.text(row, name))}
-        layers = tuple(part.strip() for part in texts.pop("layers", "").split(";") if part.strip())
-        options = tuple(f"{name}={cell}" for name, cell in texts.items() if "." in name)
-        cells = {name: cell for name, cell in texts.items() if "." not in name}
+        cell_texts = {name: cell for name in table.header if name and (cell := table.text(row, name))}
+        layers = tuple(part.strip() for part in cell_texts.pop("layers", "").split(";") if part.strip())
+        options = tuple(f"{name}={cell}" for name, cell in cell_texts.items() if "." in name)
+        cells = {name: cell for name, cell in cell_texts.items() if "." not in name}
         rows.append(_TableRow(f"row {row.line}", cells, options, layers))
     return rows
 
@@ -174,19 +174,19 @@ def _of_toml(path: Path, text: str, plan: Plan) -> Plan:
         raise InputError(f"{path}: {'; '.join(faults)}.") from error
     faults, rows = list[str](), list[_TableRow]()
     for k, table in enumerate(cast("list[dict[str, Any]]", tables)):
-        where = f"line {lines.of(('specimens', k))}"
-        cells, lists = dict[str, str](), dict[str, tuple[str, ...]]()
+        location = f"line {lines.of(('specimens', k))}"
+        cells, list_cells = dict[str, str](), dict[str, tuple[str, ...]]()
         for name, value in table.items():
             if name in _EXAMPLES:
                 if not isinstance(value, list) or not all(isinstance(v, str) for v in cast("list[Any]", value)):
-                    faults.append(f"{where}: {name} is a list of texts, such as {_EXAMPLES[name]}")
+                    faults.append(f"{location}: {name} is a list of texts, such as {_EXAMPLES[name]}")
                 else:
-                    lists[name] = tuple(cast("list[str]", value))
+                    list_cells[name] = tuple(cast("list[str]", value))
             elif isinstance(value, (str, int, float)) and not isinstance(value, bool):
                 cells[name] = str(value)
             else:
-                faults.append(f"{where}: {name} has to be a text or a number; options stand in set = [...]")
-        rows.append(_TableRow(where, cells, lists.get("set", ()), lists.get("layers", ())))
+                faults.append(f"{location}: {name} has to be a text or a number; options stand in set = [...]")
+        rows.append(_TableRow(location, cells, list_cells.get("set", ()), list_cells.get("layers", ())))
     raise_faults(path.name, faults, "Correct these lines.", error=InputError)
     for kind in ("volume", "image"):  # stands for the specimens that name none
         if common := sections.get(kind, {}).pop("path", None):
@@ -220,30 +220,30 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
     faults, specimens = list[str](), list[PlannedSpecimen]()
     for row, name in zip(rows, _names(rows, plan.home), strict=True):
         if row.layers and {"volume", "image"} & set(row.cells):
-            faults.append(f"{row.where}: give layers, or volume and image, not both")
+            faults.append(f"{row.location}: give layers, or volume and image, not both")
         if not row.layers and "volume" not in row.cells:
-            faults.append(f"{row.where}: no volume")
+            faults.append(f"{row.location}: no volume")
         if fault := _fault_of(name):
-            faults.append(f"{row.where}: {name!r} cannot name a specimen: {fault}; give it another name")
+            faults.append(f"{row.location}: {name!r} cannot name a specimen: {fault}; give it another name")
         files = row.layers or tuple(row.cells[kind] for kind in ("volume", "image") if kind in row.cells)
         specimens.append(PlannedSpecimen(
             name=name, files=tuple(_absolute(file, plan.home) for file in files), changes=row.changes,
             factors=row.factors,
         ))  # fmt: skip
-    first: dict[Any, str] = {}
+    first_locations: dict[Any, str] = {}
     for row, specimen in zip(rows, specimens, strict=True):
-        for words, key in (
+        for clash_text, key in (
             (f"the name {specimen.name!r}", specimen.name.casefold()),
             ("the same files and options", (specimen.files, specimen.changes)),
         ):
-            if (where := first.setdefault(key, row.where)) != row.where:
-                faults.append(f"{row.where}: {words} as {where}")
+            if (location := first_locations.setdefault(key, row.location)) != row.location:
+                faults.append(f"{row.location}: {clash_text} as {location}")
     raise_faults(path.name, faults, "Correct the table.", error=InputError)
     factors = sorted({factor for specimen in specimens for factor in specimen.factors})
-    if (by := plan.declared.compare) is not None and by not in factors and not plan.watch:
+    if (compared := plan.declared.compare) is not None and compared not in factors and not plan.watch:
         raise InputError(
-            f"{path}: compare names {by}, and no specimen has that factor; there are {', '.join(factors) or 'none'}. "
-            f"Add a column {by}, or name another one."
+            f"{path}: compare names {compared}, and no specimen has that factor; there are "
+            f"{', '.join(factors) or 'none'}. Add a column {compared}, or name another one."
         )
     return replace(plan, specimens=tuple(specimens))
 
@@ -251,8 +251,8 @@ def _checked(path: Path, rows: Sequence[_TableRow], plan: Plan) -> Plan:
 def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
     """Names as given; else the factors, or the files, whichever tells all specimens apart."""
     by_factor = ["-".join(row.factors.values()) for row in rows]
-    first = [(row.layers[0] if row.layers else row.cells.get("volume", "")).rpartition("=")[2] for row in rows]
-    by_file = [find_place(home / file).stem if file else "" for file in first]
+    first_files = [(row.layers[0] if row.layers else row.cells.get("volume", "")).rpartition("=")[2] for row in rows]
+    by_file = [find_place(home / file).stem if file else "" for file in first_files]
     width = len(str(len(rows)))
     guesses = [f"specimen-{k:0{width}d}" for k in range(1, len(rows) + 1)]
     for names in (by_file, by_factor):
@@ -264,8 +264,8 @@ def _names(rows: Sequence[_TableRow], home: Path) -> list[str]:
 def _fault_of(name: str) -> str | None:
     if not name.strip() or name.startswith("."):
         return "a name begins with a letter or a digit"
-    if sign := _NO_NAME.search(name):
-        return f"{sign[0]!r} cannot stand in the name of a folder"
+    if character := _NO_NAME.search(name):
+        return f"{character[0]!r} cannot stand in the name of a folder"
     if len(name) > _LONGEST_NAME:
         return f"it has more than {_LONGEST_NAME} characters"
     return fault_of_name(name, windows=True)
@@ -278,7 +278,7 @@ def checked_name(guess: str) -> str:
 
 def _absolute(file: str, home: Path) -> str:
     """An absolute path; ``NAME=`` stays before it."""
-    name, sign, path = file.partition("=")
-    if sign and path and not find_place(home / file).path.exists():
+    name, equals_sign, path = file.partition("=")
+    if equals_sign and path and not find_place(home / file).path.exists():
         return f"{name}={os.path.normpath(home / path)}"
     return os.path.normpath(home / file)

@@ -46,9 +46,9 @@ def maps_of(declared: Declared) -> list[str]:
 
 def margin_of(quantity: Quantity, declared: Declared) -> float | None:
     """The margin that was declared for a quantity."""
-    name = f"{quantity.map}.{quantity.what}"
-    short = {"mean": quantity.map, "r": "r"}.get(quantity.what, name)
-    return declared.margin.get(name, declared.margin.get(short))
+    full_name = f"{quantity.map}.{quantity.what}"
+    short_name = {"mean": quantity.map, "r": "r"}.get(quantity.what, full_name)
+    return declared.margin.get(full_name, declared.margin.get(short_name))
 
 
 def quantities_of(
@@ -63,34 +63,37 @@ def quantities_of(
     InputError
         If a map that was declared is in no run.
     """
-    maps, wanted = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
-    for name in wanted if runs else ():
+    maps, declared_maps = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
+    for name in declared_maps if runs else ():
         if name not in maps:
             raise InputError(
                 f"No run has a map {name}; there are {', '.join(sorted(maps)) or 'none'}.{likely(name, maps)} Name one "
                 "of them."
             )
-    usual = Counter(name for run in runs.values() for name in run.headlines).most_common()
+    headline_counts = Counter(name for run in runs.values() for name in run.headlines).most_common()
     limits = Counter(run.thin_um for run in runs.values() if run.thin_um is not None)
     thin_um = declared.thin_um if declared.thin_um is not None else max(limits, key=limits.__getitem__, default=None)
     quantities: list[Quantity] = []
-    for name in dict.fromkeys([*(declared.headline or (name for name, _ in usual)), *wanted]):
-        of_map = [row for row in rows if name in (row.map, row.other_map)]
-        for layer in dict.fromkeys(row.layer for row in of_map if row.quantity == "mean"):
-            words = _in_words(name, layer)
+    for name in dict.fromkeys([*(declared.headline or (name for name, _ in headline_counts)), *declared_maps]):
+        map_rows = [row for row in rows if name in (row.map, row.other_map)]
+        for layer in dict.fromkeys(row.layer for row in map_rows if row.quantity == "mean"):
+            map_title = _in_words(name, layer)
+            thin_limit = f"with {map_title} below {thin_um:g} um" if thin_um else f"without {map_title}"
             titles: dict[What, str] = {
-                "mean": f"mean {words}", "sd": f"standard deviation of {words}",
-                "thin_share": f"share with {words} below {thin_um:g} um" if thin_um else f"share without {words}",
-            }  # fmt: skip
+                "mean": f"mean {map_title}",
+                "sd": f"standard deviation of {map_title}",
+                "thin_share": f"share {thin_limit}",
+            }
             for statistic, title in titles.items():
                 at_um = thin_um if statistic == "thin_share" else None
-                of_statistic = (r for r in of_map if (r.map, r.layer, r.quantity) == (name, layer, statistic))
-                row = next((r for r in of_statistic if at_um is None or _alike(r.at_um, at_um)), None)
+                statistic_rows = (r for r in map_rows if (r.map, r.layer, r.quantity) == (name, layer, statistic))
+                row = next((r for r in statistic_rows if at_um is None or _alike(r.at_um, at_um)), None)
                 if row is not None and (statistic != "thin_share" or at_um is not None):
                     quantities.append(Quantity(
-                        layer=layer, map=name, what=statistic, at_um=at_um, unit=row.unit, title=title, map_title=words
+                        layer=layer, map=name, what=statistic, at_um=at_um, unit=row.unit, title=title,
+                        map_title=map_title
                     ))  # fmt: skip
-        quantities += _correlations(of_map, name)
+        quantities += _correlations(map_rows, name)
     return tuple(quantities)
 
 
@@ -103,38 +106,38 @@ def _in_words(name: str, layer: str) -> str:
 
 def _correlations(rows: Sequence[FigureRow], name: str) -> list[Quantity]:
     """Correlations of a map with the images, or with the same map of another sheet, at the usual points."""
-    sizes_of: dict[Pair, Counter[float]] = {}
+    size_counts: dict[Pair, Counter[float]] = {}
     for specimen in dict.fromkeys(row.specimen for row in rows):
         for pair, size in _largest_points([row for row in rows if row.specimen == specimen], name).items():
-            sizes_of.setdefault(pair, Counter())[round(size, 3)] += 1
+            size_counts.setdefault(pair, Counter())[round(size, 3)] += 1
     quantities: list[Quantity] = []
-    for (layer, first, other_layer, second), sizes in sizes_of.items():
-        at_um = max(sizes, key=lambda size: (sizes[size], size))
-        words = _in_words(first, layer)
+    for (layer, first, other_layer, second), counts in size_counts.items():
+        at_um = max(counts, key=lambda size: (counts[size], size))
+        map_title = _in_words(first, layer)
         other = other_layer or "the image" if second == "image" else f"that of {other_layer}"
         quantities.append(Quantity(
             layer=layer, map=first, what="r", other_layer=other_layer, other_map=second, at_um=at_um, unit="1",
-            title=f"r of {words} and {other}, points of {at_um:g} um", map_title=words,
+            title=f"r of {map_title} and {other}, points of {at_um:g} um", map_title=map_title,
         ))  # fmt: skip
     return quantities
 
 
 def _largest_points(rows: Iterable[FigureRow], name: str) -> dict[Pair, float]:
     """The largest points of each correlation of a map, over which there is any point."""
-    sizes: dict[Pair, float] = {}
+    largest_um: dict[Pair, float] = {}
     for row in rows:
         pair = _pair_of(row)
         if row.quantity == "points" and row.value and row.at_um and pair is not None and pair[1] == name:
-            sizes[pair] = max(sizes.get(pair, 0.0), row.at_um)
-    return sizes
+            largest_um[pair] = max(largest_um.get(pair, 0.0), row.at_um)
+    return largest_um
 
 
 def _pair_of(row: FigureRow) -> Pair | None:
     """Pair of a correlation; None where it is none with an image or the same map."""
-    first, second = (row.layer, row.map), (row.other_layer, row.other_map)
+    first_map, second_map = (row.layer, row.map), (row.other_layer, row.other_map)
     if row.map == "image" != row.other_map:
-        first, second = second, first
-    return (*first, *second) if second[1] in ("image", first[1]) else None
+        first_map, second_map = second_map, first_map
+    return (*first_map, *second_map) if second_map[1] in ("image", first_map[1]) else None
 
 
 def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
@@ -142,10 +145,10 @@ def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> C
     if q.what == "r":
         return _cell_of_r(rows, q, with_doubtful=with_doubtful)
     for row in rows:
-        is_same = (row.quantity, row.map, row.layer) == (q.what, q.map, q.layer)
-        if is_same and (q.what != "thin_share" or _alike(row.at_um, q.at_um)):
-            why = _why_not(row, with_doubtful=with_doubtful)
-            return Cell(value=row.value, trust=row.trust, counts=not why, why_not=why)
+        is_same_quantity = (row.quantity, row.map, row.layer) == (q.what, q.map, q.layer)
+        if is_same_quantity and (q.what != "thin_share" or _alike(row.at_um, q.at_um)):
+            reason = _why_not(row, with_doubtful=with_doubtful)
+            return Cell(value=row.value, trust=row.trust, counts=not reason, why_not=reason)
     # A map that is withheld takes its thin shares along; the row is not there then.
     for row in rows if q.what == "thin_share" else ():
         if row.map == q.map and row.quantity == "mean" and row.trust == "withheld":
@@ -155,23 +158,23 @@ def cell_of(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> C
 
 def _cell_of_r(rows: Sequence[FigureRow], q: Quantity, *, with_doubtful: bool) -> Cell:
     pair = (q.layer, q.map, q.other_layer, q.other_map)
-    of_pair = [row for row in rows if row.other_map and _pair_of(row) == pair]
-    sizes = _largest_points(of_pair, q.map)
-    if pair not in sizes:
+    pair_rows = [row for row in rows if row.other_map and _pair_of(row) == pair]
+    largest_um = _largest_points(pair_rows, q.map)
+    if pair not in largest_um:
         return Cell(why_not="not linked" if not any(row.quantity == "r" for row in rows) else "not measured")
-    usual = (row.at_um for row in of_pair if row.quantity == "r" and _alike(row.at_um, q.at_um))
-    at_um = next(usual, sizes[pair])
-    figures = {row.quantity: row for row in of_pair if row.at_um == at_um}
-    r, n_eff, scatter = figures["r"], figures["n_eff"].value, figures["n_eff_interval"].value
-    why = _why_not(r, with_doubtful=with_doubtful)
-    if not why and not _alike(at_um, q.at_um):
-        why = f"points of {at_um:g} um, others of {q.at_um:g} um"
+    usual_sizes = (row.at_um for row in pair_rows if row.quantity == "r" and _alike(row.at_um, q.at_um))
+    at_um = next(usual_sizes, largest_um[pair])
+    row_by_quantity = {row.quantity: row for row in pair_rows if row.at_um == at_um}
+    r, n_eff, scatter = row_by_quantity["r"], row_by_quantity["n_eff"].value, row_by_quantity["n_eff_interval"].value
+    reason = _why_not(r, with_doubtful=with_doubtful)
+    if not reason and not _alike(at_um, q.at_um):
+        reason = f"points of {at_um:g} um, others of {q.at_um:g} um"
     # With more than 4 independent points the scatter of Fisher's z is known.
-    if not why and (scatter is None or scatter <= 4.0 or abs(r.value or 0.0) >= 1):
-        why = "too few independent points"
+    if not reason and (scatter is None or scatter <= 4.0 or abs(r.value or 0.0) >= 1):
+        reason = "too few independent points"
     return Cell(
-        value=r.value, low=r.low, high=r.high, n_eff=n_eff, n_eff_interval=scatter, trust=r.trust, counts=not why,
-        why_not=why,
+        value=r.value, low=r.low, high=r.high, n_eff=n_eff, n_eff_interval=scatter, trust=r.trust, counts=not reason,
+        why_not=reason,
     )  # fmt: skip
 
 

@@ -47,8 +47,8 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
     """
     factors = tuple(dict.fromkeys(name for member in gathered.members for name in member.factors))
     compared_by = _compared_by(gathered, factors, declared)
-    separate = ["paper", "treatment", "side", *([] if compared_by is None else [compared_by])]
-    grouped_by = tuple(f for f in dict.fromkeys(separate) if _varies(gathered, f))
+    separate_factors = ["paper", "treatment", "side", *([] if compared_by is None else [compared_by])]
+    grouped_by = tuple(f for f in dict.fromkeys(separate_factors) if _varies(gathered, f))
     rows = gathered.rows_of_series()
     quantities = quantities_of(rows, gathered.runs, declared)
     specimens = _specimens(gathered, rows, quantities, declared)
@@ -59,15 +59,15 @@ def summary_of(gathered: Gathered, declared: Declared) -> SeriesResults:
         for k, q in enumerate(quantities)
     ]
     pairs = [] if compared_by is None else [*_pairs(counted, quantities, compared_by, grouped_by)]
-    holm = analyze.p_of_tables([change for _, change in pairs])
+    adjusted = analyze.p_of_tables([difference for _, difference in pairs])
     return SeriesResults(
         planish=planish.__version__, declared=declared.model_dump(mode="json"), quantities=quantities,
         headline_declared=bool(declared.headline), factors=factors, grouped_by=grouped_by, compared_by=compared_by,
         sheets_given=bool(counted) and all(specimen.factor("sheet") for specimen in counted),
         specimens=tuple(specimens), groups=tuple(groups),
         differences=tuple(
-            _difference(about, change, margin_of(quantities[about["quantity"]], declared))
-            for (about, _), change in zip(pairs, holm, strict=True)
+            _difference(labels, difference, margin_of(quantities[labels["quantity"]], declared))
+            for (labels, _), difference in zip(pairs, adjusted, strict=True)
         ),
         instruments=tuple(facts for run in gathered.runs.values() for facts in run.instruments),
         cautions=tuple(cautions_of(gathered, specimens, quantities, grouped_by, compared_by, _MOST_LEVELS)),
@@ -104,9 +104,9 @@ def _specimens(
     gathered: Gathered, rows: Sequence[FigureRow], quantities: Sequence[Quantity], declared: Declared
 ) -> list[SeriesSpecimen]:
     """Specimens with their sheets and figures."""
-    of_specimens, of_volumes = dict[str, list[FigureRow]](), dict[tuple[str, ...], str]()
+    rows_by_specimen, first_of_volume = dict[str, list[FigureRow]](), dict[tuple[str, ...], str]()
     for row in rows:
-        of_specimens.setdefault(row.specimen, []).append(row)
+        rows_by_specimen.setdefault(row.specimen, []).append(row)
     specimens: list[SeriesSpecimen] = []
     for member in gathered.members:
         run = gathered.runs.get(member.name)
@@ -114,12 +114,12 @@ def _specimens(
             specimens.append(SeriesSpecimen(member=member))
             continue
         # Without a sheet's name, the same volume is the same sheet for certain.
-        of_volume = f"specimen {of_volumes.setdefault(run.volumes, member.name)}"
+        volume_name = f"specimen {first_of_volume.setdefault(run.volumes, member.name)}"
         paper, sheet = member.factors.get("paper", ""), member.factors.get("sheet", "")
         specimens.append(run.specimen.model_copy(update={
-            "sheet": " ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else of_volume,
+            "sheet": " ".join(filter(None, (paper, f"sheet {sheet}"))) if sheet else volume_name,
             "cells": tuple(
-                cell_of(of_specimens[member.name], q, with_doubtful=declared.doubtful) for q in quantities
+                cell_of(rows_by_specimen[member.name], q, with_doubtful=declared.doubtful) for q in quantities
             ),
         }))  # fmt: skip
     return specimens
@@ -132,7 +132,7 @@ def _levels_of(specimen: SeriesSpecimen, factors: Sequence[str]) -> tuple[str, .
 def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False) -> analyze.Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
-    values = [_nan(cell.value) if cell.counts else math.nan for cell in cells]
+    values = [_or_nan(cell.value) if cell.counts else math.nan for cell in cells]
     names = [specimen.factor("field") for specimen in specimens] if with_names else []
     return analyze.Fields(values, [specimen.sheet for specimen in specimens], names)
 
@@ -142,13 +142,13 @@ def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, grou
     members = [s for s in specimens if all(s.factor(name) == level for name, level in group.items())]
     fields = _fields(members, k)
     if quantity.what == "r":
-        mean = analyze.pooled_r(fields, [_nan(specimen.cells[k].n_eff_interval) for specimen in members])
+        mean = analyze.pooled_r(fields, [_or_nan(specimen.cells[k].n_eff_interval) for specimen in members])
     else:
         mean = analyze.over_sheets(fields).model_copy(update={"variances": analyze.variances_of(fields)})
     return GroupFacts.holding(mean, quantity=k, group=dict(group), left_out=_left_out(members, k))
 
 
-def _nan(value: float | None) -> float:
+def _or_nan(value: float | None) -> float:
     return math.nan if value is None else value
 
 
@@ -168,14 +168,14 @@ def _pairs(
         return
     strata = dict[tuple[str, ...], dict[str, list[SeriesSpecimen]]]()
     for specimen in specimens:
-        of_levels = strata.setdefault(_levels_of(specimen, other_factors), {})
-        of_levels.setdefault(specimen.factor(factor), []).append(specimen)
+        specimens_by_level = strata.setdefault(_levels_of(specimen, other_factors), {})
+        specimens_by_level.setdefault(specimen.factor(factor), []).append(specimen)
     for k, quantity in enumerate(quantities):
-        for of_others, of_levels in strata.items():
-            for first, second in combinations((level for level in levels if level in of_levels), 2):
-                before, after = of_levels[first], of_levels[second]
+        for stratum, specimens_by_level in strata.items():
+            for first, second in combinations((level for level in levels if level in specimens_by_level), 2):
+                before, after = specimens_by_level[first], specimens_by_level[second]
                 yield {
-                    "quantity": k, "within": dict(zip(other_factors, of_others, strict=True)), "factor": factor,
+                    "quantity": k, "within": dict(zip(other_factors, stratum, strict=True)), "factor": factor,
                     "levels": (first, second), "left_out": _left_out([*before, *after], k),
                 }, _compare(before, after, k, quantity)  # fmt: skip
 
@@ -185,17 +185,21 @@ def _compare(
 ) -> analyze.SheetDifference:
     """Compare two sets of specimens: paired where they have sheets in common, by named fields."""
     paired = not {s.sheet for s in first}.isdisjoint(s.sheet for s in second)
-    keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
-    named = paired and all(all(field for _, field in of_set) and len({*of_set}) == len(of_set) for of_set in keys)
-    fields = [_fields(specimens, k, with_names=named) for specimens in (first, second)]
+    field_keys = [[(s.sheet, s.factor("field")) for s in specimens] for specimens in (first, second)]
+    has_fields = paired and all(
+        all(field for _, field in set_keys) and len({*set_keys}) == len(set_keys) for set_keys in field_keys
+    )
+    fields = [_fields(specimens, k, with_names=has_fields) for specimens in (first, second)]
     if quantity.what == "r":
-        change = analyze.difference_of_pooled_r(*fields, paired=paired)
+        difference = analyze.difference_of_pooled_r(*fields, paired=paired)
     else:
-        change = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
+        difference = analyze.paired_over_sheets(*fields) if paired else analyze.two_groups(*fields)
     sheets = dict.fromkeys(specimen.sheet for specimen in (*first, *second))
-    return change.model_copy(update={"unpaired": tuple(sheet for sheet in sheets if sheet in change.unpaired)})
+    return difference.model_copy(update={"unpaired": tuple(sheet for sheet in sheets if sheet in difference.unpaired)})
 
 
-def _difference(about: Mapping[str, Any], change: analyze.SheetDifference, margin: float | None) -> DifferenceFacts:
-    verdict = None if margin is None else analyze.equivalence(change, margin=margin)
-    return DifferenceFacts.holding(change, **about, smallest_seen=change.smallest_seen(), equivalence=verdict)
+def _difference(
+    labels: Mapping[str, Any], difference: analyze.SheetDifference, margin: float | None
+) -> DifferenceFacts:
+    verdict = None if margin is None else analyze.equivalence(difference, margin=margin)
+    return DifferenceFacts.holding(difference, **labels, smallest_seen=difference.smallest_seen(), equivalence=verdict)

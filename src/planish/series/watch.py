@@ -52,22 +52,22 @@ def watched(
     complete is named once, and tried again when it changes.
     """
     params = watch_params(plan)
-    wanted = find_place(params.volume)
-    parts = _FACTOR.split(str(wanted.path))  # a name with its factors as groups
-    groups = (re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)" for k, part in enumerate(parts))
-    pattern = re.compile("".join(groups))
-    judged: dict[str, str] = {}  # name of a specimen that was taken or refused -> stamp of its files
+    volume_place = find_place(params.volume)
+    name_parts = _FACTOR.split(str(volume_place.path))  # a name with its factors as groups
+    pattern_parts = (re.escape(part) if k % 2 == 0 else f"(?P<{part}>[^/\\\\]+?)" for k, part in enumerate(name_parts))
+    pattern = re.compile("".join(pattern_parts))
+    judged_stamps: dict[str, str] = {}  # name of a specimen that was taken or refused -> stamp of its files
     since: dict[str, tuple[str, float]] = {}  # stamp of files, and when it was first seen
     last = clock()
     while True:
-        came = False
+        has_new = False
         for entry in sorted(folder.iterdir()):
             match = pattern.fullmatch(entry.name)
             if match is None:
                 continue
             factors = match.groupdict()
             images = [folder / params.image.format(**factors)] if params.image else []
-            files = [Path(f"{entry}:{wanted.part}") if wanted.part else entry, *images]
+            files = [Path(f"{entry}:{volume_place.part}") if volume_place.part else entry, *images]
             name = checked_name("-".join(factors.values()))
             if not all(image.exists() for image in images):
                 continue
@@ -75,15 +75,15 @@ def watched(
             if name not in since or since[name][0] != stamp:
                 since[name] = stamp, clock()
                 continue
-            if clock() - since[name][1] < settle_s or judged.get(name) == stamp:
+            if clock() - since[name][1] < settle_s or judged_stamps.get(name) == stamp:
                 continue
-            judged[name] = stamp
+            judged_stamps[name] = stamp
             if fault := _incomplete(files):
                 tell(f"{name}: {fault} It is tried again when the file changes.")
                 continue
-            came, last = True, clock()
+            has_new, last = True, clock()
             yield PlannedSpecimen(name=name, files=tuple(str(file.absolute()) for file in files), factors=factors)
-        if not came:
+        if not has_new:
             if idle_s is not None and clock() - last >= idle_s:
                 return
             yield None

@@ -108,7 +108,7 @@ class ComparedMaps:
         Those of each sheet.
     md_deg : float or None
         Machine direction on the reference.
-    repeated : [ndarray, ndarray] or None
+    repeated_points : [ndarray, ndarray] or None
         Means over the larger points, straight from the pixels, where both are sheets and the maps of one quantity.
     """
 
@@ -123,7 +123,7 @@ class ComparedMaps:
     grid: Grid
     columns: Mapping[str, SheetColumns] = field(default_factory=dict[str, SheetColumns])
     md_deg: float | None = None
-    repeated: list[Floats] | None = None
+    repeated_points: list[Floats] | None = None
 
     @property
     def point_um(self) -> float:
@@ -184,14 +184,14 @@ class Question(NamedTuple):
     """A statistic beside r.
 
     ``fields`` are those of :class:`EvidenceFacts` that ``answer`` fills; where one of them is not empty, ``say`` gives
-    the sentences of a section of the page from the first one. ``asked_by`` is the option without which nobody asks.
+    the sentences of a section of the page from the first one. ``option`` is the option without which nobody asks.
     """
 
     fields: tuple[str, ...]
     answer: Callable[[ComparedMaps], dict[str, Any]]
     say: Callable[[Any, EvidenceFacts, PairWords], Iterable[str]] | None = None
     section: Section = "scale"
-    asked_by: str = ""
+    option: str = ""
 
 
 QUESTIONS = (
@@ -202,7 +202,7 @@ QUESTIONS = (
     Question(("curve",), answer_curve, say_curve),
     Question(("thin",), answer_thin, say_thin),
     Question(("short_waves", "short_waves_um"), answer_short_waves, say_short_waves),
-    Question(("partial", "commonality"), answer_partial, say_partial, asked_by="beside"),
+    Question(("partial", "commonality"), answer_partial, say_partial, option="beside"),
     Question(
         ("ceiling", "ceiling_sentence", "reliability", "ceiling_noise", "ceiling_both"), answer_ceiling, say_ceiling
     ),
@@ -210,8 +210,8 @@ QUESTIONS = (
     Question(("correlogram",), answer_correlogram, say_correlogram, section="distance"),
     Question(("twice",), answer_twice, say_twice, section="repeated"),
     Question(("density_g_cm3",), answer_density),
-    Question(("kubelka_munk",), answer_kubelka_munk, say_kubelka_munk, section="light", asked_by="kubelka_munk"),
-    Question(("light_spread",), answer_light_spread, say_light_spread, section="light", asked_by="light_spread_um"),
+    Question(("kubelka_munk",), answer_kubelka_munk, say_kubelka_munk, section="light", option="kubelka_munk"),
+    Question(("light_spread",), answer_light_spread, say_light_spread, section="light", option="light_spread_um"),
 )
 """In the order in which the page has their sentences."""
 
@@ -244,27 +244,27 @@ def correlation_diagnostics(
         If a sheet lacks a map that is to stand beside.
     """
     params = params or CorrelateParams()
-    first, second = maps[a[0]], maps[b[0]]
-    grid, is_repeated = Grid.of(first), a[1] == b[1] and "image" not in (a[1], b[1])
-    pair = PairAtSizes(
-        grid.shape, pixel_um=grid.pixel_um, point_um=params.point_um if is_repeated else None, most_cells=CELLS
+    a_maps, b_maps = maps[a[0]], maps[b[0]]
+    grid, is_same_quantity = Grid.of(a_maps), a[1] == b[1] and "image" not in (a[1], b[1])
+    accumulator = PairAtSizes(
+        grid.shape, pixel_um=grid.pixel_um, point_um=params.point_um if is_same_quantity else None, most_cells=CELLS
     )  # fmt: skip
-    pair.add_maps(first[a[1]], second[b[1]], first["valid"], second["valid"])
-    (x, y), cell_um = pair.cells()
+    accumulator.add_maps(a_maps[a[1]], b_maps[b[1]], a_maps["valid"], b_maps["valid"])
+    (x, y), cell_um = accumulator.cells()
     is_valid = np.isfinite(x) & np.isfinite(y)
     if np.count_nonzero(is_valid) < 3 or not (np.ptp(x[is_valid]) > 0 and np.ptp(y[is_valid]) > 0):
         return None
-    compared = ComparedMaps(
-        a=a, b=b, units=(str(first[a[1]].attrs.get("units", "1")), str(second[b[1]].attrs.get("units", "1"))), x=x, y=y,
-        lags=Lags(is_valid, cell_um), params=params, layers=(first, second), grid=grid, columns=columns or {},
-        md_deg=md_deg, repeated=pair.points() if is_repeated else None,
+    pair = ComparedMaps(
+        a=a, b=b, units=(str(a_maps[a[1]].attrs.get("units", "1")), str(b_maps[b[1]].attrs.get("units", "1"))), x=x,
+        y=y, lags=Lags(is_valid, cell_um), params=params, layers=(a_maps, b_maps), grid=grid, columns=columns or {},
+        md_deg=md_deg, repeated_points=accumulator.points() if is_same_quantity else None,
     )  # fmt: skip
     answers: dict[str, Any] = {}
     for question in QUESTIONS:
-        if question.asked_by and getattr(params, question.asked_by) in (None, ()):
+        if question.option and getattr(params, question.option) in (None, ()):
             continue
         with suppress(CannotMeasure, SizeError):  # a field that is too small for one of them, and the rest stands
-            answers |= question.answer(compared)
+            answers |= question.answer(pair)
     return EvidenceFacts(
         a=a[0], a_map=a[1], b=b[0], b_map=b[1], declared=params.headline is not None, **answers
     )  # fmt: skip

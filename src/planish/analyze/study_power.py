@@ -89,15 +89,15 @@ def power_of_study(
     """
     _check(r2, sheets, fields, n_eff, between_sheets, change_between_sheets, shared)
     slopes = [1 - v for v in r2]  # of r over z
-    scatter_of_field = 1 / (n_eff - 3) / fields
+    field_variance = 1 / (n_eff - 3) / fields
     if paired:
-        before, after = slopes
-        scatter = (before * before + after * after - 2 * shared * before * after) * scatter_of_field
-        variance = ((after - before) * between_sheets) ** 2 + (after * change_between_sheets) ** 2 + scatter
+        s0, s1 = slopes
+        fields_variance = (s0 * s0 + s1 * s1 - 2 * shared * s0 * s1) * field_variance
+        variance = ((s1 - s0) * between_sheets) ** 2 + (s1 * change_between_sheets) ** 2 + fields_variance
         error, free = math.sqrt(variance / sheets), sheets - 1.0
     else:
-        parts = [s * s * (between_sheets**2 + scatter_of_field) / sheets for s in slopes]
-        error, free = math.sqrt(sum(parts)), welch_free(parts, (sheets, sheets))
+        variances = [s * s * (between_sheets**2 + field_variance) / sheets for s in slopes]
+        error, free = math.sqrt(sum(variances)), welch_free(variances, (sheets, sheets))
     return StudyDesign(
         sheets=sheets, fields=fields, n_eff=n_eff, r2=(float(r2[0]), float(r2[1])), paired=paired, standard_error=error,
         power=power_of_shift(abs(math.sqrt(r2[1]) - math.sqrt(r2[0])) / error, free),
@@ -128,12 +128,12 @@ def sheets_needed(
         reach it.
     """
     check_power(power)
-    with_sheets = partial(
+    design_of = partial(
         power_of_study, r2, fields=fields, n_eff=n_eff, between_sheets=between_sheets, paired=paired,
         change_between_sheets=change_between_sheets, shared=shared,
     )  # fmt: skip
     low, high = LEAST_SHEETS - 1, LEAST_SHEETS
-    while with_sheets(sheets=high).power < power:
+    while design_of(sheets=high).power < power:
         low, high = high, 2 * high
         if high > 100_000:
             raise InputError(
@@ -141,8 +141,8 @@ def sheets_needed(
             )
     while high - low > 1:
         middle = (low + high) // 2
-        low, high = (low, middle) if with_sheets(sheets=middle).power >= power else (middle, high)
-    return with_sheets(sheets=high)
+        low, high = (low, middle) if design_of(sheets=middle).power >= power else (middle, high)
+    return design_of(sheets=high)
 
 
 def _check(r2: Pair, sheets: int, fields: int, n_eff: float, between: float, change: float, shared: float) -> None:
@@ -199,10 +199,10 @@ def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> floa
     x, y = (m[np.ix_(*lags)] for m in covariances)
     pairs = np.outer(*(k - a for k, a in zip(shape, lags, strict=True))).astype(np.float64)
     ones = np.asarray(fft.rfft2(np.ones(shape), size))
-    rows = [np.asarray(fft.irfft2(fft.rfft2(m) * ones, size))[: shape[0], : shape[1]] for m in (x, y)]
-    whole = [float(m.sum()) for m in rows]
-    product = math.prod(n * float(m[0, 0]) - s / n for m, s in zip((x, y), whole, strict=True))
-    trace = float(np.sum(pairs * x * y)) - 2 / n * float(np.sum(rows[0] * rows[1])) + math.prod(whole) / n**2
+    row_sums = [np.asarray(fft.irfft2(fft.rfft2(m) * ones, size))[: shape[0], : shape[1]] for m in (x, y)]
+    totals = [float(m.sum()) for m in row_sums]
+    product = math.prod(n * float(m[0, 0]) - s / n for m, s in zip((x, y), totals, strict=True))
+    trace = float(np.sum(pairs * x * y)) - 2 / n * float(np.sum(row_sums[0] * row_sums[1])) + math.prod(totals) / n**2
     return min(1 + product / trace, float(n))
 
 
@@ -210,9 +210,9 @@ def _of_means(shape: list[int], length: float) -> Floats:
     """Covariance of means over points, by lag from 0 on; the length is in points."""
     off = np.arange(1 - _PARTS, _PARTS)
     weight = (_PARTS - np.abs(off)) / _PARTS**2
-    down, across = (np.abs(np.add.outer(np.arange(k), off / _PARTS)) for k in shape)
-    total = np.zeros(shape)
+    distance_y, distance_x = (np.abs(np.add.outer(np.arange(k), off / _PARTS)) for k in shape)
+    covariance = np.zeros(shape)
     for i, w in enumerate(weight):
         for j, v in enumerate(weight):
-            total += w * v * np.exp(-np.hypot(down[:, i, None], across[None, :, j]) / length)
-    return total
+            covariance += w * v * np.exp(-np.hypot(distance_y[:, i, None], distance_x[None, :, j]) / length)
+    return covariance

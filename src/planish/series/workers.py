@@ -44,12 +44,12 @@ def run_series(
     """
     state, specimens = SeriesState(out, plan), dict[str, PlannedSpecimen]()
     if compute.scheduler is not None:  # one thread, since the scheduler counts threads
-        of_job = compute.model_copy(update={"scheduler": None, "threads": compute.threads or 1})
+        job_compute = compute.model_copy(update={"scheduler": None, "threads": compute.threads or 1})
     elif jobs > 1:
         threads = compute.threads or max(1, count_threads(None) // jobs)
-        of_job = compute.model_copy(update={"memory_bytes": compute.memory // jobs, "threads": threads})
+        job_compute = compute.model_copy(update={"memory_bytes": compute.memory // jobs, "threads": threads})
     else:
-        of_job = compute
+        job_compute = compute
 
     def opened() -> Iterator[Job | None]:
         for specimen in plan.specimens if coming is None else coming:
@@ -57,7 +57,7 @@ def run_series(
                 yield None
                 continue
             specimens[specimen.name] = specimen
-            job = state.open(specimen, of_job)
+            job = state.open(specimen, job_compute)
             members[specimen.name] = specimen.member if isinstance(job, Job) else job
             if isinstance(job, Job):
                 yield job
@@ -85,34 +85,34 @@ def _workers(compute: Compute, jobs: int) -> Generator[_Cluster | _Processes]:
         processes.stop()
 
 
-def _run_jobs(waiting: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, Note]]:
+def _run_jobs(jobs: Iterator[Job | None], workers: _Cluster | _Processes) -> Generator[tuple[Job, Note]]:
     """Keep all workers busy with jobs, taken as there is room (None: none as yet); give outcomes as they come."""
-    busy: dict[Future[Note], Job] = {}
+    running: dict[Future[Note], Job] = {}
     tries: Counter[str] = Counter()
-    again: deque[Job] = deque()
-    more = True
-    while more or busy or again:
-        idle = False
-        while len(busy) < workers.at_once and (more or again) and not idle:
-            job = again.popleft() if again else next(waiting, _END)
+    retries: deque[Job] = deque()
+    has_more = True
+    while has_more or running or retries:
+        is_idle = False
+        while len(running) < workers.at_once and (has_more or retries) and not is_idle:
+            job = retries.popleft() if retries else next(jobs, _END)
             if isinstance(job, Job):
-                busy[workers.start(job)] = job
+                running[workers.start(job)] = job
             else:
-                more, idle = more and job is None, job is None
-        if not busy:
-            if idle:
+                has_more, is_idle = has_more and job is None, job is None
+        if not running:
+            if is_idle:
                 time.sleep(_PAUSE)
             continue
-        done, _ = wait(busy, timeout=_PAUSE if idle else None, return_when=FIRST_COMPLETED)
-        for future in done:
-            job = busy.pop(future)
+        finished, _ = wait(running, timeout=_PAUSE if is_idle else None, return_when=FIRST_COMPLETED)
+        for future in finished:
+            job = running.pop(future)
             try:
                 yield job, future.result()
             except workers.deaths:
                 tries[job.name] += 1
                 workers.forget(future)
                 if tries[job.name] < workers.tries:
-                    again.append(job)
+                    retries.append(job)
                 else:
                     yield job, job.note.model_copy(update=KILLED)
 
@@ -149,9 +149,11 @@ class _Processes:
     def start(self, job: Job) -> Future[Note]:
         self._free += [self._used.pop(future) for future in [*self._used] if future.done()]
         # Never by fork: threads of numerical libraries do not survive it, and Windows has none.
-        spawn = multiprocessing.get_context("spawn")
+        spawn_context = multiprocessing.get_context("spawn")
         while True:
-            pool = self._free.pop() if self._free else ProcessPoolExecutor(1, mp_context=spawn, initializer=_begin)
+            pool = (
+                self._free.pop() if self._free else ProcessPoolExecutor(1, mp_context=spawn_context, initializer=_begin)
+            )
             with suppress(BrokenProcessPool):  # it ended while it had nothing to do
                 future = pool.submit(do, job)
                 self._used[future] = pool
