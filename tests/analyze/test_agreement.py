@@ -47,9 +47,7 @@ def test_lines_of_both_directions_stand_beside_and_a_swap_turns_the_sign():
 
 def test_texture_widens_the_intervals_until_nothing_is_claimed():
     rng = np.random.default_rng(2)
-    rough, smooth = (
-        bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0) for length in (1.0, 6.0)
-    )  # fmt: skip
+    rough, smooth = (bland_altman(*measured(rng, (90, 120), length=length), pixel_um=1.0) for length in (1.0, 6.0))
     assert smooth.n_eff < rough.n_eff / 10
     assert np.diff(smooth.bias_interval) > 3 * np.diff(rough.bias_interval)
     # Squares vary faster than the map itself.

@@ -83,9 +83,7 @@ def test_equivalence_is_two_one_sided_tests(shift, margin, verdict):
     ]
     assert (found.verdict, found.p) == (verdict, pytest.approx(max(sides), rel=1e-6))
     assert (found.p < 0.05) == (verdict == "equivalent")
-    assert found.interval == pytest.approx(
-        stats.t.interval(0.9, 5, change.mean(), stats.sem(change)), abs=1e-12
-    )  # fmt: skip
+    assert found.interval == pytest.approx(stats.t.interval(0.9, 5, change.mean(), stats.sem(change)), abs=1e-12)
 
 
 def test_the_smallest_difference_that_is_seen_has_the_power_and_a_margin_is_above_0():

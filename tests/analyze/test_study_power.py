@@ -13,9 +13,9 @@ def test_n_eff_is_that_of_the_matrix_of_all_points_also_for_fine_texture():
     shape, length, parts = (5, 6), 2.5, 8
     at = np.stack(np.meshgrid(*((np.arange(k * parts) + 0.5) / parts for k in shape), indexing="ij"), axis=-1)
     cells = at.reshape(shape[0], parts, shape[1], parts, 2).transpose(0, 2, 1, 3, 4).reshape(30, parts**2, 2)
-    matrix = np.array([
-        [np.exp(-np.hypot(*(a[:, None] - b).transpose(2, 0, 1)) / length).mean() for b in cells] for a in cells
-    ])  # fmt: skip
+    matrix = np.array(
+        [[np.exp(-np.hypot(*(a[:, None] - b).transpose(2, 0, 1)) / length).mean() for b in cells] for a in cells]
+    )
     matrix = matrix - matrix.mean(axis=0) - matrix.mean(axis=1)[:, None] + matrix.mean()
     found = expected_n_eff((shape[0] * 20.0 + 3, shape[1] * 20.0 + 19), length_um=length * 20, point_um=20.0)
     assert found == pytest.approx(1 + np.trace(matrix) ** 2 / np.sum(matrix * matrix), rel=1e-9)

@@ -8,10 +8,10 @@ from typing import Literal
 
 import numpy as np
 from pydantic import Field
-from scipy import optimize
+from scipy import optimize, special
 
 from planish.analyze.differences import holm
-from planish.analyze.distributions import shifted_student_tail, student_quantile, student_tail, t_95
+from planish.analyze.distributions import student_quantile, student_tail, t_95
 from planish.analyze.sheets import Fields, all_alike, spread_of, too_few
 from planish.core.errors import InputError
 from planish.core.facts import NULL, Interval, ResultModel, Unsaved, Value, optional
@@ -206,4 +206,4 @@ def shift_seen(power: float, free: float) -> float:
 
 def power_of_shift(shift: float, free: float) -> float:
     """How often a difference of so many standard errors is seen, two-sided at 5 %."""
-    return sum(shifted_student_tail(t_95(free), free, s) for s in (shift, -shift))
+    return sum(float(1.0 - special.nctdtr(free, s, t_95(free))) for s in (shift, -shift))

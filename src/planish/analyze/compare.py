@@ -10,7 +10,7 @@ import xarray as xr
 from pydantic import Field
 
 from planish.analyze.agreement import LIMIT
-from planish.analyze.correlation import Correlation, PairAtSizes, PairSums
+from planish.analyze.correlation import Correlation, PairAtSizes
 from planish.analyze.differences import holm, paired_difference
 from planish.core.bands import any_finite, band_of, bands
 from planish.core.errors import InputError, MarkError
@@ -109,23 +109,18 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     for accumulator, pair in zip(accumulators, pairs, strict=True):
         correlations = [*accumulator.sizes()]
         for row, pair_sums in correlations if correlations[0][0].n else []:
-            agreement = _agreement(pair_sums, layers[0][pair[0]]) if are_sheets else {}
+            agreement: dict[str, Any] = {}
+            if are_sheets:
+                mean, sd = pair_sums.difference
+                agreement = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
+                agreement |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd)}
+                agreement |= {"units": str(layers[0][pair[0]].attrs.get("units", "1"))}
             correlation_rows.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement))
     for point_size_um in {row.point_um for row in correlation_rows}:
         row_numbers = [k for k, row in enumerate(correlation_rows) if row.point_um == point_size_um]
         for k, p_of_table in zip(row_numbers, holm([correlation_rows[k].p for k in row_numbers]), strict=True):
             correlation_rows[k] = correlation_rows[k].model_copy(update={"p_of_table": p_of_table})
     yield from correlation_rows
-
-
-def _agreement(sums: PairSums, first_map: xr.DataArray) -> dict[str, Any]:
-    """Differences of two maps of one quantity, of which ``first_map`` is one."""
-    mean, sd = sums.difference
-    agreement: dict[str, Any] = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
-    return agreement | {
-        "limits": (mean - LIMIT * sd, mean + LIMIT * sd),
-        "units": str(first_map.attrs.get("units", "1")),
-    }
 
 
 class _Variant(NamedTuple):

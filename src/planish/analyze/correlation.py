@@ -280,9 +280,8 @@ class PairAtSizes:
     """
 
     def __init__(
-        self, shape: tuple[int, int], *, pixel_um: Pair, point_um: float | None,
-        most_cells: int = _MOST_CELLS,
-    ) -> None:  # fmt: skip
+        self, shape: tuple[int, int], *, pixel_um: Pair, point_um: float | None, most_cells: int = _MOST_CELLS
+    ) -> None:
         self._pixel_um, self._point_um = pixel_um, point_um
         factor = (0.0, 0.0) if point_um is None else (point_um / pixel_um[0], point_um / pixel_um[1])
         self._points = AreaMeans(shape, factor) if min(factor) >= 1 - 1e-9 else None

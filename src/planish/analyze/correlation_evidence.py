@@ -248,7 +248,7 @@ def correlation_diagnostics(
     grid, is_same_quantity = Grid.of(a_maps), a[1] == b[1] and "image" not in (a[1], b[1])
     accumulator = PairAtSizes(
         grid.shape, pixel_um=grid.pixel_um, point_um=params.point_um if is_same_quantity else None, most_cells=CELLS
-    )  # fmt: skip
+    )
     accumulator.add_maps(a_maps[a[1]], b_maps[b[1]], a_maps["valid"], b_maps["valid"])
     (x, y), cell_um = accumulator.cells()
     is_valid = np.isfinite(x) & np.isfinite(y)
@@ -265,9 +265,7 @@ def correlation_diagnostics(
             continue
         with suppress(CannotMeasure, SizeError):  # a field that is too small for one of them, and the rest stands
             answers |= question.answer(pair)
-    return EvidenceFacts(
-        a=a[0], a_map=a[1], b=b[0], b_map=b[1], declared=params.headline is not None, **answers
-    )  # fmt: skip
+    return EvidenceFacts(a=a[0], a_map=a[1], b=b[0], b_map=b[1], declared=params.headline is not None, **answers)
 
 
 def sentences(evidence: EvidenceFacts, section: Section, words: PairWords | None = None) -> Iterator[str]:

@@ -75,9 +75,8 @@ def _profile(lags_um: Floats, *along: Floats) -> LagProfile:
 
 
 def cross_correlogram(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    reach_um: float = 500.0,
-) -> Correlogram:  # fmt: skip
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, reach_um: float = 500.0
+) -> Correlogram:
     """Correlate two maps at every lag up to a reach along either axis.
 
     Parameters
@@ -120,7 +119,7 @@ def cross_correlogram(
 
 def correlogram_of(
     maps: tuple[Array, Array], valid: tuple[Bools, Bools], lags: Lags, *, reach_um: float = 500.0
-) -> Correlogram:  # fmt: skip
+) -> Correlogram:
     """The same of maps with the pixels that count in each, and the lags of those that count in both."""
     (a, b), pixel = maps, lags.pixel_um
     check_varying(lags.is_valid)

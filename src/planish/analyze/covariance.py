@@ -17,23 +17,16 @@ from planish.core.typing import Array, Bools, Complexes, Floats, Pair
 
 
 class Lags:
-    """Sums over all pairs of known points at every lag up to half of the field.
-
-    Parameters
-    ----------
-    is_valid : ndarray of bool, shape (rows, cols)
-    pixel_um : (float, float)
-        Along y and x.
-    """
+    """Sums over all pairs of known points of a mask (rows, cols) at every lag up to half of the field."""
 
     def __init__(self, is_valid: Bools, pixel_um: Pair) -> None:
         self.is_valid, self.pixel_um, self.n = is_valid, pixel_um, int(np.count_nonzero(is_valid))
         reach = [int(0.5 * k) for k in is_valid.shape]  # longer lags have too few pairs of points
         self._size = [fft.next_fast_len(k + m, real=True) for k, m in zip(is_valid.shape, reach, strict=True)]
         self.lag_um = [fft.fftfreq(k, 1.0 / k) * p for k, p in zip(self._size, pixel_um, strict=True)]
-        self.inside = np.logical_and.outer(*(
-            np.abs(lag) <= m * p for lag, m, p in zip(self.lag_um, reach, pixel_um, strict=True)
-        ))  # fmt: skip
+        self.inside = np.logical_and.outer(
+            *(np.abs(lag) <= m * p for lag, m, p in zip(self.lag_um, reach, pixel_um, strict=True))
+        )
         self.distance_um = np.hypot(self.lag_um[0][:, None], self.lag_um[1])
         # Rings one pixel wide; the numbers of pairs are whole.
         self._ring = np.rint(self.distance_um / max(pixel_um)).astype(np.intp)
@@ -98,15 +91,7 @@ def scatter_of(values: Array, lags: Lags) -> tuple[float, float]:
 
 
 class PairCovariances:
-    """Covariances of two maps with themselves and with each other, by lag.
-
-    Parameters
-    ----------
-    x, y : ndarray, shape (rows, cols)
-        Maps; what they hold outside of the mask does not count.
-    lags : Lags
-        Of their mask.
-    """
+    """Covariances of two maps (rows, cols), over the mask of ``lags``, with themselves and with each other, by lag."""
 
     def __init__(self, x: Floats, y: Floats, lags: Lags) -> None:
         self.lags = lags
@@ -175,12 +160,8 @@ class PairCovariances:
 def variance_of_products(maps: Sequence[Floats], terms: Sequence[tuple[int, int, float]], lags: Lags) -> float:
     """Variance of the mean of a sum of products of jointly Gaussian maps, from their covariances by lag.
 
-    Parameters
-    ----------
-    maps : sequence of ndarray, shape (rows, cols)
-        Of mean 0 and variance 1 over the mask of ``lags``, 0 outside of it.
-    terms : sequence of (int, int, float)
-        Numbers of two maps and the weight of their product.
+    The maps (rows, cols) have mean 0 and variance 1 over the mask of ``lags`` and are 0 outside of it; ``terms`` are
+    numbers of two maps and the weight of their product.
     """
     spectra = [lags.transform(m) for m in maps]
     covariances: dict[tuple[int, int], Floats] = {}

@@ -95,9 +95,7 @@ class Curvature(ResultModel):
     words: str = Field(description="The same in words.")
 
 
-def straight_or_curved(
-    x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square: float | None = None
-) -> Curvature:  # fmt: skip
+def straight_or_curved(x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square: float | None = None) -> Curvature:
     """Whether y bends over x.
 
     Parameters

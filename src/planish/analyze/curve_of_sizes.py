@@ -26,9 +26,8 @@ class SizeRow(PointsCorrelation):
 
 
 def size_curve(
-    a: Array, b: Array, *, mask: Bools | None = None,
-    pixel_um: Pixel, sizes_um: Sequence[float] | None = None,
-) -> tuple[SizeRow, ...]:  # fmt: skip
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, sizes_um: Sequence[float] | None = None
+) -> tuple[SizeRow, ...]:
     """Correlate two maps over points of several sizes.
 
     Parameters

@@ -112,11 +112,6 @@ class Plane:
         return np.where(self._valid, centred - plane, 0.0)
 
 
-def without_plane(values: Floats, valid: Bools) -> Floats:
-    """Take the plane of least squares off a map, shape (rows, cols); 0 where it is not known."""
-    return Plane(valid).taken_off(values)
-
-
 def in_band(values: Floats, valid: Bools, pixel_um: Pair, band_um: tuple[float | None, float | None]) -> Floats:
     """Keep wavelengths from ``band_um[0]`` to ``band_um[1]`` of a map, where both limits are halved.
 

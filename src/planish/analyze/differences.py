@@ -47,9 +47,8 @@ class Difference:
 
 
 def paired_difference(
-    first: tuple[Array, Array], second: tuple[Array, Array], *,
-    mask: Bools | None = None, pixel_um: Pixel,
-) -> Difference:  # fmt: skip
+    first: tuple[Array, Array], second: tuple[Array, Array], *, mask: Bools | None = None, pixel_um: Pixel
+) -> Difference:
     """Compare the correlations of two pairs of maps on one grid, over the pixels that are valid in all.
 
     Parameters

@@ -36,26 +36,6 @@ def student_tail(value: float, df: float) -> float:
     return float(special.stdtr(df, -value))
 
 
-def shifted_student_tail(value: float, df: float, shift: float) -> float:
-    """The share of the noncentral Student's distribution above a value."""
-    return float(1.0 - special.nctdtr(df, shift, value))
-
-
-def f_quantile(share: float, df: float, df_below: float) -> float:
-    """The value below which a share of the F distribution lies."""
-    return float(special.fdtri(df, df_below, share))
-
-
-def f_tail(value: float, df: float, df_below: float) -> float:
-    """The share of the F distribution above a value."""
-    return float(special.fdtrc(df, df_below, value))
-
-
-def chi_square_tail(value: float, df: float) -> float:
-    """The share of the chi-square distribution with ``df`` degrees of freedom above a value."""
-    return float(special.chdtrc(df, value))
-
-
 def largest_tail(maxima: Floats, value: float) -> float:
     """The share of further maxima above a value, by Gumbel's distribution fitted by maximum likelihood."""
     excesses = maxima - maxima.min()

@@ -112,9 +112,8 @@ def reach_um(params: ImageParams | None) -> float:
 
 
 def without_screen(
-    image: ArrayLike, *, pixel_um: Pixel, sigma_um: float = SCREEN_SIGMA_UM,
-    mask: Bools | None = None,
-) -> NDArray[np.floating[Any]]:  # fmt: skip
+    image: ArrayLike, *, pixel_um: Pixel, sigma_um: float = SCREEN_SIGMA_UM, mask: Bools | None = None
+) -> NDArray[np.floating[Any]]:
     """Average an image with a Gaussian, over the pixels that are known; before it is averaged over points.
 
     Parameters

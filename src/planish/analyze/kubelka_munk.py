@@ -348,7 +348,7 @@ def density_of(measured: xr.Dataset, name: str) -> float | None:
 
 def kubelka_munk_of(
     points: tuple[Floats, Floats], *, point_um: float, ratio: float, density: float | None
-) -> KubelkaMunk:  # fmt: skip
+) -> KubelkaMunk:
     """Fit the curve to reflectance over a coating at the larger points, or say why there is none.
 
     ``density`` (g/cm3) turns the coating from um into g/m2, 1 where it is a weight already; None for lengths.

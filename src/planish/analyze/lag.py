@@ -164,7 +164,7 @@ class Lag:
             sentence=f"B{offset_text}, {excess_text}. Such a shift of all marks together shows nowhere else.",
             advice="Compare the outlines of maps and image; if it is real, take it off, or use marks at the face that "
             "the image shows.",
-        )  # fmt: skip
+        )
 
     def sentence(self, expected_error_um: float | None = None) -> str:
         """The lag, and whether it agrees with the expected error (rms, in um) if that is given."""

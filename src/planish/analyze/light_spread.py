@@ -35,10 +35,7 @@ class LightSpread(PointsCorrelation, _Spread):
     silence: str | None = optional("Why there is no such r.")
 
 
-def spread_light(
-    values: Array, *, pixel_um: Pixel, width_um: float,
-    mask: Bools | None = None,
-) -> Floats:  # fmt: skip
+def spread_light(values: Array, *, pixel_um: Pixel, width_um: float, mask: Bools | None = None) -> Floats:
     """Blur a map as light is that spreads in the paper, over the pixels that are known.
 
     Parameters

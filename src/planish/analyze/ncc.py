@@ -8,7 +8,8 @@ import numpy as np
 from scipy import fft, ndimage
 from scipy.interpolate import RectBivariateSpline
 
-from planish.core.typing import Bools, Complexes, Floats, Pair
+from planish.analyze.texture import standard
+from planish.core.typing import Bools, Complexes, Floats
 
 # At a lag where less than this share of the pairs is left, or of the variance, r is meaningless.
 LEAST_PAIRS = 0.2
@@ -33,24 +34,22 @@ class MaskedNcc:
         self._reach = reach
         self._shape = tuple(fft.next_fast_len(n + r, real=True) for n, r in zip(a.shape, reach, strict=True))
         self._b_valid = b_valid
-        self._a_mean, self._a_sd = _mean_and_sd(a, a_valid)
-        standard = np.where(a_valid, (a - self._a_mean) / self._a_sd, 0.0)
+        a = standard(a, a_valid)
         self._mask_a = np.conj(self._transform(a_valid.astype(np.float64)))
-        self._a = np.conj(self._transform(standard))
+        self._a = np.conj(self._transform(a))
         mask_b = self._transform(b_valid.astype(np.float64))
         self.pairs: Floats = np.rint(self._lags(self._mask_a * mask_b))
         enough = self.pairs >= max(LEAST_PAIRS * float(self.pairs.max()), 3.0)
         self._n = np.where(enough, self.pairs, np.nan)
         self._sum_a = self._lags(self._a * mask_b)
-        self._var_a = self._lags(np.conj(self._transform(standard**2)) * mask_b) - self._sum_a**2 / self._n
+        self._var_a = self._lags(np.conj(self._transform(a**2)) * mask_b) - self._sum_a**2 / self._n
 
     def __call__(self, b: Floats) -> Floats:
         """Return r at all lags, ``(2 reach + 1, 2 reach + 1)``, lag 0 in the middle; NaN where few pairs are left."""
-        mean, sd = _mean_and_sd(b, self._b_valid)
-        standard = np.where(self._b_valid, (b - mean) / sd, 0.0)
-        b_hat = self._transform(standard)
+        b = standard(b, self._b_valid)
+        b_hat = self._transform(b)
         sum_b = self._lags(self._mask_a * b_hat)
-        var_b = self._lags(self._mask_a * self._transform(standard**2)) - sum_b**2 / self._n
+        var_b = self._lags(self._mask_a * self._transform(b**2)) - sum_b**2 / self._n
         product = self._lags(self._a * b_hat) - self._sum_a * sum_b / self._n
         least = 1e-9 * self._n
         is_valid = (self._var_a > least) & (var_b > least)
@@ -68,14 +67,6 @@ def cropped(circular: Floats, reach: tuple[int, int]) -> Floats:
     """Lags ``-reach ... reach`` of a circular correlation whose lag 0 is the first element."""
     rows, cols = (np.arange(-r, r + 1) for r in reach)
     return circular[np.ix_(rows % circular.shape[0], cols % circular.shape[1])]
-
-
-def _mean_and_sd(values: Floats, is_valid: Bools) -> Pair:
-    known_values = values[is_valid]
-    if known_values.size == 0:
-        return 0.0, 1.0
-    sd = float(known_values.std())
-    return float(known_values.mean()), sd if sd > 0 else 1.0
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -158,7 +149,7 @@ def covariance_of(peak: Peak, a: Floats, b: Floats, a_valid: Bools, b_valid: Boo
     slopes = np.stack([0.5 * difference[b_slices] for difference in differences])
     is_valid = a_valid[a_slices] & b_valid[b_slices]
     n = int(is_valid.sum())
-    u = np.where(is_valid, _standard(a[a_slices], is_valid) - peak.r * _standard(b[b_slices], is_valid), 0.0)
+    u = np.where(is_valid, standard(a[a_slices], is_valid) - peak.r * standard(b[b_slices], is_valid), 0.0)
     v = np.where(is_valid, slopes / float(b[b_slices][is_valid].std()), 0.0)
     v = np.where(is_valid, v - v.sum(axis=(1, 2), keepdims=True) / n, 0.0)
     reach = (max(u.shape[0] // 4, 1), max(u.shape[1] // 4, 1))
@@ -186,8 +177,3 @@ def overlap(shape: tuple[int, ...], lag: tuple[int, int]) -> tuple[tuple[slice, 
     a_slices = [slice(max(-k, 0), n - max(k, 0)) for n, k in zip(shape, lag, strict=True)]
     b_slices = [slice(max(k, 0), n - max(-k, 0)) for n, k in zip(shape, lag, strict=True)]
     return (a_slices[0], a_slices[1]), (b_slices[0], b_slices[1])
-
-
-def _standard(values: Floats, is_valid: Bools) -> Floats:
-    known_values = values[is_valid]
-    return np.where(is_valid, (values - known_values.mean()) / known_values.std(), 0.0)

@@ -44,10 +44,7 @@ class Coherence:
     resolution_per_um: float
 
 
-def coherence(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    bands: int = 5,
-) -> Coherence:  # fmt: skip
+def coherence(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, bands: int = 5) -> Coherence:
     """Squared coherence of two maps by octaves of wavelength.
 
     Parameters

@@ -7,9 +7,10 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from scipy import special
 
 from planish.analyze.between_sheets import SheetDifference, paired_over_sheets, two_groups
-from planish.analyze.distributions import chi_square_tail, t_95
+from planish.analyze.distributions import t_95
 from planish.analyze.sheets import Fields, RandomEffects, SheetMean, over_sheets
 from planish.core.errors import InputError
 from planish.core.typing import Floats, Pair
@@ -59,7 +60,7 @@ def random_effects(effects: Sequence[float] | Floats, variances: Sequence[float]
         width = t_95(k - 1) * math.sqrt(squares / float(weight.sum()) / (k - 1))
     return RandomEffects(
         effects=k, mean=mean, standard_error=1 / math.sqrt(float(weight.sum())), between=between,
-        sd_between=math.sqrt(between), q=q, p=chi_square_tail(q, k - 1), interval=(mean - width, mean + width),
+        sd_between=math.sqrt(between), q=q, p=float(special.chdtrc(k - 1, q)), interval=(mean - width, mean + width),
         i2=max(1 - (k - 1) / q, 0.0) if q > 0 else 0.0,
     )  # fmt: skip
 

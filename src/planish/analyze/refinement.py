@@ -14,7 +14,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from planish.analyze.correlation import correlate, pearson
-from planish.analyze.detrend import PhaseSurrogate, correlation_length_um, in_band, without_plane
+from planish.analyze.detrend import PhaseSurrogate, Plane, correlation_length_um, in_band
 from planish.analyze.differences import paired_difference
 from planish.analyze.distributions import largest_tail
 from planish.core.errors import CannotMeasure
@@ -117,7 +117,8 @@ def cross_fitted(
         colour are left to report on.
     """
     is_valid = np.isfinite(a) & np.isfinite(b) & (True if valid is None else valid)
-    length = max(correlation_length_um(without_plane(m, is_valid), is_valid, pixel_um) for m in (a, b))
+    plane = Plane(is_valid)
+    length = max(correlation_length_um(plane.taken_off(m), is_valid, pixel_um) for m in (a, b))
     guard = 2 * length if guard_um is None else guard_um
     if not guard >= length or not math.isfinite(guard):
         raise CannotMeasure(
@@ -201,7 +202,7 @@ def searched_null(a: Floats, tune: Tune, *, valid: Bools | None = None, surrogat
     if surrogates < 19:
         raise CannotMeasure(f"{surrogates} unrelated maps give no 95 % band; 19 are needed, 99 are better.")
     is_valid = np.isfinite(a) & (True if valid is None else valid)
-    flat = without_plane(a, is_valid)
+    flat = Plane(is_valid).taken_off(a)
     rng = np.random.default_rng(20090502)
 
     def searched(candidate: Floats) -> float:

@@ -46,10 +46,7 @@ class Origins:
     count: int
 
 
-def origins(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    point_um: float,
-) -> Origins:  # fmt: skip
+def origins(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float) -> Origins:
     """Correlate two maps over points whose grid begins at 16 places within a point.
 
     Where a grid begins is chosen by no one, and moves r² of one field by some hundredths.
@@ -104,9 +101,8 @@ def of_short_waves(
 
 
 def without_trends(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    point_um: float | None = None,
-) -> Correlation:  # fmt: skip
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float | None = None
+) -> Correlation:
     """Correlate two maps without their plane and second-order surface.
 
     Raises
@@ -123,9 +119,8 @@ def without_trends(
 
 
 def partial(
-    a: Array, b: Array, covariates: Sequence[Array], *, mask: Bools | None = None,
-    pixel_um: Pixel,
-) -> Correlation:  # fmt: skip
+    a: Array, b: Array, covariates: Sequence[Array], *, mask: Bools | None = None, pixel_um: Pixel
+) -> Correlation:
     """Correlate what other maps do not explain of two maps, by least squares.
 
     Parameters
@@ -253,13 +248,7 @@ def say_short_waves(short_waves: SizeRow, evidence: EvidenceFacts, _: PairWords)
 
 
 def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
-    """Partial correlation and commonality over the larger points, which are averaged over what is valid in all.
-
-    Raises
-    ------
-    InputError
-        If the sheet lacks a map that is to stand beside.
-    """
+    """Partial correlation and commonality over the larger points; InputError where the sheet lacks a map for them."""
     (sheet_maps, image_maps), covariates, point_um, grid = pair.layers, pair.params.beside, pair.point_um, pair.grid
     if "thickness" not in sheet_maps:
         return {}

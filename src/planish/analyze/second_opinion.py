@@ -37,9 +37,8 @@ class SecondOpinion(ResultModel):
 
 
 def second_opinion(
-    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
-    point_um: float | None = None,
-) -> SecondOpinion:  # fmt: skip
+    a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel, point_um: float | None = None
+) -> SecondOpinion:
     """State the interval of r that a spatial standard error with critical values of its own gives.
 
     Parameters

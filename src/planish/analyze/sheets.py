@@ -14,8 +14,9 @@ from typing import Any
 import numpy as np
 from pydantic import Field
 from pydantic.json_schema import SkipJsonSchema
+from scipy import special
 
-from planish.analyze.distributions import f_quantile, f_tail, t_95
+from planish.analyze.distributions import t_95
 from planish.core.errors import InputError
 from planish.core.facts import Interval, ResultModel, Unsaved, UnsavedInterval, Value, optional
 from planish.core.typing import Floats
@@ -203,12 +204,10 @@ def variances_of(fields: Fields) -> SheetVariances:
     ratio = float(np.sum(counts * (means - grand_mean) ** 2)) / (k - 1) / within
     interval = (math.nan, math.nan)
     if not too_few(k):
-        low, high = (
-            max(fields_per_sheet * spread / within / f_quantile(share, k - 1, n - k) - 1, 0.0) / fields_per_sheet
-            for share in ((1 + 0.95) / 2, (1 - 0.95) / 2)
-        )
+        quantiles = (float(special.fdtri(k - 1, n - k, share)) for share in ((1 + 0.95) / 2, (1 - 0.95) / 2))
+        low, high = (max(fields_per_sheet * spread / within / f - 1, 0.0) / fields_per_sheet for f in quantiles)
         interval = (low / (1 + low), high / (1 + high))
     return SheetVariances(
         sd_between=math.sqrt(between), sd_within=math.sqrt(within), share=between / (between + within),
-        share_interval=interval, p=f_tail(ratio, k - 1, n - k), reason=too_few(k),
+        share_interval=interval, p=float(special.fdtrc(k - 1, n - k, ratio)), reason=too_few(k),
     )  # fmt: skip

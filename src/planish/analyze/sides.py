@@ -98,7 +98,7 @@ def image_of_sheet(texture: Textures, *, coated: Iterable[Side], side: Side, is_
 
 def _by_slopes_and_thickness(
     texture: Textures, coatings: Mapping[Side, Relation], side: Side, side_text: str, image: str
-) -> SideFound:  # fmt: skip
+) -> SideFound:
     """No coating goes with the image: what slopes of the faces under light from one side say, and the thickness."""
     for k in SIDES:
         if f"topography_{k}" in texture.maps:
@@ -185,7 +185,7 @@ def two_sheets(texture: Textures, names: tuple[str, str], *, coated: Iterable[Si
 
 def _check(
     state: State, text: str, relation: Relation | None = None, *, advice: str = "", figures: tuple[str, ...] = ()
-) -> Check:  # fmt: skip
+) -> Check:
     return Check(
         name=NAME, state=state, sentence=text, value=None if relation is None else relation.z, limit=Z_RELATED,
         units="z", advice=advice, figures=figures,
@@ -239,7 +239,7 @@ class TextureFound(NamedTuple):
 
 def texture_of(
     a: xr.Dataset, b: xr.Dataset, names: tuple[str, str], *, side: Side = "top", is_given: bool = True
-) -> TextureFound:  # fmt: skip
+) -> TextureFound:
     """Compare two layers on one grid by their own texture.
 
     ``side`` is that of the sheet which an image of the two shows, given or assumed.

@@ -162,32 +162,14 @@ class SheetColumns:
 
 
 def half_points(
-    columns: SheetColumns, name: str, is_valid: Bools, *, origin_um: Pair, cell_um: Pair,
-    point_um: float,
-) -> tuple[Floats, Floats, bool]:  # fmt: skip
+    columns: SheetColumns, name: str, is_valid: Bools, *, origin_um: Pair, cell_um: Pair, point_um: float
+) -> tuple[Floats, Floats, bool]:
     """Means of a map over the points of a reference, of the odd and of the even rows of its columns.
 
-    Parameters
-    ----------
-    columns : SheetColumns
-    name : str
-        A map of the sheet.
-    is_valid : ndarray of bool, shape (rows, cols)
-        Cells of the reference that count.
-    origin_um : (float, float)
-        x and y of the outer corner of the first cell.
-    cell_um : (float, float)
-        Along y and x.
-    point_um : float
-        Edge of a point, at least that of a cell.
-
-    Returns
-    -------
-    odd, even : ndarray
-        Shape of the points, which begin at the origin; NaN where less than half of a point counts, or the halves have
-        no column in it.
-    alone : bool
-        Whether no column's value holds anything of its neighbours.
+    ``is_valid`` (rows, cols) are the cells of the reference that count, of the size ``cell_um`` along y and x;
+    ``origin_um`` is the outer corner of the first one (x, y), where the points begin. Means are NaN where less than
+    half of a point counts, or the halves have no column in it. Also says whether no column's value holds anything of
+    its neighbours.
     """
     is_enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
     turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um

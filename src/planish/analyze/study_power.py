@@ -87,7 +87,20 @@ def power_of_study(
     such test, and above 0 they say the same). The variance of z of a field is 1 / (n_eff - 3); the power follows from
     the noncentral t distribution. Simulated studies agree (docs/series.md).
     """
-    _check(r2, sheets, fields, n_eff, between_sheets, change_between_sheets, shared)
+    if not all(0 <= v < 1 for v in r2) or r2[0] == r2[1]:
+        raise InputError(f"r² is {r2[0]} and {r2[1]}. Give two different ones, from 0 to below 1.")
+    if sheets < LEAST_SHEETS or fields < 1:
+        raise InputError(
+            f"The study is of {sheets} sheets with {fields} fields each. Give {LEAST_SHEETS} sheets or more, and 1 "
+            "field or more."
+        )
+    if not LEAST_CLAIMED <= n_eff < math.inf:
+        raise InputError(f"n_eff is {n_eff}. Give the independent points of a field, {LEAST_CLAIMED:.0f} or more.")
+    if not (0 <= between_sheets < math.inf and 0 <= change_between_sheets < math.inf and 0 <= shared <= 1):
+        raise InputError(
+            f"z varies by {between_sheets} between sheets and its change by {change_between_sheets}, and {shared} of "
+            "the scatter is shared. Give numbers from 0 on, and a share from 0 to 1."
+        )
     slopes = [1 - v for v in r2]  # of r over z
     field_variance = 1 / (n_eff - 3) / fields
     if paired:
@@ -143,23 +156,6 @@ def sheets_needed(
         middle = (low + high) // 2
         low, high = (low, middle) if design_of(sheets=middle).power >= power else (middle, high)
     return design_of(sheets=high)
-
-
-def _check(r2: Pair, sheets: int, fields: int, n_eff: float, between: float, change: float, shared: float) -> None:
-    if not all(0 <= v < 1 for v in r2) or r2[0] == r2[1]:
-        raise InputError(f"r² is {r2[0]} and {r2[1]}. Give two different ones, from 0 to below 1.")
-    if sheets < LEAST_SHEETS or fields < 1:
-        raise InputError(
-            f"The study is of {sheets} sheets with {fields} fields each. Give {LEAST_SHEETS} sheets or more, and 1 "
-            "field or more."
-        )
-    if not LEAST_CLAIMED <= n_eff < math.inf:
-        raise InputError(f"n_eff is {n_eff}. Give the independent points of a field, {LEAST_CLAIMED:.0f} or more.")
-    if not (0 <= between < math.inf and 0 <= change < math.inf and 0 <= shared <= 1):
-        raise InputError(
-            f"z varies by {between} between sheets and its change by {change}, and {shared} of the scatter is shared. "
-            "Give numbers from 0 on, and a share from 0 to 1."
-        )
 
 
 def expected_n_eff(field_um: Pair, *, length_um: Pixel, point_um: float) -> float:

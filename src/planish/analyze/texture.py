@@ -131,9 +131,7 @@ def _means(data: Rows, valid: Bools, factor: int) -> Floats:
     return common_means([data], (factor, factor), masks=[valid])[0]
 
 
-def relate(
-    a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None
-) -> Relation:  # fmt: skip
+def relate(a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None) -> Relation:
     """Correlate two textures (rows, cols) and state how far r scatters about 0 where they are unrelated.
 
     ``of`` is the texture whose spread ``part`` is a share of, where that is not b.

@@ -33,10 +33,7 @@ class RegionDifference(ResultModel):
     n_eff: Value = Field(description="Independent points of the thin regions.")
 
 
-def region_difference(
-    values: Array, inside: Bools, *, mask: Bools | None = None,
-    pixel_um: Pixel,
-) -> RegionDifference:  # fmt: skip
+def region_difference(values: Array, inside: Bools, *, mask: Bools | None = None, pixel_um: Pixel) -> RegionDifference:
     """Compare a map inside and outside of regions.
 
     Parameters

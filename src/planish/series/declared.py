@@ -18,9 +18,8 @@ class Declared(Params):
         (), metavar="MAP", help="Map to compare; repeatable, the leading one first. Those of the runs where not given."
     )
     margin: dict[str, float] = option(
-        {}, cli=None,
-        help="Largest difference that does not matter, by MAP (its mean), MAP.sd, MAP.thin_share or r.",
-    )  # fmt: skip
+        {}, cli=None, help="Largest difference that does not matter, by MAP (its mean), MAP.sd, MAP.thin_share or r."
+    )
     thin_um: float | None = option(
         None, ge=0, help="Limit of the thin share that is compared; that of the runs where not given."
     )

@@ -15,9 +15,7 @@ from planish.core.tables import parse_table, read_bytes
 from planish.series.pages import RESULTS, VALUES, factor_columns
 from planish.series_results import SeriesResults
 
-_OF_PAIRS = (
-    "r", "r2", "slope", "points", "n_eff", "n_eff_interval", "bias", "limit_low", "limit_high", "shared_um",
-)  # fmt: skip
+_OF_PAIRS = ("r", "r2", "slope", "points", "n_eff", "n_eff_interval", "bias", "limit_low", "limit_high", "shared_um")
 _OF_REGISTRATIONS = ("marks_used", "residual", "leave_one_out", "expected_error", "largest_expected_error")
 _SIZES = {"thin_share": "limit_um", "coefficient_of_variation": "wave_um"}
 # Quantities whose trust stands for all of their dims

@@ -20,13 +20,7 @@ Pair = tuple[str, str, str, str]
 
 
 def check_maps_known(declared: Declared) -> None:
-    """Refuse a map that no sheet can have, before anything is linked.
-
-    Raises
-    ------
-    InputError
-        With the name that was probably meant.
-    """
+    """Raise InputError for a map that no sheet can have, before anything is linked."""
     for name in maps_of(declared):
         if name not in registered():
             raise InputError(
@@ -56,12 +50,8 @@ def quantities_of(
 ) -> tuple[Quantity, ...]:
     """What is compared: of each leading map its mean, standard deviation and thin share, and r with the other map.
 
-    Maps lead that are declared, or else those that stand for most runs; those with a margin follow.
-
-    Raises
-    ------
-    InputError
-        If a map that was declared is in no run.
+    Maps lead that are declared, or else those that stand for most runs; those with a margin follow. InputError where
+    one that was declared is in no run.
     """
     maps, declared_maps = {row.map for row in rows if row.quantity == "mean"}, maps_of(declared)
     for name in declared_maps if runs else ():

@@ -132,7 +132,7 @@ def _levels_of(specimen: SeriesSpecimen, factors: Sequence[str]) -> tuple[str, .
 def _fields(specimens: Sequence[SeriesSpecimen], k: int, *, with_names: bool = False) -> analyze.Fields:
     """One quantity of some specimens; those that do not count are missing."""
     cells = [specimen.cells[k] for specimen in specimens]
-    values = [_or_nan(cell.value) if cell.counts else math.nan for cell in cells]
+    values = [cell.value if cell.counts and cell.value is not None else math.nan for cell in cells]
     names = [specimen.factor("field") for specimen in specimens] if with_names else []
     return analyze.Fields(values, [specimen.sheet for specimen in specimens], names)
 
@@ -142,14 +142,11 @@ def _group(specimens: Sequence[SeriesSpecimen], k: int, quantity: Quantity, grou
     members = [s for s in specimens if all(s.factor(name) == level for name, level in group.items())]
     fields = _fields(members, k)
     if quantity.what == "r":
-        mean = analyze.pooled_r(fields, [_or_nan(specimen.cells[k].n_eff_interval) for specimen in members])
+        n_effs = [specimen.cells[k].n_eff_interval for specimen in members]
+        mean = analyze.pooled_r(fields, [math.nan if n_eff is None else n_eff for n_eff in n_effs])
     else:
         mean = analyze.over_sheets(fields).model_copy(update={"variances": analyze.variances_of(fields)})
     return GroupFacts.holding(mean, quantity=k, group=dict(group), left_out=_left_out(members, k))
-
-
-def _or_nan(value: float | None) -> float:
-    return math.nan if value is None else value
 
 
 def _left_out(specimens: Sequence[SeriesSpecimen], k: int) -> tuple[str, ...]:
