@@ -106,10 +106,10 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     bias, sd = float(differences[is_valid].mean()), sums.difference[1]
     estimates: dict[str, Any] = {"n": sums.n, "bias": bias, "slope": slope, "slope_x_on_y": slope_x_on_y}
     if np.ptp(differences[is_valid]) <= 1e-12 * max(np.abs(x[is_valid]).max(), np.abs(y[is_valid]).max()):
-        ends, n_eff = (bias, bias), float(sums.n)
+        zero_width, n_eff = (bias, bias), float(sums.n)
         return Agreement(
-            **estimates, sd=0.0, limits=ends, bias_interval=ends, sd_interval=(0.0, 0.0), n_eff=n_eff, n_eff_sd=n_eff,
-            limit_intervals=(ends, ends),
+            **estimates, sd=0.0, limits=zero_width, bias_interval=zero_width, sd_interval=(0.0, 0.0), n_eff=n_eff,
+            n_eff_sd=n_eff, limit_intervals=(zero_width, zero_width),
         )  # fmt: skip
     lags = Lags(is_valid, pixel)
     variance, n_eff = scatter_of(differences, lags)

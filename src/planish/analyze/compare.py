@@ -109,13 +109,15 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     for accumulator, pair in zip(accumulators, pairs, strict=True):
         correlations = [*accumulator.sizes()]
         for row, pair_sums in correlations if correlations[0][0].n else []:
-            agreement: dict[str, Any] = {}
+            agreement_fields: dict[str, Any] = {}
             if are_sheets:
                 mean, sd = pair_sums.difference
-                agreement = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
-                agreement |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd)}
-                agreement |= {"units": str(layers[0][pair[0]].attrs.get("units", "1"))}
-            correlation_rows.append(CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement))
+                agreement_fields = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
+                agreement_fields |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd)}
+                agreement_fields |= {"units": str(layers[0][pair[0]].attrs.get("units", "1"))}
+            correlation_rows.append(
+                CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement_fields)
+            )
     for point_size_um in {row.point_um for row in correlation_rows}:
         row_numbers = [k for k, row in enumerate(correlation_rows) if row.point_um == point_size_um]
         for k, p_of_table in zip(row_numbers, holm([correlation_rows[k].p for k in row_numbers]), strict=True):
@@ -165,9 +167,11 @@ def comparison_rows(
         for (row, _), variant_maps, (run_r, run_maps) in zip(
             variant_sums.sizes(), (variant_sums.cells()[0], variant_sums.points()), correlations_of_run, strict=True
         ):
-            difference = _change(run_r - row.r, variant_maps, *run_maps) if variant.mesh is not None and row.n else {}
+            difference_fields = (
+                _change(run_r - row.r, variant_maps, *run_maps) if variant.mesh is not None and row.n else {}
+            )
             yield ComparisonRow.holding(
-                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **difference
+                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **difference_fields
             )
 
 

@@ -80,9 +80,7 @@ class PointsCorrelation(ResultModel):
     @classmethod
     def of(cls, row: Correlation, **extra_fields: Any) -> Self:
         """Take what stands beside another r of a correlation, and what the class has more."""
-        fields: dict[str, Any] = {"point_um": row.point_um, "n": row.n, "r": row.r, "n_eff": row.n_eff}
-        fields["interval"] = row.interval
-        return cls(**{**fields, **extra_fields})
+        return cls(**({name: getattr(row, name) for name in PointsCorrelation.model_fields} | extra_fields))
 
 
 class PairSums:

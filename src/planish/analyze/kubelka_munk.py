@@ -248,7 +248,7 @@ def fit_kubelka_munk(
     if rms > 1e-9:  # else the fit has no error
         limit = sum_of_squares * (1 + t_95(n_slope - 2) ** 2 / (n_slope - 2))
         intervals = [fit.interval(k, best, limit) for k in (0, 1)]
-    low_backing, high_backing = (fit.other(0, s, best) if s < math.inf else math.nan for s in intervals[0])
+    low_backing, high_backing = (fit.refit(0, s, best) if s < math.inf else math.nan for s in intervals[0])
     scattering, *s_ends = (s / x_mean * (1000.0 if weight else 1.0) for s in (best[0], *intervals[0]))  # g to kg
     return KubelkaMunk(
         ratio=ratio, n=xs.size, n_eff=n_slope, weight=weight, scattering=scattering, backing=best[1], rms=rms,
@@ -282,16 +282,18 @@ class _Fit:
         s, backing = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
         return float(s), float(backing)
 
-    def other(self, k: int, value: float, best: Pair) -> float:
+    def refit(self, k: int, fixed_value: float, best: Pair) -> float:
         """The other parameter, near that of the best fit, that fits best with a value of one of them."""
         free_slice = slice(1 - k, 2 - k)
-        return float(_solved(lambda v: self._residuals(*_both(k, value, v[0])), best[free_slice], free_slice)[0])
+        return float(
+            _solved(lambda v: self._residuals(*_parameters(k, fixed_value, v[0])), best[free_slice], free_slice)[0]
+        )
 
     def interval(self, k: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""
 
         def excess(value: float) -> float:
-            return self.squares(*_both(k, value, self.other(k, value, best))) - limit
+            return self.squares(*_parameters(k, value, self.refit(k, value, best))) - limit
 
         low, high = float(_LOW[k]), float(_HIGH[k])
         return (_crossing(excess, best[k], low, low), _crossing(excess, best[k], high, math.inf if k == 0 else high))
@@ -301,8 +303,8 @@ class _Fit:
         return residuals - (1.0 - self._level) * float(residuals.mean())
 
 
-def _both(k: int, value: float, other: float) -> Pair:
-    return (value, other) if k == 0 else (other, value)
+def _parameters(k: int, fixed_value: float, free_value: float) -> Pair:
+    return (fixed_value, free_value) if k == 0 else (free_value, fixed_value)
 
 
 def _solved(residuals: Callable[[Floats], Floats], start: tuple[float, ...], free_slice: slice) -> Floats:
@@ -366,10 +368,10 @@ def kubelka_munk_of(
 
 def answer_density(pair: ComparedMaps) -> dict[str, Any]:
     """Density of a coating under an image, where the run knows it."""
-    sheet = pair.columns.get(pair.a[0])
-    if sheet is None or not pair.is_coat_on_image:
+    columns = pair.columns.get(pair.a[0])
+    if columns is None or not pair.is_coat_on_image:
         return {}
-    return {"density_g_cm3": density_of(sheet.measured, pair.a[1])}
+    return {"density_g_cm3": density_of(columns.measured, pair.a[1])}
 
 
 def answer_kubelka_munk(pair: ComparedMaps) -> dict[str, Any]:

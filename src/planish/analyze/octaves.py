@@ -90,7 +90,7 @@ def coherence(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
     for k in range(count):
         longest_um, shortest_um = limit_um / 2**k, limit_um / 2 ** (k + 1)
         in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
-        raw_waves, white_waves = ([m[in_octave] for m in maps] for maps in (waves.spectra, white_spectra))
+        raw_waves, white_waves = ([m[in_octave] for m in spectra] for spectra in (waves.spectra, white_spectra))
         band_fields = _band(raw_waves, white_waves, np.count_nonzero(in_octave) / waves.joined, count)
         octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **band_fields))
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)

@@ -190,7 +190,7 @@ def commonality(b: Array, parts: Mapping[str, Array], *, mask: Bools | None = No
     columns = {k: (m[is_valid] - m[is_valid].mean()) / max(float(m[is_valid].std()), 1e-300) for k, m in parts.items()}
     if np.linalg.cond(np.stack(list(columns.values()), axis=1)) > 1e6:
         raise InputError("One of the maps is the sum of others. Leave the sum, or one of its parts, out.")
-    subsets = [chosen for size in range(1, len(names) + 1) for chosen in combinations(names, size)]
+    subsets = [chosen for n_maps in range(1, len(names) + 1) for chosen in combinations(names, n_maps)]
     explained: dict[frozenset[str], float] = {frozenset(): 0.0}
     for chosen in subsets:
         regressors = np.stack([columns[k] for k in chosen], axis=1)

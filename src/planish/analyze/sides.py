@@ -200,8 +200,8 @@ def _stands_out(face: Relation, rival: Relation | None) -> bool:
         face.part_se, rival.part_se)  # fmt: skip
 
 
-def _preposition(other: Relation) -> str:
-    return ", not with" if abs(other.z) < Z_CLEAR else ", more than with"
+def _preposition(relation: Relation) -> str:
+    return ", not with" if abs(relation.z) < Z_CLEAR else ", more than with"
 
 
 def _faces(texture: Textures, names: Mapping[Side, list[str]]) -> dict[Side, Relation]:

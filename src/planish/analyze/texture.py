@@ -111,9 +111,11 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures
             f"pixels of {BAND_UM[1] / 4:g} um or less is needed."
         )
     factor = math.ceil(math.sqrt(valid.size / 300_000))
-    shown = {k: _means(m, valid, factor) for k, m in maps.items()}
     if factor > 1:
+        shown = {k: common_means([m], (factor, factor), masks=[valid])[0] for k, m in maps.items()}
         pixel_um = (factor * pixel_um[0], factor * pixel_um[1])
+    else:
+        shown = {k: np.where(valid, m, np.nan).astype(np.float64) for k, m in maps.items()}
     count = {k: int(np.count_nonzero(np.isfinite(m))) for k, m in shown.items()}
     most = max(count.values(), default=0)
     # Of the pixels of the map that is known best; maps with fewer are left out.
@@ -122,13 +124,6 @@ def textures(maps: Mapping[str, Rows], valid: Bools, pixel_um: Pair) -> Textures
         return Textures(maps={}, known=np.zeros(valid.shape, dtype=bool), pixel_um=pixel_um)
     band = _Band(np.logical_and.reduce([np.isfinite(m) for m in shown.values()]), pixel_um)
     return Textures(maps={k: band(m) for k, m in shown.items()}, known=band.is_valid, pixel_um=pixel_um)
-
-
-def _means(data: Rows, valid: Bools, factor: int) -> Floats:
-    """Means of a map over so many valid pixels a side."""
-    if factor == 1:
-        return np.where(valid, data, np.nan).astype(np.float64)
-    return common_means([data], (factor, factor), masks=[valid])[0]
 
 
 def relate(a: Floats, b: Floats, is_valid: Bools, pixel_um: Pair, *, of: Floats | None = None) -> Relation:
@@ -180,10 +175,10 @@ def standard(values: Floats, is_valid: Bools) -> Floats:
     return np.where(is_valid, (values - inside.mean()) / sd, 0.0)
 
 
-def unexplained(values: Floats, other: Floats) -> Floats:
+def unexplained(values: Floats, explaining: Floats) -> Floats:
     """What a texture does not share with another one: the residual of least squares."""
-    sum_of_squares = float(np.vdot(other, other))
-    return values - float(np.vdot(values, other)) / sum_of_squares * other if sum_of_squares > 0 else values
+    sum_of_squares = float(np.vdot(explaining, explaining))
+    return values - float(np.vdot(values, explaining)) / sum_of_squares * explaining if sum_of_squares > 0 else values
 
 
 def low_pass(values: Floats, half_um: float, pixel_um: Pair) -> Floats:

@@ -164,8 +164,8 @@ def answer_variograms(pair: ComparedMaps) -> dict[str, Any]:
         except PlanishError:
             continue
         # At up to 60 distances, closer for short ones.
-        shown = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
-        thinned = {k: tuple(getattr(curve, k)[n] for n in shown) for k in ("distances_um", "values")}
+        indices = np.unique(np.geomspace(1, len(curve.values), 60).round().astype(np.intp)) - 1
+        thinned = {k: tuple(getattr(curve, k)[n] for n in indices) for k in ("distances_um", "values")}
         curves.append(Variogram.holding(curve, layer=layer, map=name, units=units, **thinned))
     return {"variograms": tuple(curves)}
 

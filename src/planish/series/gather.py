@@ -109,10 +109,13 @@ class Gathered:
         is_only_sheet = all(len(run.sheets) <= 1 for run in self.runs.values())
         is_only_image = all(len(run.images) <= 1 for run in self.runs.values())
 
-        def name(row: FigureRow, layer: str) -> str:
+        def shown_layer(row: FigureRow, layer: str) -> str:
             return "" if (is_only_sheet if layer in self.runs[row.specimen].sheets else is_only_image) else layer
 
-        return [replace(row, layer=name(row, row.layer), other_layer=name(row, row.other_layer)) for row in self.rows]
+        return [
+            replace(row, layer=shown_layer(row, row.layer), other_layer=shown_layer(row, row.other_layer))
+            for row in self.rows
+        ]
 
 
 def gather(members: Sequence[Member], home: Path) -> Gathered:
@@ -280,8 +283,8 @@ def _of_pairs(results: Results, make_row: MakeRow) -> Iterator[FigureRow]:
         low, high = map(_number, c.interval)
         yield make_pair_row("r", _number(c.r), low=low, high=high)
         for quantity in ("r2", "slope", "n", "n_eff", "n_eff_interval"):
-            name = "points" if quantity == "n" else quantity
-            yield make_pair_row(name, _number(float(getattr(c, quantity))))
+            quantity_name = "points" if quantity == "n" else quantity
+            yield make_pair_row(quantity_name, _number(float(getattr(c, quantity))))
         if c.same_quantity:
             yield from _differences(c, twice_by_pair.get(key_of(c)), partial(make_pair_row, unit=c.units or "1"))
     for image in results.mottle:

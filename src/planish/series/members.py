@@ -97,14 +97,14 @@ def _refuse_twice(runs: Sequence[Path], folders: Sequence[Path]) -> None:
 def _factors(csv_table: CsvTable, table: Path | None, folders: Sequence[Path]) -> list[dict[str, str]]:
     """The factors of each run: of the row whose run, or name, is its folder."""
 
-    def is_of(row: CsvRow, folder: Path) -> bool:
+    def is_row_of(row: CsvRow, folder: Path) -> bool:
         run_cell = csv_table.text(row, "run")
         paths = (_from_table(table, run_cell).resolve(), Path(run_cell).resolve()) if run_cell else ()
         return folder in paths or folder.name in (run_cell, csv_table.text(row, "name"))
 
     factors, used = list[dict[str, str]](), set[int]()
     for folder in folders:
-        rows = [row for row in csv_table.rows if is_of(row, folder)]
+        rows = [row for row in csv_table.rows if is_row_of(row, folder)]
         if len(rows) != 1:
             few = "no row" if not rows else f"{len(rows)} rows"
             raise InputError(
