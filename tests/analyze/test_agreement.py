@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import bland_altman
 from planish.core.errors import CannotMeasure, InputError
 
@@ -73,10 +74,8 @@ def test_missing_pixels_do_not_count_and_an_offset_alone_has_no_spread():
 
 def test_wrong_input_is_refused():
     a = np.arange(30.0).reshape(5, 6)
-    with pytest.raises(InputError, match="one grid"):
-        bland_altman(a, a[1:], pixel_um=1.0)
-    with pytest.raises(CannotMeasure, match="0 pixels"):
-        bland_altman(a, np.full(a.shape, np.nan), pixel_um=1.0)
+    refused(InputError, "one grid", bland_altman, a, a[1:], pixel_um=1.0)
+    refused(CannotMeasure, "0 pixels", bland_altman, a, np.full(a.shape, np.nan), pixel_um=1.0)
 
 
 @pytest.mark.study

@@ -5,6 +5,7 @@ import pytest
 from scipy import optimize, stats
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import fit_kubelka_munk, independent_points, reflectance, straight_or_curved
 from planish.core.errors import CannotMeasure, InputError
 
@@ -155,8 +156,7 @@ def test_independent_points_of_level_slope_and_bend():
 
 
 def test_maps_that_tell_no_points_are_refused():
-    with pytest.raises(CannotMeasure, match="map x is constant"):
-        independent_points(np.ones((20, 20)), np.ones((20, 20)), pixel_um=1)
+    refused(CannotMeasure, "map x is constant", independent_points, np.ones((20, 20)), np.ones((20, 20)), pixel_um=1)
     with pytest.raises(CannotMeasure, match="0 pixels are known"):
         independent_points(np.ones((20, 20)), np.ones((20, 20)), mask=np.zeros((20, 20), bool), pixel_um=1)
     with pytest.raises(InputError, match="Bring both onto one grid"):
@@ -198,8 +198,7 @@ RISE = np.linspace(1.0, 20.0, 50)
     ],
 )
 def test_points_that_show_no_curve_are_refused(call, x, y, n_eff, error, message):
-    with pytest.raises(error, match=message):
-        call(x, y, n_eff=n_eff)
+    refused(error, message, call, x, y, n_eff=n_eff)
 
 
 @pytest.mark.parametrize(
@@ -215,8 +214,7 @@ def test_points_that_show_no_curve_are_refused(call, x, y, n_eff, error, message
     ],
 )
 def test_greys_that_are_no_layer_are_refused(x, y, options, error, message):
-    with pytest.raises(error, match=message):
-        fit_kubelka_munk(x, y, n_eff=20, **options)
+    refused(error, message, fit_kubelka_munk, x, y, n_eff=20, **options)
 
 
 @pytest.mark.study

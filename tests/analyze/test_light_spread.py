@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import correlate, spread_light
 from planish.core.errors import CannotMeasure, InputError, SizeError
 
@@ -49,8 +50,7 @@ def test_an_image_that_light_has_blurred_follows_the_coating_that_is_blurred_ali
 def test_refusals():
     values = np.random.default_rng(3).normal(size=(20, 30))
     for width_um in (0.0, -1.0, np.nan, np.inf, 200.0):
-        with pytest.raises(SizeError, match="Light would spread"):
-            spread_light(values, pixel_um=10.0, width_um=width_um)
+        refused(SizeError, "Light would spread", spread_light, values, pixel_um=10.0, width_um=width_um)
     with pytest.raises(CannotMeasure, match="No pixel"):
         spread_light(values, pixel_um=10.0, width_um=30.0, mask=np.zeros(values.shape, bool))
     with pytest.raises(InputError):

@@ -95,7 +95,6 @@ def test_bands_are_octaves_up_to_a_fifth_of_the_field_also_of_oblong_pixels():
     ("image", "options", "error", "message"),
     [
         (np.ones(5), {}, InputError, "no array of two dimensions"),
-        (np.ones((300, 300)), {"mask": np.ones(3, bool)}, InputError, "no array of two dimensions"),
         (np.ones((300, 300)), {"pixel_um": -1.0}, SizeError, "The pixel is -1.0 um"),
         (np.ones((300, 300)), {"shortest_um": 100.0}, SizeError, r"160 um \(4 pixels\) to 2400 um"),
         (np.ones((300, 300)), {"longest_um": 400.0}, SizeError, "No octave lies between waves of 250 and 400 um"),

@@ -125,7 +125,5 @@ def test_wrong_correlations_are_refused():
     refused(InputError, "1 effects and 1 variances", random_effects, [1.0], [1.0])
     refused(InputError, "above 0", random_effects, [1.0, 2.0], [1.0, 0.0])
     refused(InputError, "infinite", random_effects, [1.0, 2.0], [1.0, math.inf])
-    with pytest.raises(InputError, match="1 correlations and 2 n_eff"):
-        pooled_r(Fields([0.1], ["A"]), [10, 20])
-    with pytest.raises(InputError, match="beyond 1"):
-        pooled_r(Fields([1.1], ["A"]), [10])
+    refused(InputError, "1 correlations and 2 n_eff", pooled_r, Fields([0.1], ["A"]), [10, 20])
+    refused(InputError, "beyond 1", pooled_r, Fields([1.1], ["A"]), [10])

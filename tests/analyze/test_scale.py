@@ -3,6 +3,7 @@ import pytest
 from scipy import ndimage
 
 from analyze.fields import gaussian_maps, related_maps
+from folders import refused
 from planish.analyze import coherence, correlate, size_curve
 from planish.core.errors import CannotMeasure, SizeError
 
@@ -53,8 +54,7 @@ def test_what_is_missing_does_not_count():
 
 
 def test_small_fields_and_sizes_below_the_pixel_are_refused():
-    with pytest.raises(CannotMeasure, match="larger map"):
-        coherence(np.ones((6, 6)), np.ones((6, 6)), pixel_um=1.0)
+    refused(CannotMeasure, "larger map", coherence, np.ones((6, 6)), np.ones((6, 6)), pixel_um=1.0)
     with pytest.raises(SizeError, match="smaller than a pixel"):
         size_curve(np.ones((60, 80)), np.ones((60, 80)), pixel_um=2.0, sizes_um=[1.0, 5.0])
 

@@ -104,14 +104,11 @@ def test_pictures_stay_in_single_precision():
 @pytest.mark.parametrize(
     ("image", "options", "error", "message"),
     [
-        (np.ones(5), {}, InputError, "no array of two dimensions"),
         (np.ones((5, 5), complex), {}, InputError, "complex128"),
         (np.ones((5, 5)), {"pixel_um": 0.0}, SizeError, "The pixel is 0.0 um"),
-        (np.ones((5, 5)), {"pixel_um": (1.0, 2.0, 3.0)}, SizeError, "Give one number above 0, or two"),
         (np.ones((5, 5)), {"sigma_um": 5.0}, SizeError, "5 um is 0.5 pixels wide; it needs 0.75"),
         (np.ones((5, 5)), {"sigma_um": np.nan}, SizeError, "Take a larger sigma_um"),
         (np.ones((5, 5)), {"mask": np.ones((5, 4), bool)}, InputError, r"mask has \(5, 4\)"),
-        (np.ones((5, 5)), {"mask": np.ones((5, 5))}, InputError, "mask holds float64"),
         (np.full((5, 5), np.nan), {}, CannotMeasure, "No pixel"),
         (np.ones((5, 5)), {"mask": np.zeros((5, 5), bool)}, CannotMeasure, "Check the mask"),
     ],

@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 
 from analyze.fields import gaussian_maps
+from folders import refused
 from planish.analyze import region_difference
 from planish.core.errors import CannotMeasure, InputError
 
@@ -49,7 +50,5 @@ def test_missing_pixels_do_not_count_and_regions_without_pixels_are_refused():
     assert one == region_difference(np.where(known, b, 1e9), a < 0, mask=known, pixel_um=1.0)
     b = np.random.default_rng(5).normal(size=(20, 30))
     for inside in (np.zeros(b.shape, bool), np.ones(b.shape, bool)):
-        with pytest.raises(CannotMeasure, match="another limit"):
-            region_difference(b, inside, pixel_um=1.0)
-    with pytest.raises(InputError, match="onto one grid"):
-        region_difference(b, np.ones((3, 3), bool), pixel_um=1.0)
+        refused(CannotMeasure, "another limit", region_difference, b, inside, pixel_um=1.0)
+    refused(InputError, "onto one grid", region_difference, b, np.ones((3, 3), bool), pixel_um=1.0)

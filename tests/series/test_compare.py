@@ -5,6 +5,7 @@ import shutil
 
 import pytest
 
+from folders import refused
 from planish.cli import main
 from planish.core.errors import FileError, InputError
 from planish.series import members_of
@@ -79,8 +80,7 @@ def test_what_cannot_be_compared_is_said_in_a_sentence(capsys, args, code, words
 
 def test_a_copy_counts_once(runs):
     shutil.copytree(runs[0], runs[0].parent / "copy")
-    with pytest.raises(InputError, match="one is a copy"):
-        members_of([runs[0], runs[0].parent / "copy"], home=runs[0].parent)
+    refused(InputError, "one is a copy", members_of, [runs[0], runs[0].parent / "copy"], home=runs[0].parent)
 
 
 def test_a_damaged_run_ends_with_4_and_none_that_can_be_read_with_3(runs, capsys):
@@ -118,5 +118,4 @@ def test_a_table_that_does_not_fit_is_an_error(tmp_path, text, words):
 
 
 def test_a_missing_table_is_named(tmp_path):
-    with pytest.raises(FileError, match=r"none.csv"):
-        members_of([], home=tmp_path, table=tmp_path / "none.csv")
+    refused(FileError, r"none.csv", members_of, [], home=tmp_path, table=tmp_path / "none.csv")

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from folders import refused
 from planish.core.errors import InputError
 from planish.core.facts import is_known
 from planish.series import Declared, gather, summary_of
@@ -201,10 +202,8 @@ def test_factors_that_do_not_fit_are_an_error_or_a_caution(tmp_path):
         ({"compare": "papr"}, "Did you mean paper"), ({"compare": "sheet"}, "Sheets are the sample"),
         ({"headline": ("coatng_top",)}, "Did you mean coating_top"), ({"margin": {"thicknes.sd": 1.0}}, "thickness"),
     ):  # fmt: skip
-        with pytest.raises(InputError, match=words):
-            summary_of(found, Declared(**wrong))
-    with pytest.raises(ValueError, match="margin"):
-        Declared(margin={"coating_top": 0})
+        refused(InputError, words, summary_of, found, Declared(**wrong))
+    refused(ValueError, "margin", Declared, margin={"coating_top": 0})
 
 
 def test_more_than_eight_levels_are_not_compared_two_by_two(tmp_path):
