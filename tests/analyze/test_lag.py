@@ -91,7 +91,7 @@ def test_the_positive_peak_is_found_beside_a_deeper_valley():
     y, x = np.mgrid[-12 - ncc.MARGIN : 13 + ncc.MARGIN, -12 - ncc.MARGIN : 13 + ncc.MARGIN]
     r = 0.5 * np.exp(-((y - 3) ** 2 + x**2) / 8) - 0.8 * np.exp(-((y + 5) ** 2 + (x - 4) ** 2) / 8)
     peak = ncc.find_peak(r, ncc.within((12, 12)))
-    assert peak.at == pytest.approx((3.0, 0.0), abs=0.05)
+    assert peak.summit_px == pytest.approx((3.0, 0.0), abs=0.05)
     assert peak.r == pytest.approx(0.5, abs=0.01)
 
 
