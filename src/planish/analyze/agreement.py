@@ -117,16 +117,15 @@ def bland_altman(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pix
     n_eff_sd = PairCovariances(differences, differences, lags).n_eff(sums.n)
     if min(n_eff, n_eff_sd) >= LEAST_CLAIMED:
         quantile = t_95(min(n_eff / _POINTS_A_FREE, _MOST_FREE))
-        bias_half_width, sd_put_right = quantile * math.sqrt(variance / n_eff), math.sqrt(variance)
+        bias_half_width, sigma = quantile * math.sqrt(variance / n_eff), math.sqrt(variance)
         # sd of Gaussian values scatters by sd / sqrt(2 df).
         log_sd_half_width = quantile / math.sqrt(2 * (n_eff_sd - 1))
-        limit_width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
+        width = quantile * math.sqrt(variance / n_eff + variance * LIMIT**2 / (2 * (n_eff_sd - 1)))
         estimates |= {
             "bias_interval": (bias - bias_half_width, bias + bias_half_width),
-            "sd_interval": (sd_put_right * math.exp(-log_sd_half_width), sd_put_right * math.exp(log_sd_half_width)),
+            "sd_interval": (sigma * math.exp(-log_sd_half_width), sigma * math.exp(log_sd_half_width)),
             "limit_intervals": tuple(
-                (bias + s * LIMIT * sd_put_right - limit_width, bias + s * LIMIT * sd_put_right + limit_width)
-                for s in (-1, 1)
+                (bias + s * LIMIT * sigma - width, bias + s * LIMIT * sigma + width) for s in (-1, 1)
             ),
         }
     return Agreement(**estimates, sd=sd, limits=(bias - LIMIT * sd, bias + LIMIT * sd), n_eff=n_eff, n_eff_sd=n_eff_sd)

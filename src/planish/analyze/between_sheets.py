@@ -84,19 +84,18 @@ def paired_over_sheets(before: Fields, after: Fields) -> SheetDifference:
             {(s, f): v for s, f, v in zip(m.sheets, m.names, m.values, strict=True) if not math.isnan(v)}
             for m in (before, after)
         )
-        paired_fields = [field for field in old_fields if field in new_fields]
+        keys = [field for field in old_fields if field in new_fields]
         old_sheets, new_sheets = (
-            Fields([m[k] for k in paired_fields], [s for s, _ in paired_fields]).by_sheet
-            for m in (old_fields, new_fields)
+            Fields([m[k] for k in keys], [s for s, _ in keys]).by_sheet for m in (old_fields, new_fields)
         )
-    sheet_means = {
+    means = {
         sheet: (values.mean(), new_sheets[sheet].mean()) for sheet, values in old_sheets.items() if sheet in new_sheets
     }
-    unpaired = tuple(sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in sheet_means)
-    k = len(sheet_means)
+    unpaired = tuple(sheet for sheet in dict.fromkeys([*before.sheets, *after.sheets]) if sheet not in means)
+    k = len(means)
     if k == 0:
         return SheetDifference(kind="paired", sheets=(0, 0), unpaired=unpaired, reason="no sheet has a partner")
-    means_before, means_after = np.array([*sheet_means.values()], dtype=np.float64).T
+    means_before, means_after = np.array([*means.values()], dtype=np.float64).T
     changes = means_after - means_before
     sd = spread_of(changes)
     if sd <= 1e-12 * float(np.abs([means_before, means_after]).max()):

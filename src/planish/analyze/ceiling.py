@@ -102,11 +102,11 @@ def ceiling(
         spectrum = spectrum * np.outer(np.sinc(frequency[0] * point_um), np.sinc(across * point_um)) ** 2
     square = (2 * math.pi) ** 2 * (frequency[0][:, None] ** 2 + across**2)
     # Waves of half a spectrum count twice, but those that are their own mirror images.
-    mode_weights = np.full(spectrum.shape[1], 2.0)
-    mode_weights[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
+    counts = np.full(spectrum.shape[1], 2.0)
+    counts[[0, -1] if covariance.shape[1] % 2 == 0 else 0] = 1.0
 
     def at_zero(spectrum: Floats) -> float:
-        return float(np.sum(spectrum * mode_weights)) / covariance.size
+        return float(np.sum(spectrum * counts)) / covariance.size
 
     variance, quantiles = at_zero(spectrum), errors
     if errors.size > 1:
@@ -125,22 +125,13 @@ def answer_ceiling(pair: ComparedMaps) -> dict[str, Any]:
     errors_um = np.sqrt(sum((np.asarray(thinned(m)[1][0], dtype=np.float64) ** 2 for m in error_maps), np.zeros(1)))
     errors_um = errors_um[np.isfinite(errors_um)]
     if error_maps and errors_um.size:
-        support_um, quantiles_um = (
-            pair.point_um if pair.has_points else None,
-            np.quantile(errors_um, np.linspace(0, 1, 65)),
-        )
-        by_shift = ceiling(
-            pair.x, error_um=quantiles_um, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=support_um
-        )
+        size_um, errors_um = pair.point_um if pair.has_points else None, np.quantile(errors_um, np.linspace(0, 1, 65))
+        by_shift = ceiling(pair.x, error_um=errors_um, mask=pair.lags.is_valid, pixel_um=pair.cell_um, point_um=size_um)
         answers |= {"ceiling": by_shift.r, "ceiling_sentence": by_shift.sentence}
     if pair.columns and pair.has_points:
-        reliabilities = tuple(
-            reliability_of(pair, layer, name) for layer, name in (pair.a, pair.b) if layer in pair.columns
-        )
-        answers["reliability"] = reliabilities
-        noise_r = (
-            math.sqrt(math.prod(reliability.value for reliability in reliabilities)) if reliabilities else math.nan
-        )
+        halves = tuple(reliability_of(pair, layer, name) for layer, name in (pair.a, pair.b) if layer in pair.columns)
+        answers["reliability"] = halves
+        noise_r = math.sqrt(math.prod(half.value for half in halves)) if halves else math.nan
         if not math.isnan(noise_r):
             answers["ceiling_noise"] = noise_r
             if "ceiling" in answers:

@@ -96,33 +96,30 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     are_sheets = all("image" not in n for n in names)
     pairs = [(n, n) for n in names[0] if n in names[1]] if are_sheets else [(m, n) for m in names[0] for n in names[1]]
     grid = Grid.of(layers[0])
-    accumulators = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
+    sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in pairs]
     for rows in bands(grid.shape[0]):
         valid = band_of(layers[0]["valid"], rows) & band_of(layers[1]["valid"], rows)
         p, q = (
             {n: np.where(valid, band_of(data[n], rows), np.nan) for n in {pair[k] for pair in pairs}}
             for k, data in enumerate(layers)
         )
-        for accumulator, pair in zip(accumulators, pairs, strict=True):
-            accumulator.add(rows.start, p[pair[0]], q[pair[1]])
-    correlation_rows: list[CorrelationRow] = []
-    for accumulator, pair in zip(accumulators, pairs, strict=True):
-        correlations = [*accumulator.sizes()]
+        for sums_of_pair, pair in zip(sums, pairs, strict=True):
+            sums_of_pair.add(rows.start, p[pair[0]], q[pair[1]])
+    table: list[CorrelationRow] = []
+    for sums_of_pair, pair in zip(sums, pairs, strict=True):
+        correlations = [*sums_of_pair.sizes()]
         for row, pair_sums in correlations if correlations[0][0].n else []:
-            agreement_fields: dict[str, Any] = {}
-            if are_sheets:
-                mean, sd = pair_sums.difference
-                agreement_fields = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
-                agreement_fields |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd)}
-                agreement_fields |= {"units": str(layers[0][pair[0]].attrs.get("units", "1"))}
-            correlation_rows.append(
-                CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **agreement_fields)
+            (mean, sd), units = pair_sums.difference, str(layers[0][pair[0]].attrs.get("units", "1"))
+            agreement: dict[str, Any] = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
+            agreement |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd), "units": units}
+            table.append(
+                CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **(agreement if are_sheets else {}))
             )
-    for point_size_um in {row.point_um for row in correlation_rows}:
-        row_numbers = [k for k, row in enumerate(correlation_rows) if row.point_um == point_size_um]
-        for k, p_of_table in zip(row_numbers, holm([correlation_rows[k].p for k in row_numbers]), strict=True):
-            correlation_rows[k] = correlation_rows[k].model_copy(update={"p_of_table": p_of_table})
-    yield from correlation_rows
+    for size_um in {row.point_um for row in table}:
+        row_numbers = [k for k, row in enumerate(table) if row.point_um == size_um]
+        for k, p_of_table in zip(row_numbers, holm([table[k].p for k in row_numbers]), strict=True):
+            table[k] = table[k].model_copy(update={"p_of_table": p_of_table})
+    yield from table
 
 
 class _Variant(NamedTuple):
@@ -153,36 +150,30 @@ def comparison_rows(
     variants = [*_variants(sheet, fit), _Variant(f"flattened, {fit.model}", fit.rms_um, None)]
     sums = [PairAtSizes(grid.shape, pixel_um=grid.pixel_um, point_um=point_um, most_cells=CELLS) for _ in variants]
     for rows in bands(grid.shape[0]):
-        grid_part = grid.part(rows)
-        placed_maps = [variant.bring(sheet_map, band_of(linked[name], rows), grid_part) for variant in variants]
+        part = grid.part(rows)
+        placed = [variant.bring(sheet_map, band_of(linked[name], rows), part) for variant in variants]
         # Rows that are compared are of the same pixels.
-        is_used = np.logical_and.reduce(
-            [band_of(linked["valid"], rows), away(grid_part), *map(np.isfinite, placed_maps)]
-        )
-        for variant_sums, placed_map in zip(sums, placed_maps, strict=True):
-            variant_sums.add(rows.start, np.where(is_used, placed_map, np.nan), band_of(linked["image"], rows))
+        valid = np.logical_and.reduce([band_of(linked["valid"], rows), away(part), *map(np.isfinite, placed)])
+        for variant_sums, m in zip(sums, placed, strict=True):
+            variant_sums.add(rows.start, np.where(valid, m, np.nan), band_of(linked["image"], rows))
     maps_of_run = sums[-1].cells(), (sums[-1].points(), (point_um, point_um))
-    correlations_of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
+    of_run = [*zip((row.r for row, _ in sums[-1].sizes()), maps_of_run, strict=True)]
     for variant, variant_sums in zip(variants, sums, strict=True):
         for (row, _), variant_maps, (run_r, run_maps) in zip(
-            variant_sums.sizes(), (variant_sums.cells()[0], variant_sums.points()), correlations_of_run, strict=True
+            variant_sums.sizes(), (variant_sums.cells()[0], variant_sums.points()), of_run, strict=True
         ):
-            difference_fields = (
-                _change(run_r - row.r, variant_maps, *run_maps) if variant.mesh is not None and row.n else {}
-            )
+            change = _change(run_r - row.r, variant_maps, *run_maps) if variant.mesh is not None and row.n else {}
             yield ComparisonRow.holding(
-                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **difference_fields
+                row, registration=variant.title, property=name, marks_rms_um=variant.rms_um, **change
             )
 
 
-def _change(
-    r_difference: float, variant_maps: Sequence[Array], run_maps: Sequence[Array], pixel_um: Pixel
-) -> dict[str, Any]:
+def _change(change_of_r: float, pair: Sequence[Array], pair_of_run: Sequence[Array], pixel_um: Pixel) -> dict[str, Any]:
     """Change of r, and the interval of it."""
-    change = paired_difference((variant_maps[0], variant_maps[1]), (run_maps[0], run_maps[1]), pixel_um=pixel_um)
+    change = paired_difference((pair[0], pair[1]), (pair_of_run[0], pair_of_run[1]), pixel_um=pixel_um)
     # The interval is told from cells, which may be larger than the pixels that r is of.
-    low, high = (v + (r_difference - change.difference) for v in change.interval)
-    return {"difference": r_difference, "difference_interval": (low, high)}
+    low, high = (v + (change_of_r - change.difference) for v in change.interval)
+    return {"difference": change_of_r, "difference_interval": (low, high)}
 
 
 def _variants(sheet: Mapping[str, xr.Dataset], fit: FittedTransform) -> Iterator[_Variant]:

@@ -385,15 +385,14 @@ def _certainty(
             f"The maps do not vary alike everywhere, which makes the interval {error_ratio:.1f} times as wide. Look at "
             "them, and mask what does not belong."
         )
-    variance_of_z, normal_97_5 = error_ratio**2 * pair.variance_of_z(r, sums.variances), normal_quantile(0.975)
-    half_width = normal_97_5 / math.sqrt(n_eff - 3)
+    variance_of_z, quantile = error_ratio**2 * pair.variance_of_z(r, sums.variances), normal_quantile(0.975)
+    width = quantile / math.sqrt(n_eff - 3)
     if 0 < variance_of_z < 1 / 3:  # the quantile needs degrees of freedom above 1
-        half_width = max(half_width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))
+        width = max(width, t_95(1 / variance_of_z - 2) * math.sqrt(variance_of_z))
     if trend := shared_trend(x, y, is_valid):
         warnings.append(trend)
     z = math.atanh(r)
     return {
         "n_eff": n_eff, "p": 2 * student_tail(abs(r) * math.sqrt((n_eff - 2) / (1 - r * r)), n_eff - 2),
-        "interval": (math.tanh(z - half_width), math.tanh(z + half_width)),
-        "n_eff_interval": (normal_97_5 / half_width) ** 2 + 3,
+        "interval": (math.tanh(z - width), math.tanh(z + width)), "n_eff_interval": (quantile / width) ** 2 + 3,
     }  # fmt: skip

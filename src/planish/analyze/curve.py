@@ -129,24 +129,24 @@ def straight_or_curved(x: ArrayLike, y: ArrayLike, *, n_eff: float, n_eff_square
     (``python -m benchmarks optics``).
     """
     xs, ys, n_slope = known_points(x, y, n_eff)
-    n_curvature = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
+    n_bend = n_slope if n_eff_square is None else known_points(x, y, n_eff_square)[2]
     scale = float(xs.std())
     u = (xs - float(xs.mean())) / scale
     line, line_mse = _least_squares(np.stack([np.ones(xs.size), u], axis=1), ys, n_slope)
-    parabola, parabola_mse = _least_squares(np.stack([np.ones(xs.size), u, u * u], axis=1), ys, n_curvature)
+    parabola, parabola_mse = _least_squares(np.stack([np.ones(xs.size), u, u * u], axis=1), ys, n_bend)
     variance = float(ys.var())
     r2_line, r2_parabola = (1 - mse / variance if variance > 0 else math.nan for mse in (line_mse, parabola_mse))
-    (slope, slope_width), (curvature, curvature_width) = line[:, 1] / scale, parabola[:, 2] / scale**2
-    if curvature - curvature_width <= 0 <= curvature + curvature_width:
+    (slope, slope_width), (curvature, bend_width) = line[:, 1] / scale, parabola[:, 2] / scale**2
+    if curvature - bend_width <= 0 <= curvature + bend_width:
         verdict = "not distinguishable from a straight line"
     elif slope - slope_width <= 0 <= slope + slope_width:
         verdict = "curved, without a slope"
     else:  # a curve saturates where its slope, up or down, loses steepness as x grows
         verdict = "curved, saturating" if curvature * slope < 0 else "curved, growing"
     return Curvature(
-        n=xs.size, n_eff=n_slope, n_eff_square=n_curvature, slope=slope,
+        n=xs.size, n_eff=n_slope, n_eff_square=n_bend, slope=slope,
         slope_interval=(slope - slope_width, slope + slope_width), curvature=curvature,
-        interval=(curvature - curvature_width, curvature + curvature_width), r2_line=r2_line, r2_parabola=r2_parabola,
+        interval=(curvature - bend_width, curvature + bend_width), r2_line=r2_line, r2_parabola=r2_parabola,
         words=verdict,
     )  # fmt: skip
 

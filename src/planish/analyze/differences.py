@@ -81,11 +81,9 @@ def paired_difference(
         return without_interval
     values = [np.where(is_valid, m, np.nan) for m in maps]
     maps = [np.where(is_valid, (m - m[is_valid].mean()) / m[is_valid].std(), 0.0) for m in values]
-    influences = [
-        (x * y - v / 2 * (x * x + y * y)) / (1 - v * v) for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)
-    ]
+    scores = [(x * y - v / 2 * (x * x + y * y)) / (1 - v * v) for x, y, v in zip(maps[::2], maps[1::2], r, strict=True)]
     lags = Lags(is_valid, pixel)
-    products = lags.own_products(influences[1] - influences[0])
+    products = lags.own_products(scores[1] - scores[0])
     if not products[0, 0] > 0:  # the same pair twice
         return replace(without_interval, interval=(r[1] - r[0], r[1] - r[0]))
     covariance = lags.covariance(products, lags.until_zero(products))

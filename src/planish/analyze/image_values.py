@@ -49,9 +49,8 @@ class ImageFacts(ResultModel):
             text = "relative grey, as stored: no dark and white reference was given"
         if self.screen_um is not None:
             text += (
-                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma "
-                f"{self.sigma_um:.3g} um) before anything was compared, and {self.reach_um:.3g} um more around "
-                "holes are left out"
+                f"; the print screen of {self.screen_um:g} um was taken off by a Gaussian (sigma {self.sigma_um:.3g} "
+                f"um) before anything was compared, and {self.reach_um:.3g} um more around holes are left out"
             )
         return text
 

@@ -240,9 +240,8 @@ def fit_kubelka_munk(
     total_squares = float(np.sum((ys - ys.mean()) ** 2))
     if best[0] <= 1e-6 or sum_of_squares >= total_squares * (1 - 1e-9):
         raise CannotMeasure(
-            f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not rise with x as "
-            "it would. Look at the straight line; give absorption_over_scattering where the layer darkens what it "
-            "covers."
+            f"No scattering layer of K/S = {ratio:g} fits: over {xs.size} points the grey does not rise with x as it "
+            "would. Look at the straight line; give absorption_over_scattering where the layer darkens what it covers."
         )
     intervals: list[Pair] = [(v, v) for v in best]
     if rms > 1e-9:  # else the fit has no error
@@ -282,12 +281,10 @@ class _Fit:
         s, backing = _solved(lambda v: self._residuals(v[0], v[1]), start, slice(2))
         return float(s), float(backing)
 
-    def refit(self, k: int, fixed_value: float, best: Pair) -> float:
+    def refit(self, k: int, fixed: float, best: Pair) -> float:
         """The other parameter, near that of the best fit, that fits best with a value of one of them."""
-        free_slice = slice(1 - k, 2 - k)
-        return float(
-            _solved(lambda v: self._residuals(*_parameters(k, fixed_value, v[0])), best[free_slice], free_slice)[0]
-        )
+        free = slice(1 - k, 2 - k)
+        return float(_solved(lambda v: self._residuals(*_parameters(k, fixed, v[0])), best[free], free)[0])
 
     def interval(self, k: int, best: Pair, limit: float) -> Pair:
         """Values of one parameter for which the other can keep the sum of squares below a limit."""

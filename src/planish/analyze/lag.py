@@ -133,35 +133,32 @@ class Lag:
 
     def check(self, expected_error_um: float | None = None) -> Check:
         """What the lag says of the registration, whose expected error (rms, in um) may be unknown."""
-        inconclusive_text = "Image-based check: inconclusive, because"
+        inconclusive = "Image-based check: inconclusive, because"
         if self.silence is not None:
-            sentence = f"{inconclusive_text} {_SILENCE[self.silence]}."
+            sentence = f"{inconclusive} {_SILENCE[self.silence]}."
             return Check(name=NAME, state="unknown", sentence=sentence, figures=(POSITION,))
         length, length_error = self.length_um, self.length_se_um
-        offset_text = (
+        offset = (
             f"y their texture the maps lie {length:.1f} ± {length_error:.1f} um apart (x {self.lag_um[0]:.1f}, "
             f"y {self.lag_um[1]:.1f} um)"
         )
         if expected_error_um is None or not math.isfinite(expected_error_um):
-            sentence = f"{inconclusive_text} the marks give no expected error; b{offset_text}."
+            sentence = f"{inconclusive} the marks give no expected error; b{offset}."
             return Check(name=NAME, state="unknown", sentence=sentence, value=length, units="um")
-        limit_um, expected_text = self._allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
-        build_check = partial(
-            Check, name=NAME, value=length, limit=limit_um, units="um", figures=(POSITION, CORRELATION)
-        )
+        limit_um, expected = self._allowed_um(expected_error_um), f"expected error {expected_error_um:.1f} um"
+        judge = partial(Check, name=NAME, value=length, limit=limit_um, units="um", figures=(POSITION, CORRELATION))
         if length <= limit_um:
             is_vague = math.hypot(*self.se_um) > max(expected_error_um, *self.pixel_um)
-            verdict_text = "agrees, but is less certain than the marks" if is_vague else "agrees"
-            return build_check(state="pass", sentence=f"B{offset_text}, {expected_text}: {verdict_text}.")
-        excess_text = f"more than the marks allow ({expected_text})"
+            verdict = "agrees, but is less certain than the marks" if is_vague else "agrees"
+            return judge(state="pass", sentence=f"B{offset}, {expected}: {verdict}.")
+        excess = f"more than the marks allow ({expected})"
         if length <= 3.0 * length_error:
-            return build_check(
-                state="unknown",
-                sentence=f"{inconclusive_text} b{offset_text}, which is {excess_text} but within 3 standard errors.",
+            return judge(
+                state="unknown", sentence=f"{inconclusive} b{offset}, which is {excess} but within 3 standard errors."
             )
-        return build_check(
+        return judge(
             state="look",
-            sentence=f"B{offset_text}, {excess_text}. Such a shift of all marks together shows nowhere else.",
+            sentence=f"B{offset}, {excess}. Such a shift of all marks together shows nowhere else.",
             advice="Compare the outlines of maps and image; if it is real, take it off, or use marks at the face that "
             "the image shows.",
         )

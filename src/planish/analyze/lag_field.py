@@ -107,8 +107,7 @@ def lag_field(
             covariance = covariance_of(peak, a[rows, cols], b[rows, cols], *masks)[::-1, ::-1] * np.outer(step, step)
         centre_um = (np.array([col, row]) + (np.array(side_px[::-1]) - 1) / 2) * step
         tiles.append((centre_um, lag, covariance, np.nan if peak is None else peak.r, share))
-    # A field has many tiles.
-    limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf
+    limit = float(np.quantile(null_z, 0.99, method="higher")) if null_z else np.inf  # a field has many tiles
     centres_um, lags, covariances, r, shares = (
         np.array([row[k] for row in tiles]).reshape(len(tiles), *size)
         for k, size in enumerate(((2,), (2,), (2, 2), (), ()))

@@ -102,7 +102,7 @@ def print_mottle(
             f"{least_um:g} um (4 pixels) to {most_um:g} um (a fifth of its shorter side), and an octave ends at twice "
             "its beginning. Take other wavelengths, smaller pixels or a larger field."
         )
-    edges_um = [shortest_um * 2.0**k for k in range(math.floor(math.log2(limit_um / shortest_um) + 1e-9) + 1)]
+    edges = [shortest_um * 2.0**k for k in range(math.floor(math.log2(limit_um / shortest_um) + 1e-9) + 1)]
     mean = float(image[is_valid].mean(dtype=np.float64))
     if not mean > 0:
         raise CannotMeasure(
@@ -112,14 +112,14 @@ def print_mottle(
     values = np.where(is_valid, image - mean, 0.0)  # first, so that rounding is that of the variation
     weight = is_valid.astype(np.float64)
     means = (
-        smooth(values, weight, is_valid, [_HALF * edge / p for p in pixel], truncate=4.0)[is_valid] for edge in edges_um
+        smooth(values, weight, is_valid, [_HALF * edge / p for p in pixel], truncate=4.0)[is_valid] for edge in edges
     )
     bands: list[MottleBand] = []
-    for (short_um, fine), (long_um, coarse) in pairwise(zip(edges_um, means, strict=True)):
+    for (short_um, fine), (long_um, coarse) in pairwise(zip(edges, means, strict=True)):
         sd = float((fine - coarse).std()) / _OCTAVE
         bands.append(MottleBand(shortest_um=short_um, longest_um=long_um, coefficient_of_variation=sd / mean))
     measured = (
-        f"Coefficient of variation of the {quantity} in octaves from {edges_um[0]:g} to {edges_um[-1]:g} um, as "
+        f"Coefficient of variation of the {quantity} in octaves from {edges[0]:g} to {edges[-1]:g} um, as "
         f"differences of Gaussian means over {np.count_nonzero(is_valid)} pixels; after ISO/IEC 24790 and ISO 15311, "
         "conforming to neither."
     )

@@ -83,14 +83,14 @@ def coherence(a: Array, b: Array, *, mask: Bools | None = None, pixel_um: Pixel,
         )
     waves = Waves(is_valid, pixel, a, b)
     half = half_plane(is_valid.shape) & waves.stand_out
-    white_spectra = [
+    whitened = [
         m / np.sqrt(np.maximum(p, 1e-300))[waves.ring] for m, p in zip(waves.spectra, waves.powers, strict=True)
     ]
     octaves: list[Band] = []
     for k in range(count):
         longest_um, shortest_um = limit_um / 2**k, limit_um / 2 ** (k + 1)
         in_octave = half & (waves.frequency > 1 / longest_um) & (waves.frequency <= 1 / shortest_um)
-        raw_waves, white_waves = ([m[in_octave] for m in spectra] for spectra in (waves.spectra, white_spectra))
+        raw_waves, white_waves = ([m[in_octave] for m in spectra] for spectra in (waves.spectra, whitened))
         band_fields = _band(raw_waves, white_waves, np.count_nonzero(in_octave) / waves.joined, count)
         octaves.append(Band(shortest_um=shortest_um, longest_um=longest_um, **band_fields))
     return Coherence(bands=tuple(octaves), resolution_per_um=waves.resolution)
@@ -126,8 +126,8 @@ class Waves:
         self.resolution = math.sqrt(self.joined) / min(n * p for n, p in zip(is_valid.shape, pixel_um, strict=True))
         self.ring: Ints = np.rint(self.frequency / self.resolution).astype(np.intp)
         ring_numbers = self.ring.ravel()
-        ring_powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
-        self.powers = np.stack(ring_powers) / np.maximum(np.bincount(ring_numbers), 1)  # (maps, rings)
+        powers = [np.bincount(ring_numbers, weights=np.abs(m.ravel()) ** 2) for m in self.spectra]
+        self.powers = np.stack(powers) / np.maximum(np.bincount(ring_numbers), 1)  # (maps, rings)
 
     @property
     def stand_out(self) -> Bools:

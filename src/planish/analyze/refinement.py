@@ -134,19 +134,18 @@ def cross_fitted(
         for values, out in ((a, a_centred), (placed, refined_centred), (b, marks_centred)):
             out[is_used] = values[is_used] - values[is_used].mean()
         halves.append(pearson(a[is_used], placed[is_used]))
-    fitted = correlate(a_centred, refined_centred, pixel_um=pixel_um)
+    row = correlate(a_centred, refined_centred, pixel_um=pixel_um)
     gain = paired_difference((a_centred, marks_centred), (a_centred, refined_centred), pixel_um=pixel_um)
     low, high = gain.interval
-    low, high = fitted.interval
-    interval_text = "" if math.isnan(low) else f" (95 %: {low:.2f} to {high:.2f})"
-    change_text = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
+    limits = "" if math.isnan(row.interval[0]) else f" (95 %: {row.interval[0]:.2f} to {row.interval[1]:.2f})"
+    change = "" if math.isnan(low) else f", from which it differs by {low:.3f} to {high:.3f}"
     if low <= 0 <= high:
-        change_text = ", which is not distinguishable from it"
+        change = ", which is not distinguishable from it"
     return CrossFitted(
-        r=fitted.r, interval=fitted.interval, n_eff=fitted.n_eff, r_of_halves=(halves[0], halves[1]),
-        r_of_marks=gain.r[0], gain_interval=gain.interval, n=fitted.n,
-        share=fitted.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard, length_um=length,
-        sentence=f"r = {fitted.r:.2f}{interval_text}; the marks alone give {gain.r[0]:.2f} there{change_text}; "
+        r=row.r, interval=row.interval, n_eff=row.n_eff, r_of_halves=(halves[0], halves[1]),
+        r_of_marks=gain.r[0], gain_interval=gain.interval, n=row.n,
+        share=row.n / max(int(is_valid.sum()), 1), tile_um=side, guard_um=guard, length_um=length,
+        sentence=f"r = {row.r:.2f}{limits}; the marks alone give {gain.r[0]:.2f} there{change}; "
         f"{RegistrationBasis.CROSS_FITTED.sentence}",
     )  # fmt: skip
 
@@ -156,20 +155,19 @@ def _checkerboard(
 ) -> tuple[float, list[Bools], list[Bools]]:
     """Side of the tiles, and for either colour what is tuned on and what is reported then."""
     shape, sides_um = is_valid.shape, [6 * guard_um, 4 * guard_um] if tile_um is None else [tile_um]
-    for side_um in sides_um:
+    for side in sides_um:
         tile_numbers: list[Ints] = []  # of every row and column; a rest at the border goes half to either side
-        for n, pitch_um in zip(shape, pixel_um, strict=True):
-            edge_um = 0.5 * (n * pitch_um - max(int(n * pitch_um / side_um), 1) * side_um)
-            tile_numbers.append(np.floor(((np.arange(n) + 0.5) * pitch_um - edge_um) / side_um).astype(np.intp))
+        for n, pitch in zip(shape, pixel_um, strict=True):
+            edge_um = 0.5 * (n * pitch - max(int(n * pitch / side), 1) * side)
+            tile_numbers.append(np.floor(((np.arange(n) + 0.5) * pitch - edge_um) / side).astype(np.intp))
         tile_row, tile_col = tile_numbers[0][:, None], tile_numbers[1]
-        tuned_masks = [is_valid & ((tile_row + tile_col) % 2 == k) for k in (0, 1)]
-        report_masks = [
-            tuned_masks[1 - k] & (ndimage.distance_transform_edt(~tuned_masks[k], sampling=pixel_um) > guard_um)
-            for k in (0, 1)
+        tuned = [is_valid & ((tile_row + tile_col) % 2 == k) for k in (0, 1)]
+        reported = [
+            tuned[1 - k] & (ndimage.distance_transform_edt(~tuned[k], sampling=pixel_um) > guard_um) for k in (0, 1)
         ]
-        tile_counts = [np.unique((tile_row * shape[1] + tile_col)[m]).size for m in report_masks]
-        if min(tile_counts) >= 4 and min(map(np.sum, report_masks)) >= 100:
-            return side_um, tuned_masks, report_masks
+        tile_counts = [np.unique((tile_row * shape[1] + tile_col)[m]).size for m in reported]
+        if min(tile_counts) >= 4 and min(map(np.sum, reported)) >= 100:
+            return side, tuned, reported
     raise CannotMeasure(
         f"Tiles of {sides_um[-1]:.0f} um with a guard of {guard_um:.0f} um leave fewer than 4 of either colour to "
         "report on: the map is too small for its texture. Report the marks-only correlation, or the refined one with a "

@@ -252,7 +252,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     (sheet_maps, image_maps), covariates, point_um, grid = pair.layers, pair.params.beside, pair.point_um, pair.grid
     if "thickness" not in sheet_maps:
         return {}
-    build_partial = functools.partial(Partial, given=covariates, point_um=point_um)
+    partial_of = functools.partial(Partial, given=covariates, point_um=point_um)
     if missing_names := [name for name in covariates if name not in sheet_maps]:
         raise InputError(
             f"The sheet has no map {', '.join(missing_names)} to stand beside. Leave it out of --beside, or measure it."
@@ -260,7 +260,7 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     factor = (point_um / grid.pixel_um[0], point_um / grid.pixel_um[1])
     if min(factor) < 1 - 1e-9:
         reason = f"Points of {point_um:g} um are smaller than a pixel. Give larger ones with --point-um."
-        return {"partial": build_partial(silence=reason)}
+        return {"partial": partial_of(silence=reason)}
     names = (pair.a[1], *covariates)
     maps = [*(sheet_maps[name] for name in names), image_maps[pair.b[1]]]
     *sheet_points, image_points = common_means(maps, factor, masks=(sheet_maps["valid"], image_maps["valid"]))
@@ -269,12 +269,12 @@ def answer_partial(pair: ComparedMaps) -> dict[str, Any]:
     flat_maps = [name for name, m in zip(names, sheet_points, strict=True) if n < LEAST or not np.ptp(m[is_valid]) > 0]
     if flat_maps:
         reason = f"Over {n} points that are valid in all maps, {', '.join(flat_maps)} does not vary."
-        return {"partial": build_partial(n=n, silence=reason)}
+        return {"partial": partial_of(n=n, silence=reason)}
     try:
         correlation = partial(sheet_points[0], image_points, sheet_points[1:], pixel_um=point_um)
         shares = commonality(image_points, dict(zip(names, sheet_points, strict=True)))
     except PlanishError as error:  # nothing is left: the rest of the run stands
-        return {"partial": build_partial(silence=error.text)}
+        return {"partial": partial_of(silence=error.text)}
     return {"partial": Partial.of(correlation, given=covariates, point_um=point_um), "commonality": shares}
 
 

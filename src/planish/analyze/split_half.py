@@ -97,15 +97,13 @@ def split_reliability(
     Spearman (1910), Brit. J. Psychol. 3, 271, doi:10.1111/j.2044-8295.1910.tb00206.x.
     Brown (1910), Brit. J. Psychol. 3, 296, doi:10.1111/j.2044-8295.1910.tb00207.x.
     """
-    correlation = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
-    if math.isnan(correlation.r):
-        raise CannotMeasure(
-            f"The halves have no correlation. {' '.join(correlation.warnings)} Give two maps that vary."
-        )
-    low, high = (_of_both(v) for v in correlation.interval)
+    row = correlate(first, second, mask=mask, pixel_um=pixel_um, point_um=point_um)
+    if math.isnan(row.r):
+        raise CannotMeasure(f"The halves have no correlation. {' '.join(row.warnings)} Give two maps that vary.")
+    low, high = (_of_both(v) for v in row.interval)
     return Reliability(
-        point_um=correlation.point_um, n=correlation.n, halves_r=correlation.r, value=_of_both(correlation.r),
-        interval=(low, high), n_eff=correlation.n_eff, shared_errors=shared_errors,
+        point_um=row.point_um, n=row.n, halves_r=row.r, value=_of_both(row.r),
+        interval=(low, high), n_eff=row.n_eff, shared_errors=shared_errors,
     )  # fmt: skip
 
 
@@ -171,9 +169,9 @@ def half_points(
     half of a point counts, or the halves have no column in it. Also says whether no column's value holds anything of
     its neighbours.
     """
-    is_enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
+    enough = np.isfinite(area_mean(np.where(is_valid, 1.0, np.nan), (point_um / cell_um[0], point_um / cell_um[1])))
     turn, shift_um = columns.similarity.matrix(), columns.similarity.shift_um
-    n_columns, totals, alone = np.zeros(is_enough.size), np.zeros((2, is_enough.size)), True
+    n_columns, totals, alone = np.zeros(enough.size), np.zeros((2, enough.size)), True
     for rows in bands(columns.measured.sizes["y"]):
         # Two rows more on either side, for the slopes beside and the means between rows; an even number of them.
         before = min(rows.start, 2)
@@ -183,18 +181,14 @@ def half_points(
         u, v = (part.flat[axis].values[before : before + rows.stop - rows.start].ravel() for axis in "uv")
         x = turn[0, 0] * u + turn[0, 1] * v + (shift_um[0] - origin_um[0])
         y = turn[1, 0] * u + turn[1, 1] * v + (shift_um[1] - origin_um[1])
-        is_used = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
-        is_used &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
-        is_used &= (y < is_enough.shape[0] * point_um) & (x < is_enough.shape[1] * point_um)
-        is_used[is_used] = is_valid[
-            (y[is_used] / cell_um[0]).astype(np.intp), (x[is_used] / cell_um[1]).astype(np.intp)
-        ]
-        point_ids = (y[is_used] / point_um).astype(np.intp) * is_enough.shape[1] + (x[is_used] / point_um).astype(
-            np.intp
-        )
-        n_columns += np.bincount(point_ids, minlength=is_enough.size)
-        totals += [np.bincount(point_ids, weights=half[is_used], minlength=is_enough.size) for half in halves]
-    is_counted = is_enough & (n_columns > 0).reshape(is_enough.shape)
+        use = np.isfinite(halves[0] + halves[1]) & (y >= 0) & (x >= 0)
+        use &= (y < is_valid.shape[0] * cell_um[0]) & (x < is_valid.shape[1] * cell_um[1])
+        use &= (y < enough.shape[0] * point_um) & (x < enough.shape[1] * point_um)
+        use[use] = is_valid[(y[use] / cell_um[0]).astype(np.intp), (x[use] / cell_um[1]).astype(np.intp)]
+        ids = (y[use] / point_um).astype(np.intp) * enough.shape[1] + (x[use] / point_um).astype(np.intp)
+        n_columns += np.bincount(ids, minlength=enough.size)
+        totals += [np.bincount(ids, weights=half[use], minlength=enough.size) for half in halves]
+    is_counted = enough & (n_columns > 0).reshape(enough.shape)
     means = [np.where(is_counted, (m / np.maximum(n_columns, 1)).reshape(is_counted.shape), np.nan) for m in totals]
     return means[0], means[1], alone
 
