@@ -109,9 +109,10 @@ def correlate_layers(a: str, b: str, maps: dict[str, xr.Dataset], point_um: floa
     for sums_of_pair, pair in zip(sums, pairs, strict=True):
         correlations = [*sums_of_pair.sizes()]
         for row, pair_sums in correlations if correlations[0][0].n else []:
-            (mean, sd), units = pair_sums.difference, str(layers[0][pair[0]].attrs.get("units", "1"))
+            mean, sd = pair_sums.difference
             agreement: dict[str, Any] = {"same_quantity": True, "difference_mean": mean, "difference_sd": sd}
-            agreement |= {"limits": (mean - LIMIT * sd, mean + LIMIT * sd), "units": units}
+            agreement["limits"] = mean - LIMIT * sd, mean + LIMIT * sd
+            agreement["units"] = str(layers[0][pair[0]].attrs.get("units", "1"))
             table.append(
                 CorrelationRow.holding(row, a=a, a_map=pair[0], b=b, b_map=pair[1], **(agreement if are_sheets else {}))
             )
