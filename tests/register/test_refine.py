@@ -127,9 +127,9 @@ def test_a_fold_is_refused_and_a_strain_is_told(monkeypatch):
         return refinement.FreeForm(coefficients_um=nodes, origin_um=(-600.0, -600.0), mesh_um=(600.0, 600.0))
 
     settings = {"pixel_um": (PIXEL, PIXEL), "fit": marks_fit(noise=4000.0)}
-    monkeypatch.setattr(module, "_searched", lambda *_: bent(900.0))
+    monkeypatch.setattr(module, "_search", lambda *_: bent(900.0))
     refused(CannotRegister, "folds the map near", refine, linked, image, valid, **settings)
-    monkeypatch.setattr(module, "_searched", lambda *_: bent(30.0))
+    monkeypatch.setattr(module, "_search", lambda *_: bent(30.0))
     found = refine(linked, image, valid, **settings)
     assert found.strain > 0.01
     assert "strains the map by up to" in found.warnings[0]

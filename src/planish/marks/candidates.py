@@ -41,16 +41,16 @@ class Raster(NamedTuple):
 
 def reduce_to(raster: Raster, target_um: float) -> Raster:
     """Area-mean an image until its pixels are nearly as large as ``target_um``."""
-    image, (height, width), origin = raster
-    down, across = (
+    image, (row_um, col_um), origin = raster
+    row_factor, col_factor = (
         max(1, min(int(target_um / size + 1e-6), n // 4)) for size, n in zip(raster.pixel_um, image.shape, strict=True)
     )
-    if down == across == 1:
+    if row_factor == col_factor == 1:
         return raster
-    shift = np.array([(across - 1) / 2 * width, (down - 1) / 2 * height])
-    means, share = _block_means(image, (down, across))
-    means = np.where(share >= 0.5, means, np.float32(np.nan))
-    return Raster(means, (height * down, width * across), origin + shift)
+    shift = np.array([(col_factor - 1) / 2 * col_um, (row_factor - 1) / 2 * row_um])
+    means, data_share = _block_means(image, (row_factor, col_factor))
+    means = np.where(data_share >= 0.5, means, np.float32(np.nan))
+    return Raster(means, (row_um * row_factor, col_um * col_factor), origin + shift)
 
 
 def blob_responses(raster: Raster, radii_um: Pair) -> dict[float, Raster]:
@@ -95,65 +95,66 @@ class LocalLevels(NamedTuple):
         return self.values[i, j]
 
 
-def local_spread(raster: Raster, side_um: float, share: float) -> LocalLevels:
+def local_spread(raster: Raster, side_um: float, quantile: float) -> LocalLevels:
     """Give the spread in each square of an image and the eight around it: a quantile of absolute deviations as an SD.
 
     Some hundred values are taken of each. Where less than a tenth is there, that of all of the image stands, or 0.
     """
     image, pixel_um, _ = raster
-    sides = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)]
-    steps = [max(1, side // SAMPLES) for side in sides]
-    sample = image[:: steps[0], :: steps[1]]
-    sides = [max(1, side // step) for side, step in zip(sides, steps, strict=True)]
-    counts = [-(-n // side) for n, side in zip(sample.shape, sides, strict=True)]
-    padding = [(side, (count + 1) * side - n) for n, side, count in zip(sample.shape, sides, counts, strict=True)]
+    sides_px = [max(1, min(round(side_um / size), n)) for size, n in zip(pixel_um, image.shape, strict=True)]
+    strides = [max(1, side // SAMPLES) for side in sides_px]
+    sample = image[:: strides[0], :: strides[1]]
+    sides_px = [max(1, side // step) for side, step in zip(sides_px, strides, strict=True)]
+    counts = [-(-n // side) for n, side in zip(sample.shape, sides_px, strict=True)]
+    padding = [(side, (count + 1) * side - n) for n, side, count in zip(sample.shape, sides_px, counts, strict=True)]
     windows = np.lib.stride_tricks.sliding_window_view(
-        np.pad(sample, padding, constant_values=np.nan), (3 * sides[0], 3 * sides[1])
-    )[:: sides[0], :: sides[1]]
+        np.pad(sample, padding, constant_values=np.nan), (3 * sides_px[0], 3 * sides_px[1])
+    )[:: sides_px[0], :: sides_px[1]]
     windows = windows.reshape(*windows.shape[:2], -1)
     finite_counts = np.count_nonzero(windows == windows, axis=2)
-    middle = _quantile(windows, finite_counts, 0.5)
-    local = _quantile(np.abs(windows - middle[..., None]), finite_counts, share)
-    finite = sample[sample == sample]
-    whole = 0.0
-    if finite.size and 10 * finite.size >= sample.size:
-        whole = float(np.quantile(np.abs(finite - np.median(finite)), share))
+    medians = _quantile(windows, finite_counts, 0.5)
+    local_quantiles = _quantile(np.abs(windows - medians[..., None]), finite_counts, quantile)
+    finite_values = sample[sample == sample]
+    image_quantile = 0.0
+    if finite_values.size and 10 * finite_values.size >= sample.size:
+        image_quantile = float(np.quantile(np.abs(finite_values - np.median(finite_values)), quantile))
     # Values of each neighbourhood that lie inside the image.
-    down, across = (
+    rows_inside, cols_inside = (
         np.minimum(np.arange(2, count + 2) * side, n) - np.maximum(np.arange(-1, count - 1) * side, 0)
-        for n, side, count in zip(sample.shape, sides, counts, strict=True)
+        for n, side, count in zip(sample.shape, sides_px, counts, strict=True)
     )
-    spread = np.where(10 * finite_counts >= down[:, None] * across, local, whole).astype(np.float64)
-    side = (sides[0] * steps[0] * pixel_um[0], sides[1] * steps[1] * pixel_um[1])
-    return LocalLevels(spread / TO_SD[share], side)
+    has_enough = 10 * finite_counts >= rows_inside[:, None] * cols_inside
+    spread = np.where(has_enough, local_quantiles, image_quantile).astype(np.float64)
+    square_um = (sides_px[0] * strides[0] * pixel_um[0], sides_px[1] * strides[1] * pixel_um[1])
+    return LocalLevels(spread / TO_SD[quantile], square_um)
 
 
-def _quantile(values: Image, finite_counts: Ints, share: float) -> Image:
+def _quantile(values: Image, finite_counts: Ints, quantile: float) -> Image:
     """Give the quantile along the last axis of the finite values: NaN sorts last."""
-    rank = np.rint(share * np.maximum(finite_counts - 1, 0)).astype(np.intp)
-    return np.take_along_axis(np.sort(values, axis=-1), rank[..., None], axis=-1)[..., 0]
+    ranks = np.rint(quantile * np.maximum(finite_counts - 1, 0)).astype(np.intp)
+    return np.take_along_axis(np.sort(values, axis=-1), ranks[..., None], axis=-1)[..., 0]
 
 
 def texture(raster: Raster, diameter_um: float, circles: Floats) -> LocalLevels:
     """Give the texture around each place, outside circles ``x, y, radius`` (um); 0 where little is left."""
-    masked, (height, width) = raster.image.copy(), raster.pixel_um
+    masked, (row_um, col_um) = raster.image.copy(), raster.pixel_um
     for x, y, radius in circles:
-        i0, i1 = (max(0, int((y + side * radius) / height) + (side > 0)) for side in (-1, 1))
-        j0, j1 = (max(0, int((x + side * radius) / width) + (side > 0)) for side in (-1, 1))
+        i0, i1 = (max(0, int((y + side * radius) / row_um) + (side > 0)) for side in (-1, 1))
+        j0, j1 = (max(0, int((x + side * radius) / col_um) + (side > 0)) for side in (-1, 1))
         window = masked[i0:i1, j0:j1]
-        down = (np.arange(i0, i0 + window.shape[0])[:, None] * height - y) ** 2
-        window[down + (np.arange(j0, j0 + window.shape[1]) * width - x) ** 2 <= radius**2] = np.nan
+        dy_squared = (np.arange(i0, i0 + window.shape[0])[:, None] * row_um - y) ** 2
+        window[dy_squared + (np.arange(j0, j0 + window.shape[1]) * col_um - x) ** 2 <= radius**2] = np.nan
     return local_deviation(raster._replace(image=masked), diameter_um, 0.5)
 
 
-def local_deviation(raster: Raster, diameter_um: float, share: float) -> LocalLevels:
+def local_deviation(raster: Raster, diameter_um: float, quantile: float) -> LocalLevels:
     """Give the spread of an image about its Gaussian mean over a diameter, which takes out uneven light."""
-    side_um, (height, width) = SQUARE * diameter_um, raster.pixel_um
+    side_um, (row_um, col_um) = SQUARE * diameter_um, raster.pixel_um
     # Only what `local_spread` takes is computed.
-    down, across = (max(1, int(side_um / size / SAMPLES)) for size in raster.pixel_um)
-    deviations = raster.image[::down, ::across]
-    deviations = deviations - _local_mean(raster.image, raster.pixel_um, diameter_um, (down, across))
-    return local_spread(Raster(deviations, (down * height, across * width)), side_um, share)
+    row_step, col_step = (max(1, int(side_um / size / SAMPLES)) for size in raster.pixel_um)
+    deviations = raster.image[::row_step, ::col_step]
+    deviations = deviations - _local_mean(raster.image, raster.pixel_um, diameter_um, (row_step, col_step))
+    return local_spread(Raster(deviations, (row_step * row_um, col_step * col_um)), side_um, quantile)
 
 
 def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int, int] = (1, 1)) -> Image:
@@ -162,25 +163,25 @@ def _local_mean(image: Image, pixel_um: Pair, width_um: float, steps: tuple[int,
     It is so smooth that a quarter of its width is fine enough a raster to compute it on. Every ``steps``-th row and
     column is given.
     """
-    down, across = (max(1, int(width_um / 4 / size)) for size in pixel_um)
+    block_rows, block_cols = (max(1, int(width_um / 4 / size)) for size in pixel_um)
     # The last blocks may reach beyond the image, where there is no data.
-    padding = [(0, -image.shape[0] % down), (0, -image.shape[1] % across)]
-    means, share = _block_means(np.pad(image, padding, constant_values=np.nan), (down, across))
-    sigmas = width_um / pixel_um[0] / down, width_um / pixel_um[1] / across
-    share, sums = (ndimage.gaussian_filter(array, sigmas, truncate=3.0) for array in (share, means * share))
-    near = share > 1e-3
+    padding = [(0, -image.shape[0] % block_rows), (0, -image.shape[1] % block_cols)]
+    means, weights = _block_means(np.pad(image, padding, constant_values=np.nan), (block_rows, block_cols))
+    sigmas = width_um / pixel_um[0] / block_rows, width_um / pixel_um[1] / block_cols
+    weights, sums = (ndimage.gaussian_filter(grid, sigmas, truncate=3.0) for grid in (weights, means * weights))
+    has_weight = weights > 1e-3
     # At most half a million of the values, from all over the image.
     sample = image.ravel()[:: 1 + image.size // 500_000]
     sample = sample[np.isfinite(sample)]
-    typical = np.float32(np.median(sample)) if sample.size else np.float32(0)
-    mean = np.where(near, sums / np.where(near, share, np.float32(1)), typical)
-    for n, factor, step in zip(image.shape, (down, across), steps, strict=True):
+    typical_grey = np.float32(np.median(sample)) if sample.size else np.float32(0)
+    mean = np.where(has_weight, sums / np.where(has_weight, weights, np.float32(1)), typical_grey)
+    for n, factor, step in zip(image.shape, (block_rows, block_cols), steps, strict=True):
         # Linear between the middles of the blocks.
-        place = np.clip((np.arange(0, n, step) + 0.5) / factor - 0.5, 0.0, len(mean) - 1.0)
-        low = np.minimum(place.astype(np.intp), max(0, len(mean) - 2))
-        fraction = (place - low).astype(np.float32)[:, None]
-        above = mean[np.minimum(low + 1, len(mean) - 1)]
-        mean = np.asarray(mean[low] + (above - mean[low]) * fraction, dtype=np.float32).T
+        block_position = np.clip((np.arange(0, n, step) + 0.5) / factor - 0.5, 0.0, len(mean) - 1.0)
+        lower_block = np.minimum(block_position.astype(np.intp), max(0, len(mean) - 2))
+        fraction = (block_position - lower_block).astype(np.float32)[:, None]
+        upper_means = mean[np.minimum(lower_block + 1, len(mean) - 1)]
+        mean = np.asarray(mean[lower_block] + (upper_means - mean[lower_block]) * fraction, dtype=np.float32).T
     return mean
 
 
@@ -189,9 +190,9 @@ def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
     rows, cols = (n // factor for n, factor in zip(image.shape, factors, strict=True))
     blocks = image[: rows * factors[0], : cols * factors[1]].reshape(rows, factors[0], cols, factors[1])
     has_data = np.isfinite(blocks)
-    share = has_data.mean(axis=(1, 3), dtype=np.float32)
+    data_share = has_data.mean(axis=(1, 3), dtype=np.float32)
     sums = np.where(has_data, blocks, 0).mean(axis=(1, 3), dtype=np.float64)
-    return (sums / np.maximum(share, 1e-12)).astype(np.float32), share
+    return (sums / np.maximum(data_share, 1e-12)).astype(np.float32), data_share
 
 
 def peaks(
@@ -204,20 +205,20 @@ def peaks(
     usual one; the weakest one searched here over ``faintest``; how many lie beyond the limit of their part.
     """
     pairs = zip(responses.items(), spreads, strict=True)
-    rows = np.concatenate([_peaks_of_radius(*response, sign, faintest, spread) for response, spread in pairs])
-    rows = rows[np.argsort(-rows[:, 3], kind="stable")]
+    candidates = np.concatenate([_peaks_of_radius(*response, sign, faintest, spread) for response, spread in pairs])
+    candidates = candidates[np.argsort(-candidates[:, 3], kind="stable")]
     # Of places that share a cell the strongest stays, with the largest height over the usual one.
-    smallest = min(responses)
-    cells = np.floor(rows[:, :2] / (0.5 * smallest)).astype(np.int64)
-    _, first, cell = np.unique(cells, axis=0, return_index=True, return_inverse=True)
-    largest = np.full(len(first), -np.inf)
-    np.maximum.at(largest, cell.ravel(), rows[:, 2])
-    rows = rows[first]
-    rows[:, 2] = largest
-    rows = rows[np.argsort(first)]
-    is_strong = _strongest_by_tile(rows, smallest)
-    strong = rows[is_strong]
-    return strong[:, :2], strong[:, 2], strong[:, 4], len(rows) - len(strong)
+    smallest_radius = min(responses)
+    cell_indices = np.floor(candidates[:, :2] / (0.5 * smallest_radius)).astype(np.int64)
+    _, first_rows, cell = np.unique(cell_indices, axis=0, return_index=True, return_inverse=True)
+    largest_ratios = np.full(len(first_rows), -np.inf)
+    np.maximum.at(largest_ratios, cell.ravel(), candidates[:, 2])
+    candidates = candidates[first_rows]
+    candidates[:, 2] = largest_ratios
+    candidates = candidates[np.argsort(first_rows)]
+    is_strong = _strongest_by_tile(candidates, smallest_radius)
+    strong_peaks = candidates[is_strong]
+    return strong_peaks[:, :2], strong_peaks[:, 2], strong_peaks[:, 4], len(candidates) - len(strong_peaks)
 
 
 def _peaks_of_radius(
@@ -226,21 +227,21 @@ def _peaks_of_radius(
     """Find the peaks of one response: ``x, y`` (um), height over the usual one, height, share of the least contrast."""
     signed = response.image if sign > 0 else -response.image
     reach = [max(1, round(0.5 * radius / size)) for size in response.pixel_um]
-    weakest = max(0.0, min(float(faintest.values.min()), WORTH_MEASURING * float(spread.values.min())))
+    lowest_threshold = max(0.0, min(float(faintest.values.min()), WORTH_MEASURING * float(spread.values.min())))
     # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave few for the others.
-    row, column = np.nonzero(signed > weakest)
-    around = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
+    rows, cols = np.nonzero(signed > lowest_threshold)
+    padded = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
     offsets = [(i, j) for i in range(-reach[0], reach[0] + 1) for j in range(-reach[1], reach[1] + 1)]
     for i, j in sorted(offsets, key=lambda offset: np.hypot(*offset)):
-        top = signed[row, column] >= around[row + reach[0] + i, column + reach[1] + j]
-        row, column = row[top], column[top]
-    points = np.stack([column * response.pixel_um[1], row * response.pixel_um[0]], axis=1) + response.origin_um
-    height = signed[row, column].astype(np.float64)
-    usual, contrast = spread.at_points(points), faintest.at_points(points)
-    least = np.minimum(contrast, WORTH_MEASURING * usual)
-    share = np.where(contrast > 0, least / np.maximum(contrast, 1e-30), 1.0)
-    rows = np.column_stack([points, height / np.maximum(usual, 1e-30), height, share])
-    return rows[height > np.maximum(least, 0.0)]
+        is_top = signed[rows, cols] >= padded[rows + reach[0] + i, cols + reach[1] + j]
+        rows, cols = rows[is_top], cols[is_top]
+    points = np.stack([cols * response.pixel_um[1], rows * response.pixel_um[0]], axis=1) + response.origin_um
+    heights = signed[rows, cols].astype(np.float64)
+    noise_sd, faintest_heights = spread.at_points(points), faintest.at_points(points)
+    thresholds = np.minimum(faintest_heights, WORTH_MEASURING * noise_sd)
+    threshold_shares = np.where(faintest_heights > 0, thresholds / np.maximum(faintest_heights, 1e-30), 1.0)
+    candidates = np.column_stack([points, heights / np.maximum(noise_sd, 1e-30), heights, threshold_shares])
+    return candidates[heights > np.maximum(thresholds, 0.0)]
 
 
 def _strongest_by_tile(places: Floats, radius: float) -> Bools:

@@ -102,7 +102,7 @@ def find_holes(
     sizes = np.atleast_1d(np.asarray(pixel_um, dtype=np.float64))
     if sizes.size not in (1, 2) or not np.all(np.isfinite(sizes)) or np.any(sizes <= 0):
         raise SizeError(f"The pixel size is {pixel_um!r} um; one positive number or two, (y, x), are needed.")
-    size = float(sizes[0]), float(sizes[-1])
+    pixel_size = float(sizes[0]), float(sizes[-1])
     low, high = map(float, diameter_um)
     if not 0.0 < low < high < np.inf:
         raise MarkError(f"Hole diameters from {low:g} to {high:g} um: the first must be positive and below the second.")
@@ -112,167 +112,171 @@ def find_holes(
     grey = _grey(image)
     # Widths of char, walls and blur are those of laser holes; a target of another size is measured as its magnified
     # picture.
-    times = float(USUAL_UM / np.sqrt(low * high))
-    times = 1.0 if 0.5 <= times <= 2.0 else times
-    sign, rows, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
-    may_hold_hole = min(n * step for n, step in zip(grey.shape, size, strict=True)) > low
+    magnification = float(USUAL_UM / np.sqrt(low * high))
+    magnification = 1.0 if 0.5 <= magnification <= 2.0 else magnification
+    sign, holes, counts = signs[0], np.empty((0, k.COLUMNS)), dict.fromkeys(REASONS, 0)
+    may_hold_hole = min(n * step for n, step in zip(grey.shape, pixel_size, strict=True)) > low
     if may_hold_hole and min(grey.shape) >= 8 and np.any(np.isfinite(grey)):
-        magnified = Raster(grey, (size[0] * times, size[1] * times))
-        sign, rows, counts = _holes(magnified, (low / 2 * times, high / 2 * times), signs)
-    rows[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= times
-    rows[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= times**2
-    return _dataset(rows, sign).assign_attrs(not_taken=counts)
+        magnified_raster = Raster(grey, (pixel_size[0] * magnification, pixel_size[1] * magnification))
+        sign, holes, counts = _holes(magnified_raster, (low / 2 * magnification, high / 2 * magnification), signs)
+    holes[:, [k.X, k.Y, k.RADIUS, k.HALF_DIFFERENCE, k.DOUBT_X, k.DOUBT_Y]] /= magnification
+    holes[:, [k.COV_XX, k.COV_YY, k.COV_XY]] /= magnification**2
+    return _dataset(holes, sign).assign_attrs(not_taken=counts)
 
 
-class _Marks(NamedTuple):
+class _Detection(NamedTuple):
     """Marks of one polarity: holes, all that was measured, the places searched, the texture around."""
 
     sign: float
     holes: Floats
-    measured: Floats
-    places: Floats
+    marks: Floats
+    positions: Floats
     texture: candidates.LocalLevels
-    dropped: int
+    dropped_count: int
 
 
-def _holes(raster: Raster, radii: Pair, signs: tuple[float, ...]) -> tuple[float, Floats, dict[str, int]]:
+def _holes(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> tuple[float, Floats, dict[str, int]]:
     """Find the polarity with the stronger holes: its sign, rows of `measure` in um, and counts of rejected marks."""
     # Rims are measured with 40 pixels across the smallest hole.
-    fine = candidates.reduce_to(raster, 2 * radii[0] / 40.0)
-    best = max(_detect(fine, radii, signs), key=lambda marks: float(np.sum(marks.holes[:, k.STEP])))
-    rows = best.holes
-    if len(rows) >= criteria.LEAST_OTHERS:
-        floors = _floors(fine, best.sign, best.places, rows)
-        _raise_texture(floors, best.texture)
-        rows = criteria.merge_floors(rows, floors)
-    counts = _count_rejected(best, rows, fine, radii)
-    criteria.set_covariance(rows, fine.pixel_um)
-    rows[:, k.X : k.Y + 1] += fine.origin_um
-    return best.sign, rows[np.lexsort((rows[:, k.X], rows[:, k.Y]))], counts
+    fine_raster = candidates.reduce_to(raster, 2 * radius_range[0] / 40.0)
+    strongest = max(_detect(fine_raster, radius_range, signs), key=lambda d: float(np.sum(d.holes[:, k.STEP])))
+    holes = strongest.holes
+    if len(holes) >= criteria.LEAST_OTHERS:
+        floors = _floors(fine_raster, strongest.sign, strongest.positions, holes)
+        _raise_texture(floors, strongest.texture)
+        holes = criteria.merge_floors(holes, floors)
+    counts = _count_rejected(strongest, holes, fine_raster, radius_range)
+    criteria.set_covariance(holes, fine_raster.pixel_um)
+    holes[:, k.X : k.Y + 1] += fine_raster.origin_um
+    return strongest.sign, holes[np.lexsort((holes[:, k.X], holes[:, k.Y]))], counts
 
 
-def _detect(fine: Raster, radii: Pair, signs: tuple[float, ...]) -> list[_Marks]:
-    """Search candidates on a coarse raster and measure them on the fine one, for each sign."""
-    diameter = 2 * radii[1]
-    coarse = candidates.reduce_to(Raster(fine.image, fine.pixel_um), 2 * radii[0] / candidates.ACROSS_COARSE)
-    responses = candidates.blob_responses(coarse, radii)
+def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> list[_Detection]:
+    """Search candidates on a coarser raster and measure them on a fine one, for each sign."""
+    diameter = 2 * radius_range[1]
+    target_um = 2 * radius_range[0] / candidates.ACROSS_COARSE
+    coarse = candidates.reduce_to(Raster(raster.image, raster.pixel_um), target_um)
+    responses = candidates.blob_responses(coarse, radius_range)
     # Char, neighbours and a radius between two of the scale space weaken a response; a third is allowed for them.
     # The texture of the quietest quarter around: holes, dots and dirt have little influence. Too small rather than too
     # large, and nowhere above the median.
-    quiet = candidates.local_deviation(coarse, diameter, 0.25)
-    quiet = quiet._replace(values=np.minimum(quiet.values, np.median(quiet.values)))
+    quiet_texture = candidates.local_deviation(coarse, diameter, 0.25)
+    quiet_texture = quiet_texture._replace(values=np.minimum(quiet_texture.values, np.median(quiet_texture.values)))
     # The response at the centre of a disc at its own radius.
-    ratio = list(responses)[1] / min(responses)
-    disc = criteria.LEAST_CONTRAST * float(np.exp(-1 / ratio) - np.exp(-ratio))
-    faintest = quiet._replace(values=0.67 * disc * quiet.values)
+    radius_ratio = list(responses)[1] / min(responses)
+    disc_response = criteria.LEAST_CONTRAST * float(np.exp(-1 / radius_ratio) - np.exp(-radius_ratio))
+    faintest = quiet_texture._replace(values=0.67 * disc_response * quiet_texture.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
     # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
     spreads = [candidates.local_spread(response, candidates.SQUARE * diameter, 0.5) for response in responses.values()]
     spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
-    marks: list[_Marks] = []
+    detections: list[_Detection] = []
     for sign in signs:
-        points, standing, share, dropped = candidates.peaks(responses, sign, faintest, spreads)
+        coarse_points, peak_ratios, shares, dropped_count = candidates.peaks(responses, sign, faintest, spreads)
         # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
-        least = (
-            0.6 * share * criteria.LEAST_CONTRAST * quiet.at_points(points),
-            np.where(share < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST),
+        thresholds = (
+            0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),
+            np.where(shares < 1.0, 0.0, 0.6 * criteria.LEAST_CONTRAST),
         )
-        places = points + coarse.origin_um
-        measured = _measure(fine, places, sign, radii, least)
-        measured[:, k.STANDING] = standing
+        positions = coarse_points + coarse.origin_um
+        marks = _measure(raster, positions, sign, radius_range, thresholds)
+        marks[:, k.STANDING] = peak_ratios
         # The sheet's own texture is what is left when everything that looks like a hole is taken out, with its char.
-        holes = measured[criteria.is_hole(measured, fine.pixel_um, radii)]
+        holes = marks[criteria.is_hole(marks, raster.pixel_um, radius_range)]
         # Beyond a rim this much may be burnt.
         circles = np.stack([*(holes[:, k.X : k.Y + 1] - coarse.origin_um).T, holes[:, k.RADIUS] + 60.0], axis=1)
         texture = candidates.texture(coarse, diameter, circles)
-        measured = measured[np.isfinite(measured[:, k.RADIUS])]
-        _raise_texture(measured, texture)
-        holes = criteria.deepest_disjoint(measured[criteria.is_hole(measured, fine.pixel_um, radii)])
-        holes = criteria.drop_unlike(holes[criteria.is_whole(holes, fine.image.shape, fine.pixel_um)], sign)
-        marks.append(_Marks(sign, holes, measured, places, texture, dropped))
-    return marks
+        marks = marks[np.isfinite(marks[:, k.RADIUS])]
+        _raise_texture(marks, texture)
+        holes = criteria.deepest_disjoint(marks[criteria.is_hole(marks, raster.pixel_um, radius_range)])
+        holes = criteria.drop_unlike(holes[criteria.is_whole(holes, raster.image.shape, raster.pixel_um)], sign)
+        detections.append(_Detection(sign, holes, marks, positions, texture, dropped_count))
+    return detections
 
 
-def _count_rejected(marks: _Marks, holes: Floats, fine: Raster, radii: Pair) -> dict[str, int]:
+def _count_rejected(detection: _Detection, holes: Floats, raster: Raster, radius_range: Pair) -> dict[str, int]:
     """Count by reason what lies on no hole and would be one but for a single fault (mottle has several)."""
-    measured = marks.measured
-    is_whole = criteria.is_whole(measured, fine.image.shape, fine.pixel_um)
-    met = criteria.met_criteria(measured, fine.pixel_um, radii)
-    met["not_round"] |= ~is_whole  # a border that cuts a mark takes a part of its rim, too
-    is_near = np.sum([is_whole, *met.values()], axis=0) >= len(met)
-    rows = np.flatnonzero(is_near & ~criteria.overlaps_any(measured, holes))
-    counts = dict.fromkeys(REASONS, 0) | {"not_measured": marks.dropped}
-    for row in rows[criteria.best_rims(measured[rows])].tolist():
-        reason = next((name for name, is_met in met.items() if not is_met[row]), "unlike")
+    marks = detection.marks
+    is_whole = criteria.is_whole(marks, raster.image.shape, raster.pixel_um)
+    criteria_met = criteria.met_criteria(marks, raster.pixel_um, radius_range)
+    criteria_met["not_round"] |= ~is_whole  # a border that cuts a mark takes a part of its rim, too
+    is_near_hole = np.sum([is_whole, *criteria_met.values()], axis=0) >= len(criteria_met)
+    rejected = np.flatnonzero(is_near_hole & ~criteria.overlaps_any(marks, holes))
+    counts = dict.fromkeys(REASONS, 0) | {"not_measured": detection.dropped_count}
+    for row in rejected[criteria.best_rims(marks[rejected])].tolist():
+        reason = next((name for name, is_met in criteria_met.items() if not is_met[row]), "unlike")
         counts[reason if is_whole[row] else "cut"] += 1
     return counts
 
 
-def _raise_texture(rows: Floats, texture: candidates.LocalLevels) -> None:
+def _raise_texture(marks: Floats, texture: candidates.LocalLevels) -> None:
     """Raise the texture of rows to that around them, in place."""
-    rows[:, k.TEXTURE] = np.maximum(rows[:, k.TEXTURE], texture.at_points(rows[:, k.X : k.Y + 1]))
+    marks[:, k.TEXTURE] = np.maximum(marks[:, k.TEXTURE], texture.at_points(marks[:, k.X : k.Y + 1]))
 
 
-def _measure(fine: Raster, places: Floats, sign: float, radii: Pair, least: tuple[Floats, Floats]) -> Floats:
+def _measure(
+    raster: Raster, positions: Floats, sign: float, radius_range: Pair, thresholds: tuple[Floats, Floats]
+) -> Floats:
     """Measure places, strongest first; what lies well inside a hole that a stronger one led to is passed over."""
-    rows = np.full((len(places), k.COLUMNS), np.nan)
-    every = np.arange(len(places))
-    first = np.asarray(criteria.greedy_disjoint(every, criteria.neighbour_pairs(places, 2 * radii[0])), dtype=np.intp)
-    for turn in (first, np.setdiff1d(every, first)):
+    marks = np.full((len(positions), k.COLUMNS), np.nan)
+    all_rows = np.arange(len(positions))
+    pairs = criteria.neighbour_pairs(positions, 2 * radius_range[0])
+    disjoint = np.asarray(criteria.greedy_disjoint(all_rows, pairs), dtype=np.intp)
+    for batch in (disjoint, np.setdiff1d(all_rows, disjoint)):
         with np.errstate(invalid="ignore"):  # nearly all of a smooth round rim
-            clear = rows[criteria.is_round(rows, fine.pixel_um) & ~criteria.is_doubtful(rows)]
-        turn = turn[_is_outside(places[turn], clear, 0.5)]
-        limits = (limit[turn] for limit in least)
-        rows[turn] = k.measure(*_image_and_places(fine, places[turn]), sign, *radii, *limits)
-    return rows
+            clear_holes = marks[criteria.is_round(marks, raster.pixel_um) & ~criteria.is_doubtful(marks)]
+        batch = batch[_is_outside(positions[batch], clear_holes, 0.5)]
+        batch_thresholds = (threshold[batch] for threshold in thresholds)
+        marks[batch] = k.measure(*_kernel_arguments(raster, positions[batch]), sign, *radius_range, *batch_thresholds)
+    return marks
 
 
-def _floors(fine: Raster, sign: float, places: Floats, holes: Floats) -> Floats:
+def _floors(raster: Raster, sign: float, positions: Floats, holes: Floats) -> Floats:
     """Measure floors where no clear hole is."""
     typical = criteria.typical_hole(holes)
-    places = places[_is_outside(places, holes[~criteria.is_doubtful(holes)], 1.0)]
-    shares = (0.2, 0.08, 0.13, 0.27, 0.35)  # of the depth of the holes, at which a floor may end
-    level = typical.floor + shares[0] * typical.depth
-    middles = k.middles_of_floors(*_image_and_places(fine, places), sign, typical.radius, level)
-    middles = middles[np.isfinite(middles[:, 0])]
+    positions = positions[_is_outside(positions, holes[~criteria.is_doubtful(holes)], 1.0)]
+    depth_shares = (0.2, 0.08, 0.13, 0.27, 0.35)  # of the depth of the holes, at which a floor may end
+    level = typical.floor_level + depth_shares[0] * typical.depth
+    floor_centres = k.middles_of_floors(*_kernel_arguments(raster, positions), sign, typical.radius, level)
+    floor_centres = floor_centres[np.isfinite(floor_centres[:, 0])]
     # Places beside each other lead to one hole.
-    pairs = criteria.neighbour_pairs(middles, 0.1 * typical.radius)
-    middles = middles[criteria.greedy_disjoint(np.arange(len(middles)), pairs)]
-    levels = (typical.radius, typical.floor, typical.depth, shares)
-    floors = k.measure_floors(*_image_and_places(fine, middles), sign, *levels)
-    floors = criteria.select_resembling(floors, holes, fine.pixel_um)
+    neighbours = criteria.neighbour_pairs(floor_centres, 0.1 * typical.radius)
+    floor_centres = floor_centres[criteria.greedy_disjoint(np.arange(len(floor_centres)), neighbours)]
+    levels = (typical.radius, typical.floor_level, typical.depth, depth_shares)
+    floors = k.measure_floors(*_kernel_arguments(raster, floor_centres), sign, *levels)
+    floors = criteria.select_resembling(floors, holes, raster.pixel_um)
     # A rim lies farther out than its floor.
     rims = floors.copy()
     rims[:, k.RADIUS] = np.maximum(rims[:, k.RADIUS], typical.radius)
-    return floors[criteria.is_whole(rims, fine.image.shape, fine.pixel_um)]
+    return floors[criteria.is_whole(rims, raster.image.shape, raster.pixel_um)]
 
 
-def _is_outside(places: Floats, holes: Floats, share: float) -> Bools:
+def _is_outside(positions: Floats, holes: Floats, radius_share: float) -> Bools:
     """Return which places lie farther than a share of its radius from the middle of the nearest hole."""
     if not len(holes):
-        return np.ones(len(places), bool)
-    distance, nearest = KDTree(holes[:, [k.X, k.Y]]).query(places)
-    return distance > share * holes[nearest, k.RADIUS]
+        return np.ones(len(positions), bool)
+    distances, nearest = KDTree(holes[:, [k.X, k.Y]]).query(positions)
+    return distances > radius_share * holes[nearest, k.RADIUS]
 
 
-def _image_and_places(raster: Raster, places: Floats) -> tuple[Image, float, float, Floats, Floats]:
+def _kernel_arguments(raster: Raster, positions: Floats) -> tuple[Image, float, float, Floats, Floats]:
     """Give what kernels take first: the image, its pixel size along x and y, and x and y of places."""
-    x, y = np.ascontiguousarray(places.T)
+    x, y = np.ascontiguousarray(positions.T)
     return raster.image, raster.pixel_um[1], raster.pixel_um[0], x, y
 
 
-def _dataset(rows: Floats, sign: float) -> xr.Dataset:
-    radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
+def _dataset(holes: Floats, sign: float) -> xr.Dataset:
+    radius, half = holes[:, k.RADIUS], holes[:, k.HALF_DIFFERENCE]
     # Texture below a thousandth of the step is rounding; it would make the ratio meaningless.
-    step = criteria.depth(rows)
-    contrast = -sign * step / np.maximum(rows[:, k.TEXTURE], 1e-3 * step)
-    texts = {"x": ("um", "Hole centre along the columns"), "y": ("um", "Hole centre down the rows"), **EXTRAS}
-    texts["contrast"] = "1", "Step at the hole over the texture of the sheet around"
-    columns = [*rows[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T, 2 * radius, (radius + half) / (radius - half)]
-    columns += [rows[:, k.COVERAGE], contrast]
+    depths = criteria.depth(holes)
+    contrast = -sign * depths / np.maximum(holes[:, k.TEXTURE], 1e-3 * depths)
+    units_and_names = {"x": ("um", "Hole centre along the columns"), "y": ("um", "Hole centre down the rows"), **EXTRAS}
+    units_and_names["contrast"] = "1", "Step at the hole over the texture of the sheet around"
+    columns = [*holes[:, [k.X, k.Y, k.COV_XX, k.COV_YY, k.COV_XY]].T, 2 * radius, (radius + half) / (radius - half)]
+    columns += [holes[:, k.COVERAGE], contrast]
     variables = {
         name: ("mark", column, {"units": unit, "long_name": text})
-        for (name, (unit, text)), column in zip(texts.items(), columns, strict=True)
+        for (name, (unit, text)), column in zip(units_and_names.items(), columns, strict=True)
     }
     return xr.Dataset(variables, attrs={"polarity": "dark" if sign > 0 else "bright"})
 
@@ -285,7 +289,7 @@ def _grey(image: ArrayLike) -> Image:
         raise MarkError(f"The image holds {grey.dtype} values; holes are found in real grey values.")
     if grey.dtype.kind == "f":
         is_finite = np.isfinite(grey)
-        middle = float(np.median(grey[is_finite])) if np.any(is_finite) else 0.0
+        median_grey = float(np.median(grey[is_finite])) if np.any(is_finite) else 0.0
         # Large offsets would cost float32 its digits.
-        grey = np.where(is_finite, grey - middle, np.nan)
+        grey = np.where(is_finite, grey - median_grey, np.nan)
     return np.ascontiguousarray(grey, dtype=np.float32)

@@ -28,158 +28,162 @@ BETTER = 0.015
 DEEPER = 0.05
 
 
-def is_whole(rows: Floats, shape: tuple[int, ...], size: Pair) -> Bools:
+def is_whole(marks: Floats, shape: tuple[int, ...], pixel_um: Pair) -> Bools:
     """Return which circles lie inside the image."""
-    bottom, right = ((n - 1) * step for n, step in zip(shape, size, strict=True))
-    x, y, radius = (rows[:, k.X], rows[:, k.Y], rows[:, k.RADIUS] + rows[:, k.HALF_DIFFERENCE])
+    bottom, right = ((n - 1) * step for n, step in zip(shape, pixel_um, strict=True))
+    x, y, radius = (marks[:, k.X], marks[:, k.Y], marks[:, k.RADIUS] + marks[:, k.HALF_DIFFERENCE])
     return (x >= radius) & (y >= radius) & (x <= right - radius) & (y <= bottom - radius)
 
 
-def depth(rows: Floats) -> Floats:
+def depth(marks: Floats) -> Floats:
     """Step from the floor to the sheet."""
-    return rows[:, k.OUTSIDE] - rows[:, k.INSIDE]
+    return marks[:, k.OUTSIDE] - marks[:, k.INSIDE]
 
 
-def met_criteria(rows: Floats, size: Pair, radii: Pair) -> dict[str, Bools]:
-    """Rows of `measure` that meet each criterion, by the fault of those that do not; ``radii`` is the range in um."""
-    radius, step, total = rows[:, k.RADIUS], rows[:, k.STEP], depth(rows)
+def met_criteria(marks: Floats, pixel_um: Pair, radius_range: Pair) -> dict[str, Bools]:
+    """Return which marks meet each criterion, by the fault of those that do not; ``radius_range`` in um."""
+    radius, rim_steps, depths = marks[:, k.RADIUS], marks[:, k.STEP], depth(marks)
     with np.errstate(invalid="ignore"):
         # Step over +-10 um across the rim as a share of that over +-25 um: a gentle slope makes less. Char so narrow
         # that its outer edge comes within the wider distance makes less, too; but no slope has a floor so flat.
-        is_sharp = step > 0.45 * rows[:, k.FAR_STEP]
-        is_flat = rows[:, k.FLATNESS] < 0.05 * total
+        is_sharp = rim_steps > 0.45 * marks[:, k.FAR_STEP]
+        is_flat = marks[:, k.FLATNESS] < 0.05 * depths
         # The char around a hole may take two thirds of the step. Darker char leaves less to the rim: enough where it
         # is sharp and the floor flat.
-        has_rim = (step > 0.28 * total) | ((step > 0.15 * total) & is_sharp & is_flat)
+        has_rim = (rim_steps > 0.28 * depths) | ((rim_steps > 0.15 * depths) & is_sharp & is_flat)
         return {
             # Fewer than 6 pixels across a hole cannot distinguish a rim from a slope.
-            "too_small": radius >= max(radii[0], 3.0 * max(size)),
-            "too_large": radius <= radii[1],
-            "not_round": is_round(rows, size),
+            "too_small": radius >= max(radius_range[0], 3.0 * max(pixel_um)),
+            "too_large": radius <= radius_range[1],
+            "not_round": is_round(marks, pixel_um),
             # The height of the answer to a disc, in standard deviations of the same answer all over the sheet, makes
             # a hole even where dots, lines or fibres make a large texture: nothing regular reaches 10.
-            "too_faint": (total > LEAST_CONTRAST * rows[:, k.TEXTURE]) | (rows[:, k.STANDING] > 10.0),
+            "too_faint": (depths > LEAST_CONTRAST * marks[:, k.TEXTURE]) | (marks[:, k.STANDING] > 10.0),
             "no_rim": has_rim
-            & (is_sharp | ((step > 0.36 * rows[:, k.FAR_STEP]) & is_flat))
-            & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * total)
-            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * total),
+            & (is_sharp | ((rim_steps > 0.36 * marks[:, k.FAR_STEP]) & is_flat))
+            & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * depths)
+            & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * depths),
         }
 
 
-def is_hole(rows: Floats, size: Pair, radii: Pair) -> Bools:
-    """Return which rows of `measure` look like a hole, each by itself; ``radii`` is the range in um."""
-    return np.all(list(met_criteria(rows, size, radii).values()), axis=0)
+def is_hole(marks: Floats, pixel_um: Pair, radius_range: Pair) -> Bools:
+    """Return which marks look like a hole, each by itself; ``radius_range`` in um."""
+    return np.all(list(met_criteria(marks, pixel_um, radius_range).values()), axis=0)
 
 
-def is_round(rows: Floats, size: Pair) -> Bools:
+def is_round(marks: Floats, pixel_um: Pair) -> Bools:
     """Return which rims are whole, smooth (rms about the ellipse) and nearly circles."""
-    radius, half = rows[:, k.RADIUS], rows[:, k.HALF_DIFFERENCE]
-    is_smooth = rows[:, k.ROUGHNESS] < 0.09 * radius + 0.3 * max(size)
-    is_circle = (radius + half) < 1.3 * (radius - half)
-    return is_smooth & is_circle & (rows[:, k.COVERAGE] >= 0.7)
+    radius, half_difference = marks[:, k.RADIUS], marks[:, k.HALF_DIFFERENCE]
+    is_smooth = marks[:, k.ROUGHNESS] < 0.09 * radius + 0.3 * max(pixel_um)
+    is_circle = (radius + half_difference) < 1.3 * (radius - half_difference)
+    return is_smooth & is_circle & (marks[:, k.COVERAGE] >= 0.7)
 
 
-def deepest_disjoint(rows: Floats) -> Floats:
-    """Of rows whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
-    first, second = _overlapping(rows, rows).T
-    is_shallow = np.zeros(len(rows), bool)
-    is_shallow[first[rows[first, k.INSIDE] - rows[second, k.INSIDE] > DEEPER * depth(rows)[first]]] = True
-    deep = rows[~is_shallow]
-    return deep[best_rims(deep)]
+def deepest_disjoint(marks: Floats) -> Floats:
+    """Of marks whose circles overlap keep the deepest, and of those as deep the one with the best rim."""
+    i, j = _overlapping(marks, marks).T
+    is_shallow = np.zeros(len(marks), bool)
+    is_shallow[i[marks[i, k.INSIDE] - marks[j, k.INSIDE] > DEEPER * depth(marks)[i]]] = True
+    deep_marks = marks[~is_shallow]
+    return deep_marks[best_rims(deep_marks)]
 
 
-def best_rims(rows: Floats) -> list[int]:
-    """Of rows whose circles overlap, give the one with the best rim."""
-    return greedy_disjoint(np.argsort(-quality(rows), kind="stable"), _overlapping(rows, rows))
+def best_rims(marks: Floats) -> list[int]:
+    """Of marks whose circles overlap, give the rows of those with the best rim."""
+    return greedy_disjoint(np.argsort(-quality(marks), kind="stable"), _overlapping(marks, marks))
 
 
-def overlaps_any(rows: Floats, holes: Floats) -> Bools:
-    """Return which circles overlap any of the holes; rows without a circle do not."""
-    overlaps = np.zeros(len(rows), bool)
-    circles = np.flatnonzero(np.isfinite(rows[:, k.RADIUS]))
-    overlaps[circles[_overlapping(rows[circles], holes)[:, 0]]] = True
-    return overlaps
+def overlaps_any(marks: Floats, holes: Floats) -> Bools:
+    """Return which circles overlap any of the holes; marks without a circle do not."""
+    is_overlapping = np.zeros(len(marks), bool)
+    circle_rows = np.flatnonzero(np.isfinite(marks[:, k.RADIUS]))
+    is_overlapping[circle_rows[_overlapping(marks[circle_rows], holes)[:, 0]]] = True
+    return is_overlapping
 
 
-def neighbour_pairs(points: Floats, reach: float) -> Ints:
-    """Pair points (n, 2) that are within ``reach`` of each other, both ways round."""
-    near = KDTree(points).query_pairs(reach, output_type="ndarray") if len(points) else np.empty((0, 2), np.intp)
-    return np.concatenate([near, near[:, ::-1]])
+def neighbour_pairs(points: Floats, max_distance: float) -> Ints:
+    """Pair points (n, 2) that are within ``max_distance`` of each other, both ways round."""
+    pairs = np.empty((0, 2), np.intp)
+    if len(points):
+        pairs = KDTree(points).query_pairs(max_distance, output_type="ndarray")
+    return np.concatenate([pairs, pairs[:, ::-1]])
 
 
 def greedy_disjoint(order: Ints, pairs: Ints) -> list[int]:
     """Of points in order keep each that is no neighbour of an earlier one; ``pairs`` (m, 2) are neighbours."""
-    first, second = pairs[np.argsort(pairs[:, 0], kind="stable")].T
-    starts, stops = np.searchsorted(first, order), np.searchsorted(first, order, "right")
+    points, neighbours = pairs[np.argsort(pairs[:, 0], kind="stable")].T
+    starts, stops = np.searchsorted(points, order), np.searchsorted(points, order, "right")
     excluded: set[int] = set()
     disjoint: list[int] = []
-    for row, start, stop in zip(order.tolist(), starts, stops, strict=True):
-        if row not in excluded:
-            disjoint.append(row)
-            excluded.update(second[start:stop].tolist())
+    for point, start, stop in zip(order.tolist(), starts, stops, strict=True):
+        if point not in excluded:
+            disjoint.append(point)
+            excluded.update(neighbours[start:stop].tolist())
     return disjoint
 
 
-def _overlapping(rows: Floats, holes: Floats) -> Ints:
-    """Return pairs (n, 2) of circles of rows and of holes that overlap."""
-    if not len(rows) or not len(holes):
+def _overlapping(marks: Floats, holes: Floats) -> Ints:
+    """Return pairs (n, 2) of circles of marks and of holes that overlap."""
+    if not len(marks) or not len(holes):
         return np.empty((0, 2), np.intp)
-    largest = float(holes[:, k.RADIUS].max())
-    near = KDTree(holes[:, [k.X, k.Y]]).query_ball_point(rows[:, [k.X, k.Y]], 1.001 * (rows[:, k.RADIUS] + largest))
-    row = np.repeat(np.arange(len(rows)), [len(numbers) for numbers in near])
-    hole = np.concatenate([np.asarray(numbers, dtype=np.intp) for numbers in near])
-    distance = np.hypot(rows[row, k.X] - holes[hole, k.X], rows[row, k.Y] - holes[hole, k.Y])
-    return np.stack([row, hole], axis=1)[distance - rows[row, k.RADIUS] - holes[hole, k.RADIUS] < 0]
+    reaches = 1.001 * (marks[:, k.RADIUS] + float(holes[:, k.RADIUS].max()))
+    neighbours = KDTree(holes[:, [k.X, k.Y]]).query_ball_point(marks[:, [k.X, k.Y]], reaches)
+    i = np.repeat(np.arange(len(marks)), [len(hole_rows) for hole_rows in neighbours])
+    j = np.concatenate([np.asarray(hole_rows, dtype=np.intp) for hole_rows in neighbours])
+    distances = np.hypot(marks[i, k.X] - holes[j, k.X], marks[i, k.Y] - holes[j, k.Y])
+    return np.stack([i, j], axis=1)[distances - marks[i, k.RADIUS] - holes[j, k.RADIUS] < 0]
 
 
 class TypicalHole(NamedTuple):
     """Typical figures of the holes of one image; levels are times the sign of the holes.
 
-    ``slope``: how much the floor brightens with the sheet around; ``scatter``: robust standard deviation of the floors,
-    share of the depth; ``burnt``, ``rim``: shares of the depth that the burnt sheet takes, that remain at the rim.
+    ``floor_slope``: how much the floor brightens with the sheet around; ``floor_scatter``: robust standard deviation of
+    the floors, share of the depth; ``burnt_share``, ``rim_share``: shares of the depth that the burnt sheet takes, that
+    remain at the rim.
     """
 
-    floor: float
-    outside: float
-    slope: float
-    scatter: float
+    floor_level: float
+    sheet_level: float
+    floor_slope: float
+    floor_scatter: float
     radius: float
-    burnt: float
-    rim: float
+    burnt_share: float
+    rim_share: float
 
     @property
     def depth(self) -> float:
         """Step from the floor to the sheet."""
-        return self.outside - self.floor
+        return self.sheet_level - self.floor_level
 
     def floor_at(self, outside: Floats) -> Floats:
         """Predict the level of a floor where the sheet around has a level."""
-        return self.floor + self.slope * (outside - self.outside)
+        return self.floor_level + self.floor_slope * (outside - self.sheet_level)
 
-    def is_unburnt(self, rows: Floats) -> Bools:
+    def is_unburnt(self, marks: Floats) -> Bools:
         """Return which marks are not burnt while the others are, by more than this share of the step."""
         # In transmitted light char is darker than the sheet and holes are brighter: its share is negative.
-        share = np.sign(self.burnt) * rows[:, k.BURNT]
-        return (abs(self.burnt) > 0.15) & (share < 0.5 * abs(self.burnt) * depth(rows))
+        burnt_steps = np.sign(self.burnt_share) * marks[:, k.BURNT]
+        return (abs(self.burnt_share) > 0.15) & (burnt_steps < 0.5 * abs(self.burnt_share) * depth(marks))
 
 
-def typical_hole(rows: Floats) -> TypicalHole:
-    """Return what is typical of rows."""
-    step = depth(rows)
+def typical_hole(marks: Floats) -> TypicalHole:
+    """Return what is typical of marks."""
+    depths = depth(marks)
     # The deeper half: what is less deep may be ink or dirt.
-    deep = rows[step >= np.median(step)]
-    inside, outside, step_of_deep = deep[:, k.INSIDE], deep[:, k.OUTSIDE], depth(deep)
-    sheet = float(np.median(outside))
+    deep_marks = marks[depths >= np.median(depths)]
+    floor_levels, sheet_levels, deep_depths = deep_marks[:, k.INSIDE], deep_marks[:, k.OUTSIDE], depth(deep_marks)
+    sheet_level = float(np.median(sheet_levels))
     # Uneven light brightens floors with the sheet, and print does not: the slope counts if it explains the floors.
-    deep_enough = rows[step >= 0.7 * np.median(step)]
-    slope, scatter = 0.0, mad_sd(inside)
-    steeper = _slope(deep_enough[:, k.OUTSIDE], deep_enough[:, k.INSIDE])
-    steeper_scatter = mad_sd(inside - steeper * outside)
-    if steeper_scatter < 0.5 * scatter:
-        slope, scatter = steeper, steeper_scatter
-    floor = float(np.median(inside - slope * (outside - sheet)))
-    burnt, rim = (float(np.nanmedian(deep[:, column] / step_of_deep)) for column in (k.BURNT, k.STEP))
-    return TypicalHole(floor, sheet, slope, scatter / (sheet - floor), float(np.median(deep[:, k.RADIUS])), burnt, rim)
+    clear_marks = marks[depths >= 0.7 * np.median(depths)]
+    slope, scatter = 0.0, mad_sd(floor_levels)
+    fitted_slope = _slope(clear_marks[:, k.OUTSIDE], clear_marks[:, k.INSIDE])
+    fitted_scatter = mad_sd(floor_levels - fitted_slope * sheet_levels)
+    if fitted_scatter < 0.5 * scatter:
+        slope, scatter = fitted_slope, fitted_scatter
+    floor_level = float(np.median(floor_levels - slope * (sheet_levels - sheet_level)))
+    burnt_share, rim_share = (float(np.nanmedian(deep_marks[:, column] / deep_depths)) for column in (k.BURNT, k.STEP))
+    scatter, radius = scatter / (sheet_level - floor_level), float(np.median(deep_marks[:, k.RADIUS]))
+    return TypicalHole(floor_level, sheet_level, slope, scatter, radius, burnt_share, rim_share)
 
 
 def _slope(x: Floats, y: Floats) -> float:
@@ -188,103 +192,103 @@ def _slope(x: Floats, y: Floats) -> float:
     if third < 3:
         return 0.0
     order = np.argsort(x, kind="stable")
-    across, rise = (float(np.median(axis[order[-third:]]) - np.median(axis[order[:third]])) for axis in (x, y))
-    return float(np.clip(rise / across, 0.0, 1.0)) if across > 0 else 0.0
+    run, rise = (float(np.median(v[order[-third:]]) - np.median(v[order[:third]])) for v in (x, y))
+    return float(np.clip(rise / run, 0.0, 1.0)) if run > 0 else 0.0
 
 
-def drop_unlike(rows: Floats, sign: float) -> Floats:
+def drop_unlike(marks: Floats, sign: float) -> Floats:
     """Drop marks much fainter, smaller or larger than the rest, and those unlike them in two ways."""
-    if len(rows) < LEAST_OTHERS:
-        return rows
-    typical, step = typical_hole(rows), depth(rows)
-    whole = np.maximum(rows[:, k.OUTSIDE] - typical.floor_at(rows[:, k.OUTSIDE]), step)
-    share = step / whole
+    if len(marks) < LEAST_OTHERS:
+        return marks
+    typical, depths = typical_hole(marks), depth(marks)
+    expected_depths = np.maximum(marks[:, k.OUTSIDE] - typical.floor_at(marks[:, k.OUTSIDE]), depths)
+    depth_share = depths / expected_depths
     # Of a hole that is half closed farther down, the other half is as deep as all. Floors have a long tail (real
     # targets: 27 standard deviations), so only what is far off is out by its floor alone.
-    uneven = np.maximum(rows[:, k.UNEVENNESS] - np.median(rows[:, k.UNEVENNESS]), 0.0)
-    is_like = share + uneven / whole >= 1 - np.clip(30 * typical.scatter, 0.06, 0.3)
+    excess_unevenness = np.maximum(marks[:, k.UNEVENNESS] - np.median(marks[:, k.UNEVENNESS]), 0.0)
+    is_like = depth_share + excess_unevenness / expected_depths >= 1 - np.clip(30 * typical.floor_scatter, 0.06, 0.3)
     if sign < 0:
         # In transmitted light floors fade with the lamp, and nothing but a hole shines.
-        is_like |= step >= LEAST_SHARE_OF_MEDIAN * np.median(step)
+        is_like |= depths >= LEAST_SHARE_OF_MEDIAN * np.median(depths)
     if not np.any(is_like):
-        return rows[is_like]
-    log_radius = np.log(rows[:, k.RADIUS])
+        return marks[is_like]
+    log_radius = np.log(marks[:, k.RADIUS])
     size_difference = np.abs(log_radius - np.median(log_radius[is_like]))
     is_like &= size_difference < np.log(1.6)
     # Char takes a part of the step; what has none and is odd, taking together that it is less deep, less round and of
     # another size, is ink or dirt.
-    outlines = quality(rows)
-    rougher = np.minimum(outlines - np.median(outlines[is_like]), 0)
+    qualities = quality(marks)
+    quality_deficit = np.minimum(qualities - np.median(qualities[is_like]), 0)
     is_odd = (
-        ((1 - share) / np.clip(4 * typical.scatter, *LIKE_FLOORS)) ** 2
+        ((1 - depth_share) / np.clip(4 * typical.floor_scatter, *LIKE_FLOORS)) ** 2
         + (size_difference / np.clip(3 * mad_sd(log_radius[is_like]), 0.12, 0.15)) ** 2
-        + (rougher / np.clip(3 * mad_sd(outlines[is_like]), 0.03, 0.1)) ** 2
+        + (quality_deficit / np.clip(3 * mad_sd(qualities[is_like]), 0.03, 0.1)) ** 2
     ) > 1
     # So much more of the step at the rim itself means that nothing is burnt.
-    is_bare = (rows[:, k.STEP] > (typical.rim + 0.15) * step) | typical.is_unburnt(rows)
-    return rows[is_like & ~(is_odd & is_bare)]
+    is_bare = (marks[:, k.STEP] > (typical.rim_share + 0.15) * depths) | typical.is_unburnt(marks)
+    return marks[is_like & ~(is_odd & is_bare)]
 
 
-def is_doubtful(rows: Floats) -> Bools:
+def is_doubtful(marks: Floats) -> Bools:
     """Return which outlines are so rough or so incomplete that what is printed may be a part of them."""
-    return quality(rows) < 0.95
+    return quality(marks) < 0.95
 
 
-def select_resembling(rows: Floats, holes: Floats, size: Pair) -> Floats:
+def select_resembling(marks: Floats, holes: Floats, pixel_um: Pair) -> Floats:
     """Of floors that were measured keep the round ones that are like those of the holes."""
     typical = typical_hole(holes)
     with np.errstate(invalid="ignore"):
-        floor_difference = np.abs(rows[:, k.INSIDE] - typical.floor_at(rows[:, k.OUTSIDE]))
+        floor_difference = np.abs(marks[:, k.INSIDE] - typical.floor_at(marks[:, k.OUTSIDE]))
         is_similar = (
-            is_round(rows, size)
-            & (rows[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
-            & (rows[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
-            & (floor_difference < np.clip(4 * typical.scatter, *LIKE_FLOORS) * typical.depth)
-            & (depth(rows) > LEAST_SHARE_OF_MEDIAN * typical.depth)
-            & (np.abs(np.log(rows[:, k.RADIUS] / typical.radius)) < np.log(1.35))
-            & ~typical.is_unburnt(rows)
+            is_round(marks, pixel_um)
+            & (marks[:, k.UNEVENNESS] < LARGEST_UNEVENNESS * typical.depth)
+            & (marks[:, k.FLATNESS] < LARGEST_FLATNESS * typical.depth)
+            & (floor_difference < np.clip(4 * typical.floor_scatter, *LIKE_FLOORS) * typical.depth)
+            & (depth(marks) > LEAST_SHARE_OF_MEDIAN * typical.depth)
+            & (np.abs(np.log(marks[:, k.RADIUS] / typical.radius)) < np.log(1.35))
+            & ~typical.is_unburnt(marks)
         )
-    return deepest_disjoint(rows[is_similar])
+    return deepest_disjoint(marks[is_similar])
 
 
-def merge_floors(rows: Floats, floors: Floats) -> Floats:
-    """Add floors, which do not overlap, to rows; where one lies on a row, the clearly better of the two stays."""
-    is_retained, is_added = np.ones(len(rows), bool), np.zeros(len(floors), bool)
-    pairs = _overlapping(floors, rows)
-    better, outlines = quality(floors) - BETTER, quality(rows)
-    for floor in range(len(floors)):
-        overlapped = pairs[slice(*np.searchsorted(pairs[:, 0], (floor, floor + 1))), 1]
+def merge_floors(marks: Floats, floors: Floats) -> Floats:
+    """Add floors, which do not overlap, to marks; where one lies on a mark, the clearly better of the two stays."""
+    is_retained, is_added = np.ones(len(marks), bool), np.zeros(len(floors), bool)
+    overlaps = _overlapping(floors, marks)
+    floor_qualities, qualities = quality(floors) - BETTER, quality(marks)
+    for i in range(len(floors)):
+        overlapped = overlaps[slice(*np.searchsorted(overlaps[:, 0], (i, i + 1))), 1]
         overlapped = overlapped[is_retained[overlapped]]
-        is_added[floor] = np.all(outlines[overlapped] < better[floor])
-        is_retained[overlapped] &= not is_added[floor]
-    return np.concatenate([rows[is_retained], floors[is_added]])
+        is_added[i] = np.all(qualities[overlapped] < floor_qualities[i])
+        is_retained[overlapped] &= not is_added[i]
+    return np.concatenate([marks[is_retained], floors[is_added]])
 
 
-def quality(rows: Floats) -> Floats:
+def quality(marks: Floats) -> Floats:
     """Rate outlines: share of the rim that is there less its rms about the circle over the radius."""
-    rough = np.sqrt(rows[:, k.ROUGHNESS] ** 2 + 0.5 * rows[:, k.HALF_DIFFERENCE] ** 2)
-    return rows[:, k.COVERAGE] - rough / rows[:, k.RADIUS]
+    roughness = np.sqrt(marks[:, k.ROUGHNESS] ** 2 + 0.5 * marks[:, k.HALF_DIFFERENCE] ** 2)
+    return marks[:, k.COVERAGE] - roughness / marks[:, k.RADIUS]
 
 
-def set_covariance(rows: Floats, size: Pair) -> None:
+def set_covariance(marks: Floats, pixel_um: Pair) -> None:
     """Scale the covariances by the size of the wave that moves a centre, in place.
 
     One rim has few waves to judge from, so the roughness of all rims of an image counts as much as a rim's own. Long
     waves are larger than short ones, as with any rough line; the first is extrapolated in the square of the order.
     """
-    if not len(rows):
+    if not len(marks):
         return
-    low, high = rows[:, k.LOW_WAVES], rows[:, k.HIGH_WAVES]
+    low, high = marks[:, k.LOW_WAVES], marks[:, k.HIGH_WAVES]
     mean_waves = (low + 2 * high) / 3
-    fall = np.clip(np.mean(low) / max(float(np.mean(high)), 1e-30), 1.0, 8.0)
+    wave_ratio = np.clip(np.mean(low) / max(float(np.mean(high)), 1e-30), 1.0, 8.0)
     # Mean squares of the orders: 1; 12.5 of the third and fourth; 43.5 of the fifth to eighth.
-    first = np.mean(low) * fall ** (11.5 / 31.0)
-    rim_variance = first / max(float(np.mean(mean_waves)), 1e-30) * mean_waves
+    first_wave = np.mean(low) * wave_ratio ** (11.5 / 31.0)
+    rim_variance = first_wave / max(float(np.mean(mean_waves)), 1e-30) * mean_waves
     variance = 0.5 * rim_variance + 0.5 * np.median(rim_variance)
     # Of two edges either may be the rim, and each is found where the other disturbs it: a part goes any way.
-    x, y = np.nan_to_num(rows[:, [k.DOUBT_X, k.DOUBT_Y]]).T
-    across = 0.35  # the part across the line of the two centres
+    x, y = np.nan_to_num(marks[:, [k.DOUBT_X, k.DOUBT_Y]]).T
+    cross_share = 0.35  # the part across the line of the two centres
     # The raster adds an error of 0.02 pixels.
-    rows[:, k.COV_XX] = rows[:, k.COV_XX] * variance + (0.02 * size[1]) ** 2 + (x**2 + (across * y) ** 2)
-    rows[:, k.COV_YY] = rows[:, k.COV_YY] * variance + (0.02 * size[0]) ** 2 + (y**2 + (across * x) ** 2)
-    rows[:, k.COV_XY] = rows[:, k.COV_XY] * variance + (1 - across**2) * x * y
+    marks[:, k.COV_XX] = marks[:, k.COV_XX] * variance + (0.02 * pixel_um[1]) ** 2 + (x**2 + (cross_share * y) ** 2)
+    marks[:, k.COV_YY] = marks[:, k.COV_YY] * variance + (0.02 * pixel_um[0]) ** 2 + (y**2 + (cross_share * x) ** 2)
+    marks[:, k.COV_XY] = marks[:, k.COV_XY] * variance + (1 - cross_share**2) * x * y

@@ -108,9 +108,9 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
         file = _File.model_validate(dict(content))
     for key, variable in file.variables.items():
         with naming_faults(name, _REMEDY, error=MarkError, where=("variables", key, "values")):
-            numbers = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
+            checked = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
         dtype = np.str_ if variable.type == "str" else variable.type
-        column = np.array(_missing_as_nan(numbers), dtype=dtype)
+        column = np.array(_missing_as_nan(checked), dtype=dtype)
         variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in variables]
@@ -137,15 +137,15 @@ def write_holes(holes: xr.Dataset, path: str | Path) -> None:
     MarkError
         If a variable or an attribute has no place in JSON.
     """
-    place = Path(path)
-    if _checked_suffix(place) == ".csv":
+    file = Path(path)
+    if _checked_suffix(file) == ".csv":
         text = holes_text(holes, [f"hole {k + 1}" for k in range(holes.sizes["mark"])])
     else:
         content = holes_to_json(holes)
         variables = content.pop("variables")
-        rows = [f"{json_text(key)}: {json_text(variable)}" for key, variable in variables.items()]
-        text = json_file(content, "variables", "{}", rows)
-    write_whole(place, text.encode())
+        entries = [f"{json_text(key)}: {json_text(variable)}" for key, variable in variables.items()]
+        text = json_file(content, "variables", "{}", entries)
+    write_whole(file, text.encode())
 
 
 def read_holes(path: str | Path) -> xr.Dataset:
@@ -164,24 +164,24 @@ def read_holes(path: str | Path) -> xr.Dataset:
     MarkError
         If something is missing or malformed; all faults are named.
     """
-    place = Path(path)
-    name = place.name
-    if _checked_suffix(place) == ".json":
-        return holes_from_json(read_object(read_text(place, what="file of holes"), name), name)
-    table = parse_table(read_text(place, what="table of holes"), name, needed=("x_um", "y_um"), error=MarkError)
+    file = Path(path)
+    name = file.name
+    if _checked_suffix(file) == ".json":
+        return holes_from_json(read_object(read_text(file, what="file of holes"), name), name)
+    table = parse_table(read_text(file, what="table of holes"), name, needed=("x_um", "y_um"), error=MarkError)
     columns = [column for column in ("x_um", "y_um", "diameter_um") if column in table.header]
     numbers = table.numbers(columns)
     table.check()
     if not len(numbers):
         raise MarkError(f"{name} has a header and no hole. One row for each is needed.")
     variables = zip(columns, numbers.T, strict=True)
-    return xr.Dataset({column.removesuffix("_um"): ("mark", um, {"units": "um"}) for column, um in variables})
+    return xr.Dataset({name.removesuffix("_um"): ("mark", column, {"units": "um"}) for name, column in variables})
 
 
-def _checked_suffix(place: Path) -> str:
-    suffix = place.suffix.lower()
+def _checked_suffix(file: Path) -> str:
+    suffix = file.suffix.lower()
     if suffix not in (".json", ".csv"):
-        raise FileError(f"{place.name} is no file of holes: .json keeps everything, .csv is the table to read.")
+        raise FileError(f"{file.name} is no file of holes: .json keeps everything, .csv is the table to read.")
     return suffix
 
 

@@ -56,35 +56,35 @@ def cut_holes(image: xr.DataArray, holes: xr.Dataset) -> xr.Dataset:
         them is none.
     """
     grid = Grid.of(image)
-    centres, radius = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
+    centres, radii_um = np.stack([holes["x"].values, holes["y"].values], axis=1), 0.5 * holes["diameter"].values
     circles: list[tuple[float, float, float]] = []
-    for rows, cols in _border_regions(image, grid, centres, radius) if len(radius) else ():
-        points = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
-        x, y = points.mean(axis=0).tolist()
-        reach = float(np.hypot(*(points - (x, y)).T).max())
-        if reach <= 2 * radius.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
-            circles.append((x, y, 2 * reach))
+    for rows, cols in _border_regions(image, grid, centres, radii_um) if len(radii_um) else ():
+        pixels_um = np.stack([grid.x_um[cols], grid.y_um[rows]], axis=1)
+        x, y = pixels_um.mean(axis=0).tolist()
+        radius_um = float(np.hypot(*(pixels_um - (x, y)).T).max())
+        if radius_um <= 2 * radii_um.max():  # the ground beside a sheet is no hole, and its circle covers the sheet
+            circles.append((x, y, 2 * radius_um))
     columns = np.array(circles, dtype=np.float64).reshape(-1, 3).T
     return xr.Dataset({k: ("mark", v, {"units": "um"}) for k, v in zip(("x", "y", "diameter"), columns, strict=True)})
 
 
-def _border_regions(image: xr.DataArray, grid: Grid, centres: Floats, radius: Floats) -> Iterator[tuple[Ints, Ints]]:
+def _border_regions(image: xr.DataArray, grid: Grid, centres: Floats, radii_um: Floats) -> Iterator[tuple[Ints, Ints]]:
     """Yield rows and columns of what touches the border and is beyond half way from the sheet to the floor of holes."""
-    inner, outer = (hole_mask(grid, centres, factor * radius) for factor in (0.6, 1.5))
-    _, (greys, inner, outer) = thinned(image, inner, outer)
-    floor, sheet = (float(np.nanmedian(greys[use])) if use.any() else np.nan for use in (inner, ~outer))
+    inner_mask, outer_mask = (hole_mask(grid, centres, factor * radii_um) for factor in (0.6, 1.5))
+    _, (greys, inner_mask, outer_mask) = thinned(image, inner_mask, outer_mask)
+    floor, sheet = (float(np.nanmedian(greys[m])) if m.any() else np.nan for m in (inner_mask, ~outer_mask))
     if not np.isfinite(floor - sheet) or floor == sheet:
         return
-    parts = (part for _, (part,) in read_bands(image))
-    is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in parts]
+    bands = (band for _, (band,) in read_bands(image))
+    is_beyond = [np.isfinite(p) & ((p.astype(np.float64) - sheet) / (floor - sheet) > 0.5) for p in bands]
     labels = np.asarray(ndimage.label(np.concatenate(is_beyond))[0])
-    border = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
-    least = 0.1 * np.pi * float(np.median(radius)) ** 2 / (grid.pixel_um[0] * grid.pixel_um[1])
+    border_labels = np.unique(np.concatenate([labels[0], labels[-1], labels[:, 0], labels[:, -1]]))
+    least_pixels = 0.1 * np.pi * float(np.median(radii_um)) ** 2 / (grid.pixel_um[0] * grid.pixel_um[1])
     boxes = ndimage.find_objects(labels)
-    for label in border[border > 0]:
+    for label in border_labels[border_labels > 0]:
         box = boxes[label - 1]
-        rows, cols = (index + side.start for index, side in zip(np.nonzero(labels[box] == label), box, strict=True))
-        if rows.size >= least:
+        rows, cols = (index + extent.start for index, extent in zip(np.nonzero(labels[box] == label), box, strict=True))
+        if rows.size >= least_pixels:
             yield rows, cols
 
 
@@ -114,35 +114,37 @@ def without_dots(image: NDArray[np.floating], pixel_um: Pair, least_um: float) -
     ----------
     Otsu (1979), IEEE Trans. Syst. Man Cybern. 9, 62, doi:10.1109/TSMC.1979.4310076.
     """
-    whole = np.asarray(image, dtype=np.float32)
+    greys = np.asarray(image, dtype=np.float32)
     # 40 pixels across the smallest hole distinguish dots from holes.
-    small, size, _ = reduce_to(Raster(whole, pixel_um), least_um / 40.0)
-    has_data = np.isfinite(small)
+    coarse_greys, coarse_um, _ = reduce_to(Raster(greys, pixel_um), least_um / 40.0)
+    has_data = np.isfinite(coarse_greys)
     if not has_data.any():
-        return whole
-    smooth = ndimage.gaussian_filter(np.where(has_data, small, np.median(small[has_data])), 1.0)
+        return greys
+    smooth = ndimage.gaussian_filter(np.where(has_data, coarse_greys, np.median(coarse_greys[has_data])), 1.0)
     # The grey that parts two classes so that the variance between them is largest.
-    count, edges = np.histogram(smooth[has_data], 256)
-    below, total = np.cumsum(count), np.cumsum(count * (0.5 * (edges[1:] + edges[:-1])))
-    weight = below[:-1] * (below[-1] - below[:-1])
-    between = (total[-1] * below[:-1] / below[-1] - total[:-1]) ** 2 / np.maximum(weight, 1)
-    dark = has_data & (smooth < float(edges[1 + int(np.argmax(np.where(weight > 0, between, -1.0)))]))
-    if not dark.any() or not (has_data & ~dark).any():
-        return whole
+    counts, grey_edges = np.histogram(smooth[has_data], 256)
+    counts_below, sums_below = np.cumsum(counts), np.cumsum(counts * (0.5 * (grey_edges[1:] + grey_edges[:-1])))
+    weight = counts_below[:-1] * (counts_below[-1] - counts_below[:-1])
+    difference = sums_below[-1] * counts_below[:-1] / counts_below[-1] - sums_below[:-1]
+    class_variance = difference**2 / np.maximum(weight, 1)
+    is_dark = has_data & (smooth < float(grey_edges[1 + int(np.argmax(np.where(weight > 0, class_variance, -1.0)))]))
+    if not is_dark.any() or not (has_data & ~is_dark).any():
+        return greys
     # Beyond the border may be more of a hole, or of a dot: a hole that it cuts stays one.
-    depth = np.asarray(ndimage.distance_transform_edt(np.pad(dark | ~has_data, 1, constant_values=True), sampling=size))
-    middle = dark & (depth[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(size))
+    padded = np.pad(is_dark | ~has_data, 1, constant_values=True)
+    depth_um = np.asarray(ndimage.distance_transform_edt(padded, sampling=coarse_um))
+    hole_cores = is_dark & (depth_um[1:-1, 1:-1] >= least_um / 2 - 0.5 * max(coarse_um))
     # A hole grows back beyond the discs in it: its rim stays as it is.
-    reach = least_um / 2 + 1.5 * max(size)
-    hole = middle
-    if middle.any():
-        hole = np.asarray(ndimage.distance_transform_edt(~middle, sampling=size)) < reach
+    reach_um = least_um / 2 + 1.5 * max(coarse_um)
+    is_hole = hole_cores
+    if hole_cores.any():
+        is_hole = np.asarray(ndimage.distance_transform_edt(~hole_cores, sampling=coarse_um)) < reach_um
     # Two pixels around a dot are not yet as bright as paper.
-    dots = ndimage.binary_dilation(dark & ~hole, iterations=2) & ~hole
+    is_dot = ndimage.binary_dilation(is_dark & ~is_hole, iterations=2) & ~is_hole
     rows, cols = (
-        np.minimum(np.arange(n) // round(coarse / fine), m - 1)
-        for n, m, coarse, fine in zip(whole.shape, dots.shape, size, pixel_um, strict=True)
+        np.minimum(np.arange(n) // round(coarse_px / fine_px), m - 1)
+        for n, m, coarse_px, fine_px in zip(greys.shape, is_dot.shape, coarse_um, pixel_um, strict=True)
     )
-    out = whole.copy()
-    out[dots[np.ix_(rows, cols)] & np.isfinite(whole)] = np.median(small[has_data & ~dark])
+    out = greys.copy()
+    out[is_dot[np.ix_(rows, cols)] & np.isfinite(greys)] = np.median(coarse_greys[has_data & ~is_dark])
     return out

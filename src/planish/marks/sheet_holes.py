@@ -99,85 +99,90 @@ def find_sheet_holes(maps: xr.Dataset, *, params: HoleParams | None = None, side
     holes: dict[str, xr.Dataset] = {}
     for layer, share in layers.items():
         # A tapered hole is narrower, or wider, on the other side than what was asked for.
-        sizes = (low, high) if layer == side else (low / 1.4, high * 1.4)
-        holes[layer] = find_holes(share, pixel_um=grid.pixel_um, diameter_um=sizes, polarity="dark")
+        diameter_range = (low, high) if layer == side else (low / 1.4, high * 1.4)
+        holes[layer] = find_holes(share, pixel_um=grid.pixel_um, diameter_um=diameter_range, polarity="dark")
     centres, diameters = _xy(holes[side]), holes[side]["diameter"].values
-    count = len(centres)
-    rows = {layer: np.arange(count) if layer == side else np.full(count, -1) for layer in LAYERS}
+    hole_count = len(centres)
+    partner_rows = {layer: np.arange(hole_count) if layer == side else np.full(hole_count, -1) for layer in LAYERS}
     for layer in layers.keys() - {side}:
         # From one layer to another a hole moves by less than half its diameter: one that is more oblique is not round.
-        rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
-    state, unpaired = np.full(count, UNCLEAR, dtype=np.uint8), 0
+        partner_rows[layer] = _partners(centres, _xy(holes[layer]), 0.5 * diameters)
+    states, unpaired_count = np.full(hole_count, UNCLEAR, dtype=np.uint8), 0
     if other in layers:
-        unpaired = holes[other].sizes["mark"] - int(np.count_nonzero(rows[other] >= 0))
-        state = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], rows[other])
+        unpaired_count = holes[other].sizes["mark"] - int(np.count_nonzero(partner_rows[other] >= 0))
+        states = _other_side(layers[other], grid.pixel_um, holes[side], holes[other], partner_rows[other])
     holes = {layer: _shifted(dataset, grid.origin_um) for layer, dataset in holes.items()}
-    of_layers = _by_layer(holes, rows)
-    offsets = _xy(of_layers, "_bottom") - _xy(of_layers, "_top")
-    statistics, to_face = _offset_statistics(offsets, maps, side)
-    out = _shifted(holes[side], to_face).merge(of_layers, combine_attrs="override")
-    for axis, along, offset in zip("xy", ("along the columns", "down the rows"), offsets.T, strict=True):
-        long_name = f"Offset from the top to the bottom {along}"
+    layer_holes = _by_layer(holes, partner_rows)
+    offsets = _xy(layer_holes, "_bottom") - _xy(layer_holes, "_top")
+    statistics, to_face_um = _offset_statistics(offsets, maps, side)
+    out = _shifted(holes[side], to_face_um).merge(layer_holes, combine_attrs="override")
+    for axis, direction_text, offset in zip("xy", ("along the columns", "down the rows"), offsets.T, strict=True):
+        long_name = f"Offset from the top to the bottom {direction_text}"
         out[f"offset_{axis}"] = ("mark", offset, {"units": "um", "long_name": long_name})
-    out["other_side"] = ("mark", state, {"long_name": "What the other side shows of the hole"})
+    out["other_side"] = ("mark", states, {"long_name": "What the other side shows of the hole"})
     out["other_side"].attrs |= {"flag_values": list(range(3)), "flag_meanings": " ".join(OTHER_SIDE)}
     # What is as large as a circle of this share of the holes' diameter is an opening that should be one.
-    least_um = 0.6 * float(np.median(diameters if count else [low]))
+    least_um = 0.6 * float(np.median(diameters if hole_count else [low]))
     out.attrs |= {
         "side": side,
         "layers": list(layers),
         "openings": _openings(layers[side], grid.pixel_um, centres, least_um),
-        **{word: int(np.count_nonzero(state == k)) for k, word in enumerate(OTHER_SIDE)},
-        "other_side_only": unpaired,
+        **{word: int(np.count_nonzero(states == k)) for k, word in enumerate(OTHER_SIDE)},
+        "other_side_only": unpaired_count,
         **statistics,
     }
     return out
 
 
 def _other_side(
-    share: NDArray[np.generic], pixel: Pair, holes: xr.Dataset, partners: xr.Dataset, rows: Ints
+    material: NDArray[np.generic], pixel_um: Pair, holes: xr.Dataset, partners: xr.Dataset, partner_rows: Ints
 ) -> NDArray[np.uint8]:
-    """Return the state of each hole on the other side, whose holes are ``partners`` and whose material is ``share``."""
-    is_through, centres = rows >= 0, _xy(holes)
-    state = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
+    """Return the state of each hole on the other side, which has the holes ``partners`` and shares of ``material``."""
+    is_through, centres = partner_rows >= 0, _xy(holes)
+    states = np.where(is_through, THROUGH, UNCLEAR).astype(np.uint8)
     # Where the other side should show a hole: as far from this one as with the partners.
-    shift = np.zeros(2)
+    offset = np.zeros(2)
     if is_through.any():
-        shift = np.median(_xy(partners)[rows[is_through]] - centres[is_through], axis=0)
-    axes = [np.arange(n) * step for n, step in zip(share.shape, pixel, strict=True)]
+        offset = np.median(_xy(partners)[partner_rows[is_through]] - centres[is_through], axis=0)
+    axes = [np.arange(n) * step for n, step in zip(material.shape, pixel_um, strict=True)]
     for k in np.flatnonzero(~is_through).tolist():
         # The shares of the map in the middle of the hole, without those that are missing.
-        radius = 0.25 * float(holes["diameter"].values[k])
-        down, along = (axis - place for axis, place in zip(axes, (centres[k] + shift)[::-1], strict=True))
-        near = [np.flatnonzero(np.abs(d) <= radius) for d in (down, along)]
-        distance = np.hypot(down[near[0]][:, None], along[near[1]][None])
-        shares = share[np.ix_(*near)].astype(np.float64)[distance <= radius]
+        radius_um = 0.25 * float(holes["diameter"].values[k])
+        dy, dx = (axis - centre for axis, centre in zip(axes, (centres[k] + offset)[::-1], strict=True))
+        near_indices = [np.flatnonzero(np.abs(d) <= radius_um) for d in (dy, dx)]
+        distances = np.hypot(dy[near_indices[0]][:, None], dx[near_indices[1]][None])
+        shares = material[np.ix_(*near_indices)].astype(np.float64)[distances <= radius_um]
         shares = shares[np.isfinite(shares)]
-        state[k] = CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR
-    return state
+        states[k] = CLOSED if shares.size and np.median(shares) > MATERIAL else UNCLEAR
+    return states
 
 
 def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[dict[str, Any], Floats]:
     """Summarise the offsets from top to bottom, as attributes, and give the move from the layer to its face."""
     measured = offsets[np.isfinite(offsets).all(axis=1)]
-    offset = spread = np.full(2, np.nan)
+    offset_um = spread_um = np.full(2, np.nan)
     if len(measured):
-        offset = np.median(measured, axis=0)
+        offset_um = np.median(measured, axis=0)
     if len(measured) > 1:
-        spread = MAD_TO_SD * np.median(np.abs(measured - offset), axis=0)
+        spread_um = MAD_TO_SD * np.median(np.abs(measured - offset_um), axis=0)
     # The error of a median over that of a mean.
-    error = 1.2533 * spread / np.sqrt(max(len(measured), 1))
-    to_face = np.zeros(2)
+    error_um = 1.2533 * spread_um / np.sqrt(max(len(measured), 1))
+    to_face_um = np.zeros(2)
     # The median offset of fewer holes is no better than none; it counts from three standard errors.
-    is_sure = len(measured) >= 4 and np.hypot(*offset) > 3.0 * np.hypot(*error)
-    if is_sure and maps.attrs.get("layer_to_face"):
-        outward = float(maps.attrs["layer_to_face"])
-        to_face = (-outward if side == "top" else outward) * offset
-    arrays = {"offset_um": offset, "offset_spread_um": spread, "offset_error_um": error, "to_face_um": to_face}
-    statistics = {"offset_count": len(measured)} | {name: pair.tolist() for name, pair in arrays.items()}
+    is_significant = len(measured) >= 4 and np.hypot(*offset_um) > 3.0 * np.hypot(*error_um)
+    if is_significant and maps.attrs.get("layer_to_face"):
+        face_share = float(maps.attrs["layer_to_face"])
+        to_face_um = (-face_share if side == "top" else face_share) * offset_um
+    statistics = {
+        "offset_count": len(measured),
+        "offset_um": offset_um.tolist(),
+        "offset_spread_um": spread_um.tolist(),
+        "offset_error_um": error_um.tolist(),
+        "to_face_um": to_face_um.tolist(),
+    }
     if (thickness_um := maps.attrs.get("layers_apart_um")) is not None:
-        statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset, thickness_um)).tolist()
-    return statistics, to_face
+        statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset_um, thickness_um)).tolist()
+    return statistics, to_face_um
 
 
 def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
@@ -197,49 +202,49 @@ def hole_tilt(holes: xr.Dataset | None) -> HoleTiltFacts | None:
     return HoleTiltFacts.model_validate({**facts, "sentence": text})
 
 
-def _shifted(holes: xr.Dataset, by: Sequence[float] | Floats) -> xr.Dataset:
-    return holes.assign({k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", by, strict=True)})
+def _shifted(holes: xr.Dataset, offset: Sequence[float] | Floats) -> xr.Dataset:
+    return holes.assign({k: holes[k].copy(data=holes[k].values + d) for k, d in zip("xy", offset, strict=True)})
 
 
 def _xy(holes: xr.Dataset, suffix: str = "") -> Floats:
     return np.stack([holes[f"x{suffix}"].values, holes[f"y{suffix}"].values], axis=1).astype(np.float64)
 
 
-def _partners(holes: Floats, candidates: Floats, reach: Floats) -> Ints:
+def _partners(centres: Floats, candidate_centres: Floats, reach: Floats) -> Ints:
     """Return the candidate's row of each hole, -1 for none: either is the other's nearest, and within reach."""
-    rows = np.full(len(holes), -1)
-    if not len(holes) or not len(candidates):
+    rows = np.full(len(centres), -1)
+    if not len(centres) or not len(candidate_centres):
         return rows
-    nearest = np.asarray(KDTree(candidates).query(holes)[1], dtype=np.intp)
-    back = np.asarray(KDTree(holes).query(candidates)[1], dtype=np.intp)
-    distance = np.hypot(*(candidates[nearest] - holes).T)
-    is_mutual = (back[nearest] == np.arange(len(holes))) & (distance <= reach)
+    nearest = np.asarray(KDTree(candidate_centres).query(centres)[1], dtype=np.intp)
+    reverse_nearest = np.asarray(KDTree(centres).query(candidate_centres)[1], dtype=np.intp)
+    distances = np.hypot(*(candidate_centres[nearest] - centres).T)
+    is_mutual = (reverse_nearest[nearest] == np.arange(len(centres))) & (distances <= reach)
     rows[is_mutual] = nearest[is_mutual]
     return rows
 
 
-def _openings(share: NDArray[np.generic], pixel: Pair, centres: Floats, least_um: float) -> int:
+def _openings(share: NDArray[np.generic], pixel_um: Pair, centres: Floats, least_um: float) -> int:
     """Count openings away from the border, as large as a circle of a diameter or larger, that hold no hole."""
     material = share.astype(np.float64)
     has_data = np.isfinite(material)
     labelled: Any = ndimage.label((material < MATERIAL) | ~has_data)
     regions: Ints = labelled[0]
-    sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel[0] * pixel[1]
+    sizes = np.bincount(regions.ravel(), minlength=int(labelled[1]) + 1) * pixel_um[0] * pixel_um[1]
     sizes[np.unique(np.concatenate([regions[[0, -1]].ravel(), regions[:, [0, -1]].ravel(), regions[~has_data]]))] = 0.0
-    rows, cols = np.rint(centres[:, ::-1] / pixel).clip(0, np.array(share.shape) - 1).astype(np.intp).T
+    rows, cols = np.rint(centres[:, ::-1] / pixel_um).clip(0, np.array(share.shape) - 1).astype(np.intp).T
     sizes[regions[rows, cols]] = 0.0
     return int(np.count_nonzero(sizes[1:] > np.pi / 4 * least_um**2))
 
 
-def _by_layer(holes: dict[str, xr.Dataset], rows: dict[str, Ints]) -> xr.Dataset:
+def _by_layer(holes: dict[str, xr.Dataset], layer_rows: dict[str, Ints]) -> xr.Dataset:
     """Collect each layer's variables of the holes, NaN where a hole is missing."""
     variables: dict[str, tuple[str, Floats, dict[str, str]]] = {}
     template = next(iter(holes.values()))
-    for layer, (_, place) in LAYERS.items():
+    for layer, (_, place_text) in LAYERS.items():
         for name in ("x", "y", "cov_xx", "cov_yy", "cov_xy", "diameter"):
-            numbers = holes[layer][name].values if layer in holes else np.empty(0)
-            units, text = template[name].attrs["units"], f"{template[name].attrs['long_name']}, {place}"
+            values_by_row = holes[layer][name].values if layer in holes else np.empty(0)
+            units, name_text = template[name].attrs["units"], f"{template[name].attrs['long_name']}, {place_text}"
             # The last row is that of the holes that are missing, -1.
-            column = np.append(numbers, np.nan)[rows[layer]]
-            variables[f"{name}_{layer}"] = ("mark", column, {"units": units, "long_name": text})
+            column = np.append(values_by_row, np.nan)[layer_rows[layer]]
+            variables[f"{name}_{layer}"] = ("mark", column, {"units": units, "long_name": name_text})
     return xr.Dataset(variables)

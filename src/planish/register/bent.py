@@ -55,50 +55,50 @@ class Bent(NearSimilarity):
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points of shape ``(..., 2)``, in um; NaN stays NaN."""
-        places = np.asarray(points, dtype=np.float64)
-        scaled = (places.reshape(-1, 2) - self.source) / self.size
-        out = self.affine[0] + scaled @ self.affine[1:]
+        points_um = np.asarray(points, dtype=np.float64)
+        scaled_points = (points_um.reshape(-1, 2) - self.source) / self.size
+        out = self.affine[0] + scaled_points @ self.affine[1:]
 
         def add(part: slice) -> None:
-            self.add_bends(scaled[part], out[part])
+            self.add_bends(scaled_points[part], out[part])
 
-        parts = self._parts(scaled)
+        slices = self._parts(scaled_points)
         # With fewer parts, starting threads takes longer than the work.
-        if len(parts) < 4:
-            for part in parts:
+        if len(slices) < 4:
+            for part in slices:
                 add(part)
         else:
-            map_threads(add, parts)
-        return out.reshape(places.shape)
+            map_threads(add, slices)
+        return out.reshape(points_um.shape)
 
-    def _parts(self, scaled: Floats) -> list[slice]:
+    def _parts(self, scaled_points: Floats) -> list[slice]:
         """Points at once, so that their distances from the nodes fit into the cache."""
         step = max(1, (1 << 18) // len(self.nodes))
-        return [slice(k, k + step) for k in range(0, len(scaled), step)]
+        return [slice(k, k + step) for k in range(0, len(scaled_points), step)]
 
-    def add_bends(self, scaled: Floats, out: Floats) -> None:
+    def add_bends(self, scaled_points: Floats, out: Floats) -> None:
         """Add the local changes at scaled points (n, 2) to ``out`` (n, 2), in um."""
         bends = [(value, bend) for value, _, bend in self.bends() if np.any(bend)]
         if bends:
-            x, y = (scaled[:, None, i] - self.nodes[:, i] for i in range(2))
+            x, y = (scaled_points[:, None, i] - self.nodes[:, i] for i in range(2))
             squares = x**2 + y**2
             for value, bend in bends:
                 out += value(squares) @ bend
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
-        places = np.asarray(points, dtype=np.float64)
-        scaled = (places.reshape(-1, 2) - self.source) / self.size
-        out = np.broadcast_to(self.affine[1:].T, (len(scaled), 2, 2)).copy()
+        points_um = np.asarray(points, dtype=np.float64)
+        scaled_points = (points_um.reshape(-1, 2) - self.source) / self.size
+        out = np.broadcast_to(self.affine[1:].T, (len(scaled_points), 2, 2)).copy()
         bends = [(slope, bend) for _, slope, bend in self.bends() if np.any(bend)]
-        for part in self._parts(scaled) if bends else ():
-            away = [scaled[part, None, i] - self.nodes[:, i] for i in range(2)]
-            squares = away[0] ** 2 + away[1] ** 2
+        for part in self._parts(scaled_points) if bends else ():
+            offsets = [scaled_points[part, None, i] - self.nodes[:, i] for i in range(2)]
+            squares = offsets[0] ** 2 + offsets[1] ** 2
             for slope, bend in bends:
-                factor = slope(squares)
+                slopes = slope(squares)
                 for i in range(2):
-                    out[part, :, i] += (factor * away[i]) @ bend
-        return (out / self.size).reshape(*places.shape[:-1], 2, 2)
+                    out[part, :, i] += (slopes * offsets[i]) @ bend
+        return (out / self.size).reshape(*points_um.shape[:-1], 2, 2)
 
     @property
     def inverse(self) -> Callable[[ArrayLike], Floats]:
@@ -124,50 +124,51 @@ class _Inverse:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` back, in um; NaN where there is none."""
-        places = np.asarray(points, dtype=np.float64)
-        sources = np.full(places.shape, np.nan)
-        is_finite = np.isfinite(places).all(axis=-1)
+        points_um = np.asarray(points, dtype=np.float64)
+        sources = np.full(points_um.shape, np.nan)
+        is_finite = np.isfinite(points_um).all(axis=-1)
         if is_finite.any():
-            sources[is_finite] = self._newton(places[is_finite])
+            sources[is_finite] = self._newton(points_um[is_finite])
         return sources
 
     def _newton(self, targets: Floats) -> Floats:
         bent = self.bent
-        nearest = np.asarray(self.tree.query(targets)[1])
-        step = _solve(self.slopes[nearest], self.images[nearest] - targets)
-        sources = self.grid[nearest] - np.clip(step, -0.125 * self.around, 0.125 * self.around)
+        nearest_nodes = np.asarray(self.tree.query(targets)[1])
+        step = _solve(self.slopes[nearest_nodes], self.images[nearest_nodes] - targets)
+        sources = self.grid[nearest_nodes] - np.clip(step, -0.125 * self.around, 0.125 * self.around)
         if bent.everywhere:
-            edge = np.any((self.grid[nearest] == self.low) | (self.grid[nearest] == self.high), axis=1)
-            sources[edge] = (targets[edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:]) * bent.size + bent.source
+            is_edge = np.any((self.grid[nearest_nodes] == self.low) | (self.grid[nearest_nodes] == self.high), axis=1)
+            scaled = (targets[is_edge] - bent.affine[0]) @ np.linalg.inv(bent.affine[1:])
+            sources[is_edge] = scaled * bent.size + bent.source
         error = bent(sources) - targets
         # What rounding leaves of the sum of kernels.
         tolerance = 4e-15 * (self.largest + np.abs(targets).max())
         active = np.arange(len(targets))
         for _ in range(60):
-            current = sources[active]
+            active_sources = sources[active]
             with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
-                step = _solve(bent.jacobian(current), error[active])
+                step = _solve(bent.jacobian(active_sources), error[active])
             # Far from the answer a whole step may overshoot a bend.
             length = np.linalg.norm(step, axis=1, keepdims=True)
             step *= np.minimum(1.0, 0.125 * self.around / np.maximum(length, 1e-300))
-            before = np.linalg.norm(error[active], axis=1)
+            start_errors = np.linalg.norm(error[active], axis=1)
             is_better = np.zeros(active.size, dtype=np.bool_)
             # Where the whole step does not help, a quarter of it may.
-            for share in (1.0, 0.25):
-                trying = np.flatnonzero(~is_better & ((before > tolerance) | (share == 1.0)))
-                if not trying.size:
+            for step_share in (1.0, 0.25):
+                retried = np.flatnonzero(~is_better & ((start_errors > tolerance) | (step_share == 1.0)))
+                if not retried.size:
                     continue
-                trial = current[trying] - share * step[trying]
-                trial_error = bent(trial) - targets[active[trying]]
-                helps = np.linalg.norm(trial_error, axis=1) < before[trying]
-                rows = active[trying[helps]]
-                sources[rows], error[rows] = trial[helps], trial_error[helps]
-                is_better[trying[helps]] = True
+                trial = active_sources[retried] - step_share * step[retried]
+                trial_error = bent(trial) - targets[active[retried]]
+                is_improved = np.linalg.norm(trial_error, axis=1) < start_errors[retried]
+                improved = active[retried[is_improved]]
+                sources[improved], error[improved] = trial[is_improved], trial_error[is_improved]
+                is_better[retried[is_improved]] = True
             active = active[is_better & (np.linalg.norm(error[active], axis=1) > tolerance)]
             if not active.size:
                 break
-        outside = not bent.everywhere and np.any((sources < self.low) | (sources > self.high), axis=1)
-        sources[outside | (np.linalg.norm(error, axis=1) > 100 * tolerance)] = np.nan
+        is_outside = not bent.everywhere and np.any((sources < self.low) | (sources > self.high), axis=1)
+        sources[is_outside | (np.linalg.norm(error, axis=1) > 100 * tolerance)] = np.nan
         return sources
 
 
@@ -206,13 +207,13 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     CannotRegister
         Where the map folds, or changes its handedness against what was declared.
     """
-    where = marks.mean(axis=0)
+    largest_at = marks.mean(axis=0)
     if isinstance(transform, Similarity):
-        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(where[0]), float(where[1])))
+        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(largest_at[0]), float(largest_at[1])))
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
-    derivatives = transform.jacobian(points)
+    jacobians = transform.jacobian(points)
     areas = (-1.0 if mirrored else 1.0) * (
-        derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
+        jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0]
     )
     worst = int(np.argmin(np.where(np.isfinite(areas), areas, -np.inf)))
     if not areas[worst] > 0:
@@ -227,13 +228,13 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
             "there; if they are right, fit a model with fewer parameters."
         )
     mean = float(np.mean(areas))
-    stretches = np.linalg.svd(derivatives, compute_uv=False) / np.sqrt(mean) - 1.0
+    stretches = np.linalg.svd(jacobians, compute_uv=False) / np.sqrt(mean) - 1.0
     if len(points) > 1:
-        where = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
+        largest_at = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
     return LocalStrain(
         area=(float(areas.min() / mean), float(areas.max() / mean)),
         stretch=(float(stretches.min()), float(stretches.max())),
-        at_um=(float(where[0]), float(where[1])),
+        at_um=(float(largest_at[0]), float(largest_at[1])),
     )
 
 

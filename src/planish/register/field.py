@@ -56,14 +56,14 @@ def covariance_slope(kernel: tuple[str, float], squares: Floats) -> Floats:
 class _KernelFit(NamedTuple):
     """The marks under one covariance, in its eigenvectors, for all ratios: axes (affine, field, ...)."""
 
-    turn: Floats  # (2n, 2n): whitened marks to eigenvectors, as columns
+    eigenvectors: Floats  # (2n, 2n): whitened marks to eigenvectors, as columns
     y: Floats  # (2n,)
-    columns: Floats  # (2n, 6): similarity and affine deviation
-    shrink: Floats  # (g, 2n): one over the variance of each eigenvector
-    inner: Floats  # (a, g, 6, 6): covariance of the six coefficients
+    design: Floats  # (2n, 6): similarity and affine deviation
+    shrinkage: Floats  # (g, 2n): one over the variance of each eigenvector
+    coefficient_cov: Floats  # (a, g, 6, 6): covariance of the six coefficients
     coefficients: Floats  # (a, g, 6): the six coefficients
     misfit: Floats  # (a, g): sum of squares that remains
-    log: Floats  # (a, g): logarithm of the restricted likelihood times prior
+    log_posterior: Floats  # (a, g): logarithm of the restricted likelihood times prior
 
 
 class DeviationField:
@@ -99,10 +99,12 @@ class DeviationField:
         floor = (COINCIDENT * float(np.hypot(*self._first[2:4]))) ** 2
         which = [k for k in range(len(KERNELS)) if mixture is None or mixture[k].any()]
         kernel_fits = {k: self._fit(KERNELS[k], squares, columns, y, floor) for k in which}
-        self.mixture = _shares(np.array([v.log for v in kernel_fits.values()])) if mixture is None else mixture
-        self._likely = {k: v for k, v in kernel_fits.items() if self.mixture[k].any()}
-        self._variance = {k: v.misfit / max(self.freedom, 1) for k, v in self._likely.items()}
-        total = sum(float(np.sum(self.mixture[k] * v)) for k, v in self._variance.items())
+        self.mixture = (
+            _shares(np.array([v.log_posterior for v in kernel_fits.values()])) if mixture is None else mixture
+        )
+        self._kernel_fits = {k: v for k, v in kernel_fits.items() if self.mixture[k].any()}
+        self._mark_variances = {k: v.misfit / max(self.freedom, 1) for k, v in self._kernel_fits.items()}
+        total = sum(float(np.sum(self.mixture[k] * v)) for k, v in self._mark_variances.items())
         self.mark_variance = total * self._unit if self.freedom > 0 else float("nan")
 
     def _columns(self, scaled: Floats) -> Floats:
@@ -112,54 +114,59 @@ class DeviationField:
         rows = [[ones, zeros, x, -y, x, y], [zeros, ones, y, x, -y, x]]
         return np.stack([np.stack(row, axis=-1) for row in rows], axis=1)
 
-    def _fit(self, kernel: tuple[str, float], squares: Floats, columns: Floats, y: Floats, floor: float) -> _KernelFit:
-        between = covariance(kernel, squares)
+    def _fit(
+        self, kernel: tuple[str, float], squares: Floats, design: Floats, y: Floats, misfit_floor: float
+    ) -> _KernelFit:
+        covariances = covariance(kernel, squares)
         if self._pairs.isotropic:
-            root = self._whitening[:, 0, 0]
-            spectrum: Any = np.linalg.eigh(root[:, None] * between * root)
+            weight_roots = self._whitening[:, 0, 0]
+            spectrum: Any = np.linalg.eigh(weight_roots[:, None] * covariances * weight_roots)
             eigenvalues: Floats = np.repeat(spectrum[0], 2)
-            turn = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
+            eigenvectors = np.asarray(np.kron(spectrum[1], np.eye(2)), dtype=np.float64)
         else:
-            rows = whitened(self._whitening, np.asarray(np.kron(between, np.eye(2)), dtype=np.float64))
-            eigenvalues, turn = (np.asarray(v) for v in np.linalg.eigh(whitened(self._whitening, rows.T)))
+            rows = whitened(self._whitening, np.asarray(np.kron(covariances, np.eye(2)), dtype=np.float64))
+            eigenvalues, eigenvectors = (np.asarray(v) for v in np.linalg.eigh(whitened(self._whitening, rows.T)))
         eigenvalues = np.maximum(eigenvalues, 0.0)
-        columns, y = turn.T @ columns, turn.T @ y
-        shrink = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)
-        weighted = shrink[:, None] * columns.T  # (g, 6, 2n)
-        gram, projected = weighted @ columns, weighted @ y
-        inner = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
-        inner[0, :, :4, :4] = np.linalg.inv(gram[:, :4, :4])
+        design, y = eigenvectors.T @ design, eigenvectors.T @ y
+        shrinkage = 1.0 / (1.0 + _FIELD[:, None] * eigenvalues)
+        weighted = shrinkage[:, None] * design.T  # (g, 6, 2n)
+        gram, projected = weighted @ design, weighted @ y
+        coefficient_cov = np.zeros((len(_AFFINE), len(_FIELD), 6, 6))
+        coefficient_cov[0, :, :4, :4] = np.linalg.inv(gram[:, :4, :4])
         penalised = gram + np.diag([0.0, 0, 0, 0, 1, 1]) / _AFFINE[1:, None, None, None]
-        inner[1:] = np.linalg.inv(penalised)
-        coefficients = (inner @ projected[..., None])[..., 0]
-        remainder = shrink @ (y * y) - np.sum(coefficients * projected, axis=-1)
-        misfit = np.maximum(remainder, 0.0) + max(self.freedom, 1) * floor
-        log = np.broadcast_to(0.5 * np.sum(np.log(shrink), axis=1), misfit.shape).copy()
-        log[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
-        log[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
-        log -= 0.5 * self.freedom * np.log(misfit)
-        log += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
-        return _KernelFit(turn, y, columns, shrink, inner, coefficients, misfit, log)
+        coefficient_cov[1:] = np.linalg.inv(penalised)
+        coefficients = (coefficient_cov @ projected[..., None])[..., 0]
+        residual_squares = shrinkage @ (y * y) - np.sum(coefficients * projected, axis=-1)
+        misfit = np.maximum(residual_squares, 0.0) + max(self.freedom, 1) * misfit_floor
+        log_posterior = np.broadcast_to(0.5 * np.sum(np.log(shrinkage), axis=1), misfit.shape).copy()
+        log_posterior[0] -= 0.5 * np.linalg.slogdet(gram[:, :4, :4])[1]
+        log_posterior[1:] -= 0.5 * np.linalg.slogdet(penalised)[1] + np.log(_AFFINE[1:, None])
+        log_posterior -= 0.5 * self.freedom * np.log(misfit)
+        log_posterior += _log_prior(_FIELD) + _log_prior(_AFFINE)[:, None]
+        return _KernelFit(eigenvectors, y, design, shrinkage, coefficient_cov, coefficients, misfit, log_posterior)
 
     # --- the map and its errors ----------------------------------------------------------------------------------
 
     def mean(self) -> tuple[Floats, tuple[tuple[str, float], ...], Floats]:
         """Affine part (3, 2) in um, and coefficients (kernels, n, 2) in um of the likely kernels at the nodes."""
-        planes, bends = np.zeros(6), dict[int, Floats]()
-        for k, likely in self._likely.items():
-            share = self.mixture[k]
-            planes += np.einsum("ag,agp->p", share, likely.coefficients)
+        plane_coefficients, coefficients = np.zeros(6), dict[int, Floats]()
+        for k, kernel_fit in self._kernel_fits.items():
+            probabilities = self.mixture[k]
+            plane_coefficients += np.einsum("ag,agp->p", probabilities, kernel_fit.coefficients)
             # From eigenvectors (2n,) back to coefficients of the marks (n, 2).
-            dual = likely.turn @ np.einsum("ag,g,agk->k", share, _FIELD, self._scaled_residuals(likely))
-            bends[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[..., 0]
+            dual = kernel_fit.eigenvectors @ np.einsum(
+                "ag,g,agk->k", probabilities, _FIELD, self._scaled_residuals(kernel_fit)
+            )
+            coefficients[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[..., 0]
         # Coefficients of `_columns` as those of ``(1, x, y)``.
-        plane = np.einsum("kcp,p->kc", self._columns(np.array([[0.0, 0], [1, 0], [0, 1]])), planes + self._first)
+        corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
+        plane = np.einsum("kcp,p->kc", corners, plane_coefficients + self._first)
         plane[1:] -= plane[:1]
-        return plane, tuple(KERNELS[k] for k in bends), np.array(list(bends.values()))
+        return plane, tuple(KERNELS[k] for k in coefficients), np.array(list(coefficients.values()))
 
-    def _scaled_residuals(self, likely: _KernelFit) -> Floats:
+    def _scaled_residuals(self, kernel_fit: _KernelFit) -> Floats:
         """Residuals of the six coefficients over their variance: (a, g, 2n)."""
-        return likely.shrink * (likely.y - likely.coefficients @ likely.columns.T)
+        return kernel_fit.shrinkage * (kernel_fit.y - kernel_fit.coefficients @ kernel_fit.design.T)
 
     @cached_property
     def _square_forms(self) -> dict[int, tuple[Floats, Floats, float]]:
@@ -172,26 +179,30 @@ class DeviationField:
 
         forms: dict[int, tuple[Floats, Floats, float]] = {}
         n = len(self._pairs)
-        corner = np.linalg.lstsq(np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
+        plane_basis = np.linalg.lstsq(np.kron(np.column_stack([np.ones(n), self.nodes]), np.eye(2)),
                                  self._columns(self.nodes).reshape(-1, 6), rcond=None)[0]  # fmt: skip
-        back = block_diag(*self._whitening.swapaxes(1, 2))
-        for k, likely in self._likely.items():
-            share, variance = self.mixture[k], self._variance[k]
+        unwhitening = block_diag(*self._whitening.swapaxes(1, 2))
+        for k, kernel_fit in self._kernel_fits.items():
+            probabilities, variances = self.mixture[k], self._mark_variances[k]
             # Rows of which the products with (columns, eigenvectors) are squared and summed.
-            root = np.linalg.cholesky(likely.inner + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300])).swapaxes(-1, -2)
-            cross = -_FIELD[:, None, None] * (likely.columns.T * likely.shrink[:, None])  # (g, 6, 2n)
-            rows = np.concatenate([root, root @ cross], axis=-1) * np.sqrt(share * variance)[..., None, None]
-            means = np.concatenate([likely.coefficients, _FIELD[:, None] * self._scaled_residuals(likely)], axis=-1)
-            scaled = np.sqrt(share)[..., None] * means
-            stack = np.concatenate([k.reshape(-1, 6 + 2 * n) for k in (rows, scaled)])
-            form = stack.T @ stack
-            away = np.einsum("ag,g,gk->k", share * variance, _FIELD**2, likely.shrink)
-            form[6:, 6:] -= np.diag(away)
-            change = block_diag(corner, back @ likely.turn)
-            form = change @ form @ change.T
+            root = np.linalg.cholesky(kernel_fit.coefficient_cov + np.diag([0.0, 0, 0, 0, 1e-300, 1e-300]))
+            root = root.swapaxes(-1, -2)
+            cross_terms = -_FIELD[:, None, None] * (kernel_fit.design.T * kernel_fit.shrinkage[:, None])  # (g, 6, 2n)
+            spread_rows = np.concatenate([root, root @ cross_terms], axis=-1)
+            spread_rows *= np.sqrt(probabilities * variances)[..., None, None]
+            dual = _FIELD[:, None] * self._scaled_residuals(kernel_fit)
+            means = np.concatenate([kernel_fit.coefficients, dual], axis=-1)
+            mean_rows = np.sqrt(probabilities)[..., None] * means
+            stacked_rows = np.concatenate([k.reshape(-1, 6 + 2 * n) for k in (spread_rows, mean_rows)])
+            form = stacked_rows.T @ stacked_rows
+            known_variance = np.einsum("ag,g,gk->k", probabilities * variances, _FIELD**2, kernel_fit.shrinkage)
+            form[6:, 6:] -= np.diag(known_variance)
+            basis_change = block_diag(plane_basis, unwhitening @ kernel_fit.eigenvectors)
+            form = basis_change @ form @ basis_change.T
             form = form[0::2, 0::2] + form[1::2, 1::2]
-            mean = change @ np.einsum("ag,agk->k", share, means)
-            forms[k] = (form, mean.reshape(-1, 2), 2.0 * float(np.sum(share * variance * _FIELD)))
+            mean_deviation = basis_change @ np.einsum("ag,agk->k", probabilities, means)
+            constant = 2.0 * float(np.sum(probabilities * variances * _FIELD))
+            forms[k] = (form, mean_deviation.reshape(-1, 2), constant)
         return forms
 
     def expected_square(self, points: Floats, images: Floats) -> Floats:
@@ -205,15 +216,16 @@ class DeviationField:
         step = max(1, _AT_ONCE // len(self._pairs))
         for start in range(0, len(points), step):
             part = slice(start, start + step)
-            scaled = (points[part] - self.middle) / self.size
-            squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
-            plane = np.column_stack([np.ones(len(scaled)), scaled])
-            off = images[part] - self._columns(scaled) @ self._first
-            total = np.sum(off**2, axis=1)
+            scaled_points = (points[part] - self.middle) / self.size
+            squares = np.sum((scaled_points[:, None] - self.nodes) ** 2, axis=-1)
+            plane = np.column_stack([np.ones(len(scaled_points)), scaled_points])
+            deviations = images[part] - self._columns(scaled_points) @ self._first
+            squares_um2 = np.sum(deviations**2, axis=1)
             for k, (form, mean, constant) in self._square_forms.items():
                 row = np.concatenate([plane, covariance(KERNELS[k], squares)], axis=1)
-                total += np.sum(row * (row @ form), axis=1) + constant - 2.0 * np.sum(off * (row @ mean), axis=1)
-            out[part] = np.maximum(total, 0.0)
+                cross = np.sum(deviations * (row @ mean), axis=1)
+                squares_um2 += np.sum(row * (row @ form), axis=1) + constant - 2.0 * cross
+            out[part] = np.maximum(squares_um2, 0.0)
         return out
 
     def left_out(self) -> tuple[Floats, Floats]:
@@ -226,49 +238,52 @@ class DeviationField:
         """
         if len(self._all_pairs) > len(self._pairs):
             plane, kernels, bends = self.mean()
-            scaled = (self._all_pairs.moving - self.middle) / self.size
-            squares = np.sum((scaled[:, None] - self.nodes) ** 2, axis=-1)
-            images = np.column_stack([np.ones(len(scaled)), scaled]) @ plane
+            scaled_points = (self._all_pairs.moving - self.middle) / self.size
+            squares = np.sum((scaled_points[:, None] - self.nodes) ** 2, axis=-1)
+            images = np.column_stack([np.ones(len(scaled_points)), scaled_points]) @ plane
             for kernel, bend in zip(kernels, bends, strict=True):
                 images += covariance(kernel, squares) @ bend
-            missed = self._all_pairs.fixed - images
-            share = np.einsum("ni,nij,nj->n", missed, self._all_pairs.information, missed) / self.mark_variance
-            return missed, -0.5 * share
-        n, tail = len(self._pairs), 0.5 * self.freedom - 1.0
-        missed, log_shares, chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
-        for k, fit in self._likely.items():
-            error, det, share = self._missed(fit)
-            missed += np.einsum("ag,agni->ni", self.mixture[k], error)
-            log_tail = np.log(np.clip(1.0 - share / fit.misfit[..., None], 1e-14, 1.0))
+            errors = self._all_pairs.fixed - images
+            misfit_shares = np.einsum("ni,nij,nj->n", errors, self._all_pairs.information, errors) / self.mark_variance
+            return errors, -0.5 * misfit_shares
+        n, tail_exponent = len(self._pairs), 0.5 * self.freedom - 1.0
+        errors, log_shares, log_chances = np.zeros((n, 2)), list[Floats](), list[Floats]()
+        for k, kernel_fit in self._kernel_fits.items():
+            fit_errors, determinants, misfit_shares = self._missed(kernel_fit)
+            errors += np.einsum("ag,agni->ni", self.mixture[k], fit_errors)
+            log_tail = np.log(np.clip(1.0 - misfit_shares / kernel_fit.misfit[..., None], 1e-14, 1.0))
             with np.errstate(divide="ignore"):
-                prior = np.log(self.mixture[k] * fit.misfit)[..., None]
-            log_shares.append((prior - 0.5 * np.log(det) - tail * log_tail).reshape(-1, n))
-            chances.append((tail * log_tail).reshape(-1, n))
-        chance = np.zeros(n)
-        if tail > 0:
+                prior = np.log(self.mixture[k] * kernel_fit.misfit)[..., None]
+            log_shares.append((prior - 0.5 * np.log(determinants) - tail_exponent * log_tail).reshape(-1, n))
+            log_chances.append((tail_exponent * log_tail).reshape(-1, n))
+        log_chance = np.zeros(n)
+        if tail_exponent > 0:
             log_weights = np.concatenate(log_shares)
-            log_weights = np.where(np.isfinite(missed).all(axis=1), log_weights, 0.0)
-            chance = np.nan_to_num(_log_sum(log_weights + np.concatenate(chances)) - _log_sum(log_weights))
-        return np.linalg.solve(self._whitening, missed[..., None])[..., 0], chance
+            log_weights = np.where(np.isfinite(errors).all(axis=1), log_weights, 0.0)
+            log_chance = np.nan_to_num(_log_sum(log_weights + np.concatenate(log_chances)) - _log_sum(log_weights))
+        return np.linalg.solve(self._whitening, errors[..., None])[..., 0], log_chance
 
-    def _missed(self, fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
+    def _missed(self, kernel_fit: _KernelFit) -> tuple[Floats, Floats, Floats]:
         """Errors (a, g, n, 2) of the marks left out, determinants (a, g, n) of ``P_ii``, and ``q`` (a, g, n)."""
         n = len(self._pairs)
-        rows = fit.turn.reshape(n, 2, -1)
-        residuals = (self._scaled_residuals(fit) @ fit.turn.T).reshape(*fit.misfit.shape, n, 2)
+        rows = kernel_fit.eigenvectors.reshape(n, 2, -1)
+        residuals = (self._scaled_residuals(kernel_fit) @ kernel_fit.eigenvectors.T).reshape(
+            *kernel_fit.misfit.shape, n, 2
+        )
         blocks: list[Floats] = []
-        step = max(1, 16 * _AT_ONCE // (n * fit.shrink.shape[0]))
-        for part in (rows[k : k + step] for k in range(0, n, step)):
-            weighted = part * fit.shrink[:, None, None]  # (g, marks, 2, 2n)
-            projected = weighted @ fit.columns
-            blocks.append(weighted @ part.swapaxes(1, 2) - projected @ fit.inner[:, :, None] @ projected.swapaxes(2, 3))
-        block = np.concatenate(blocks, axis=2)
-        det = block[..., 0, 0] * block[..., 1, 1] - block[..., 0, 1] ** 2
+        step = max(1, 16 * _AT_ONCE // (n * kernel_fit.shrinkage.shape[0]))
+        for mark_rows in (rows[k : k + step] for k in range(0, n, step)):
+            weighted = mark_rows * kernel_fit.shrinkage[:, None, None]  # (g, marks, 2, 2n)
+            projected = weighted @ kernel_fit.design
+            explained = projected @ kernel_fit.coefficient_cov[:, :, None] @ projected.swapaxes(2, 3)
+            blocks.append(weighted @ mark_rows.swapaxes(1, 2) - explained)
+        blocks_of_p = np.concatenate(blocks, axis=2)
+        determinants = blocks_of_p[..., 0, 0] * blocks_of_p[..., 1, 1] - blocks_of_p[..., 0, 1] ** 2
         # Without this mark the others leave the similarity free.
-        lonely = det < COINCIDENT**2 * (block[..., 0, 0] + block[..., 1, 1]) ** 2
-        block[lonely], det[lonely] = np.nan, np.nan
-        error = (inverse_of(block.reshape(-1, 2, 2)).reshape(block.shape) @ residuals[..., None])[..., 0]
-        return error, det, np.sum(residuals * error, axis=-1)
+        is_undetermined = determinants < COINCIDENT**2 * (blocks_of_p[..., 0, 0] + blocks_of_p[..., 1, 1]) ** 2
+        blocks_of_p[is_undetermined], determinants[is_undetermined] = np.nan, np.nan
+        errors = (inverse_of(blocks_of_p.reshape(-1, 2, 2)).reshape(blocks_of_p.shape) @ residuals[..., None])[..., 0]
+        return errors, determinants, np.sum(residuals * errors, axis=-1)
 
 
 def _groups(places: Floats, most: int) -> Ints:
@@ -290,9 +305,9 @@ def _groups(places: Floats, most: int) -> Ints:
 
 def _grouped_pairs(pairs: Pairs, group: Ints) -> Pairs:
     """One pair for each group: the mean place on either side, which any affine map keeps, and its information."""
-    count, weights = int(group.max()) + 1, pairs.weights
+    group_count, weights = int(group.max()) + 1, pairs.weights
     share = weights / np.bincount(group, weights)[group]
-    moving, fixed, covariances = np.zeros((count, 2)), np.zeros((count, 2)), np.zeros((count, 2, 2))
+    moving, fixed, covariances = np.zeros((group_count, 2)), np.zeros((group_count, 2)), np.zeros((group_count, 2, 2))
     np.add.at(moving, group, share[:, None] * pairs.moving)
     np.add.at(fixed, group, share[:, None] * pairs.fixed)
     np.add.at(covariances, group, inverse_of(pairs.information) * (share**2)[:, None, None])

@@ -92,9 +92,9 @@ def fit_transform(
     (1.0, 90.0)
     """
     least = 0 if model == "auto" else model_named(model).least
-    pairs, repeats = check_pairs(moving, fixed, weights)
-    used = pairs.weights > 0
-    used_pairs = pairs.take(used)
+    pairs, repeated_rows = check_pairs(moving, fixed, weights)
+    is_used = pairs.weights > 0
+    used_pairs = pairs.take(is_used)
     count = len(used_pairs)
     if count < least:
         raise MarkError(
@@ -102,13 +102,13 @@ def fit_transform(
             "away from the others, or choose a model with fewer parameters."
         )
     mirrored = choose_hand(used_pairs, mirrored)
-    share, field = np.ones(len(pairs)), None
+    robust_weights, field = np.ones(len(pairs)), None
     if robust:
-        share[used], field = agreeing(used_pairs, mirrored)
+        robust_weights[is_used], field = agreeing(used_pairs, mirrored)
     elif inspect or model in ("auto", AVERAGED.name):
         field = DeviationField(used_pairs, mirrored)
-    weighted = replace(pairs, information=pairs.information * share[:, None, None])
-    fitted_pairs = weighted.take(weighted.weights > 0)
+    weighted_pairs = replace(pairs, information=pairs.information * robust_weights[:, None, None])
+    fitted_pairs = weighted_pairs.take(weighted_pairs.weights > 0)
     if model == "auto":
         model = AVERAGED.name if len(fitted_pairs) >= 6 else "similarity" if len(fitted_pairs) >= 3 else lowest
     if field is not None and model == AVERAGED.name:
@@ -116,20 +116,20 @@ def fit_transform(
     else:
         transform = MODELS[model].fit(fitted_pairs, mirrored)
     residuals = pairs.fixed - transform(pairs.moving)
-    rms = weighted_rms(np.linalg.norm(residuals, axis=1), weighted.weights)
+    rms = weighted_rms(np.linalg.norm(residuals, axis=1), weighted_pairs.weights)
     fit = FittedTransform(
         transform=transform,
         model=model,
         moving=pairs.moving,
         fixed=pairs.fixed,
-        information=weighted.information,
-        robust_weights=share,
+        information=weighted_pairs.information,
+        robust_weights=robust_weights,
         residuals_um=residuals,
         sentence=f"{model} from {len(fitted_pairs)} marks: residuals {rms:.3g} um rms.",
         likely=field,
     )
-    of_model = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
-    return replace(fit, warnings=(*_warn_of_marks(fit, repeats), *of_model))
+    model_warnings = (*_warn_of_structure(fit), *_warn_of_size(fit)) if inspect else ()
+    return replace(fit, warnings=(*_warn_of_marks(fit, repeated_rows), *model_warnings))
 
 
 def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
@@ -145,55 +145,56 @@ def agreeing(pairs: Pairs, mirrored: bool) -> tuple[Bools, DeviationField]:
     Rosner (1983), Technometrics 25, 165, doi:10.1080/00401706.1983.10487848.
     """
     n = len(pairs)
-    field = best = DeviationField(pairs, mirrored)
-    keep = np.ones(n, dtype=np.bool_)
-    order, wrong = [], 0
+    field = best_field = DeviationField(pairs, mirrored)
+    is_right = np.ones(n, dtype=np.bool_)
+    removed, wrong_count = [], 0
     # Three wrong marks may hide each other, and two right ones may be taken out before them.
-    more, hidden = (2, 3) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
-    while n >= _LEAST_JUDGED and len(order) < max(1, n // 4) + more and len(order) - wrong < hidden + more:
-        remaining, chance = np.flatnonzero(keep), field.left_out()[1]
+    extra, hidden = (2, 3) if 2 * _LEAST_JUDGED <= n <= _MANY else (0, 1)
+    while n >= _LEAST_JUDGED and len(removed) < max(1, n // 4) + extra and len(removed) - wrong_count < hidden + extra:
+        remaining_rows, chance = np.flatnonzero(is_right), field.left_out()[1]
         # The more marks were taken out without need, the more choices there were.
-        limit = np.log(_CHANCE) - (1 + len(order) - wrong) * np.log(remaining.size)
+        limit = np.log(_CHANCE) - (1 + len(removed) - wrong_count) * np.log(remaining_rows.size)
         # Among many marks a few wrong ones accuse no right ones: all that stand out at once.
         count = max(1, int(np.count_nonzero(chance < limit))) if n > _MANY else 1
-        out = np.argsort(chance, kind="stable")[:count]
+        outliers = np.argsort(chance, kind="stable")[:count]
         # Of marks that were taken together, the one that stands out most: it moves the mean of the others.
-        out = out[np.sort(np.unique(field.group[out], return_index=True)[1])]
-        order += remaining[out].tolist()
-        keep[order] = False
-        field = DeviationField(pairs.take(keep), mirrored)
+        outliers = outliers[np.sort(np.unique(field.group[outliers], return_index=True)[1])]
+        removed += remaining_rows[outliers].tolist()
+        is_right[removed] = False
+        field = DeviationField(pairs.take(is_right), mirrored)
         if chance.min() < limit:
-            wrong, best = len(order), field
-    keep[:] = True
-    keep[order[:wrong]] = False
-    for mark in reversed(order[:wrong]) if n <= _MANY else ():
-        keep[mark] = True
-        field = DeviationField(pairs.take(keep), mirrored)
-        if field.left_out()[1][np.count_nonzero(keep[:mark])] < np.log(_CHANCE / np.count_nonzero(keep)):
-            keep[mark] = False
+            wrong_count, best_field = len(removed), field
+    is_right[:] = True
+    is_right[removed[:wrong_count]] = False
+    for mark in reversed(removed[:wrong_count]) if n <= _MANY else ():
+        is_right[mark] = True
+        field = DeviationField(pairs.take(is_right), mirrored)
+        if field.left_out()[1][np.count_nonzero(is_right[:mark])] < np.log(_CHANCE / np.count_nonzero(is_right)):
+            is_right[mark] = False
         else:
-            best = field
-    return keep, best
+            best_field = field
+    return is_right, best_field
 
 
-def _warn_of_marks(fit: FittedTransform, repeats: Ints) -> Iterator[str]:
+def _warn_of_marks(fit: FittedTransform, repeated_rows: Ints) -> Iterator[str]:
     """Marks that are left out, given twice, or few."""
-    out = np.flatnonzero(fit.robust_weights < 1.0)
-    if out.size:
-        distances = ", ".join(f"{length:.3g}" for length in np.linalg.norm(fit.residuals_um, axis=1)[out[:8]])
-        subject, do, were, them = ("Marks", "do", "were", "them") if out.size > 1 else ("Mark", "does", "was", "it")
-        yield (
-            f"{subject} {listed(out)} (counted from 0) {do} not agree with the others (off by {distances} um) and "
-            f"{were} left out. Check {them}."
-        )
-    if repeats.size:
-        subject, verb, end = (
-            ("Pairs", "repeat others", "") if repeats.size > 1 else ("Pair", "repeats another one", "s")
-        )
-        yield f"{subject} {listed(repeats)} (counted from 0) {verb} exactly and count{end} once."
-    used = int(np.count_nonzero(fit.weights > 0))
-    if used < 6:
-        yield f"{used} marks only: their error, and with it the expected error, is known to no better than about 40 %."
+    excluded = np.flatnonzero(fit.robust_weights < 1.0)
+    if excluded.size:
+        distances_um = np.linalg.norm(fit.residuals_um, axis=1)[excluded[:8]]
+        off_text = f"off by {', '.join(f'{distance:.3g}' for distance in distances_um)} um"
+        subject = f"{listed(excluded)} (counted from 0)"
+        if excluded.size > 1:
+            yield f"Marks {subject} do not agree with the others ({off_text}) and were left out. Check them."
+        else:
+            yield f"Mark {subject} does not agree with the others ({off_text}) and was left out. Check it."
+    if repeated_rows.size:
+        if repeated_rows.size > 1:
+            yield f"Pairs {listed(repeated_rows)} (counted from 0) repeat others exactly and count once."
+        else:
+            yield f"Pair {listed(repeated_rows)} (counted from 0) repeats another one exactly and counts once."
+    count = int(np.count_nonzero(fit.weights > 0))
+    if count < 6:
+        yield f"{count} marks only: their error, and with it the expected error, is known to no better than about 40 %."
 
 
 def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
@@ -201,14 +202,15 @@ def _warn_of_structure(fit: FittedTransform) -> Iterator[str]:
     if fit.model == AVERAGED.name or not fit.field.freedom > 0:
         return
     points = inside(fit.moving[fit.weights > 0], 17)
-    likely = AVERAGED.of(fit.field)(points)
-    off = np.linalg.norm(fit(points) - likely, axis=1)
-    error_um, difference_um = np.sqrt(np.mean(fit.field.expected_square(points, likely))), np.sqrt(np.mean(off**2))
+    likely_images = AVERAGED.of(fit.field)(points)
+    distances = np.linalg.norm(fit(points) - likely_images, axis=1)
+    error_um = np.sqrt(np.mean(fit.field.expected_square(points, likely_images)))
+    difference_um = np.sqrt(np.mean(distances**2))
     # A model is warned of where it is off by twice what the likely map is known to.
     if difference_um > 2.0 * error_um + COINCIDENT * fit.transform.scale * fit.field.size:
         yield (
             f"The {fit.model} model leaves structure: the marks show a map that differs from it by "
-            f"{difference_um:.3g} um rms between them, up to {off.max():.3g} um, and is itself known to "
+            f"{difference_um:.3g} um rms between them, up to {distances.max():.3g} um, and is itself known to "
             f"{error_um:.2g} um. Use --model auto."
         )
 
@@ -226,8 +228,8 @@ def _warn_of_size(fit: FittedTransform) -> Iterator[str]:
     if not 0.8 <= scale <= 1.25:
         yield (f"Scale {scale:.4g}: one side is probably in pixels, or its pixel size is wrong. Give both sides in um.")
     if strain.largest > NOTABLE:
-        (low, high), (x, y) = strain.stretch, strain.at_um
+        (least, largest), (x, y) = strain.stretch, strain.at_um
         yield (
-            f"Local strain from {100 * low:+.2g} to {100 * high:+.2g} % between the marks, largest near ({x:.4g}, "
+            f"Local strain from {100 * least:+.2g} to {100 * largest:+.2g} % between the marks, largest near ({x:.4g}, "
             f"{y:.4g}) um of the moving map. Paper strains by less than 1 %: check the marks there."
         )

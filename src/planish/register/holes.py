@@ -67,15 +67,15 @@ def register_marks(
             raise MarkError(f"The attribute seen_from of the {name} is {side!r}. Set it to 'top' or 'bottom'.")
     for holes, name in zip(sides, names, strict=True):
         need_holes(holes, hole_um, name=name)
-    facing = seen_from[0] != seen_from[1]
-    a, b = map(_places, sides)
+    is_facing = seen_from[0] != seen_from[1]
+    moving_um, fixed_um = map(_centres, sides)
     options: dict[str, Any] = params.model_dump(include={"scale_tolerance", "tolerance_um", "mirror"})
-    places = a * (-1.0, 1.0) if facing else a, b
+    points = moving_um * (-1.0, 1.0) if is_facing else moving_um, fixed_um
     if pattern is None:
-        matched = match_marks(*places, names=names, **options)
+        matched = match_marks(*points, names=names, **options)
     else:
         matched = match_by_design(
-            *places, pattern.places_um, labels=pattern.labels, name=pattern.name, names=names, **options
+            *points, pattern.places_um, labels=pattern.labels, name=pattern.name, names=names, **options
         )
         if (count := len(matched.pairs)) < 3:
             raise CannotRegister(
@@ -83,7 +83,7 @@ def register_marks(
                 "Image a larger common field."
             )
     pairs = (holes.isel(mark=rows) for holes, rows in zip(sides, matched.pairs.T, strict=True))
-    return fit_pairs(*pairs, params=params, mirrored=matched.mirrored != facing), matched
+    return fit_pairs(*pairs, params=params, mirrored=matched.mirrored != is_facing), matched
 
 
 def fit_pairs(
@@ -108,29 +108,31 @@ def fit_pairs(
     MarkError
         If fewer than 3 pairs are given, or they cannot be used.
     """
-    sides, names = (moving, fixed), ("cov_xx", "cov_xy", "cov_yy")
-    a, b = map(_places, sides)
-    if len(a) < 3:
-        raise MarkError(f"{len(a)} control points given, a similarity needs 3 to state its error. Add more, far apart.")
+    sides, cov_names = (moving, fixed), ("cov_xx", "cov_xy", "cov_yy")
+    source, target = map(_centres, sides)
+    if len(source) < 3:
+        raise MarkError(
+            f"{len(source)} control points given, a similarity needs 3 to state its error. Add more, far apart."
+        )
     weights = None
-    if all(name in h and np.isfinite(h[name].values).all() for h in sides for name in names):
-        turn = fit_transform(a, b, mirrored=mirrored, robust=False).transform.matrix()
-        of_moving, of_fixed = (
+    if all(name in h and np.isfinite(h[name].values).all() for h in sides for name in cov_names):
+        rotation = fit_transform(source, target, mirrored=mirrored, robust=False).transform.matrix()
+        moving_cov, fixed_cov = (
             np.stack([h[f"cov_{k}"].values for k in ("xx", "xy", "xy", "yy")], axis=-1).reshape(-1, 2, 2) for h in sides
         )
-        weights = turn @ of_moving @ turn.T + of_fixed
-    fit = fit_transform(a, b, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
-    scale, most = fit.transform.scale, params.scale_tolerance
-    if abs(scale - 1) > most:
+        weights = rotation @ moving_cov @ rotation.T + fixed_cov
+    fit = fit_transform(source, target, model=params.model, mirrored=mirrored, weights=weights, lowest="similarity")
+    scale, tolerance = fit.transform.scale, params.scale_tolerance
+    if abs(scale - 1) > tolerance:
         raise CannotRegister(
             f"The marks fit at a scale of {scale:.4f}, which is {100 * abs(scale - 1):.1f} % off the calibration; "
-            f"{100 * most:.2g} % are allowed. Check --voxel-um, --pixel-um and the marks; if a calibration is that "
-            "uncertain, allow more with --scale-tolerance."
+            f"{100 * tolerance:.2g} % are allowed. Check --voxel-um, --pixel-um and the marks; if a calibration is "
+            "that uncertain, allow more with --scale-tolerance."
         )
     return fit
 
 
-def _places(holes: xr.Dataset) -> Floats:
+def _centres(holes: xr.Dataset) -> Floats:
     return np.stack([holes["x"].values, holes["y"].values], axis=1).astype(np.float64)
 
 
@@ -144,11 +146,11 @@ def need_holes(holes: xr.Dataset, hole_um: Pair, *, name: str | None = None) -> 
     """
     count = holes.sizes["mark"]
     if count < 3:
-        number = f"Only {count} hole{'s' * (count > 1)}" if count else "No hole"
-        places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in zip(holes["x"].values, holes["y"].values, strict=True))
+        count_text = f"Only {count} hole{'s' * (count > 1)}" if count else "No hole"
+        places_text = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in _centres(holes))
         raise CannotRegister(
-            f"{number} found in the {name or holes.attrs['layer']}{' at' * bool(count)}{places}; at least 3 are "
-            f"needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} um "
-            "(--hole-um). Check the voxel and pixel sizes; if the image is a print, give --printed; or give pairs of "
-            "points with --marks."
+            f"{count_text} found in the {name or holes.attrs['layer']}{' at' * bool(count)}{places_text}; at least 3 "
+            f"are needed, and 4 to notice a wrong match. Searched for round holes of {hole_um[0]:g} to {hole_um[1]:g} "
+            "um (--hole-um). Check the voxel and pixel sizes; if the image is a print, give --printed; or give pairs "
+            "of points with --marks."
         )

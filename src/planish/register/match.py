@@ -119,61 +119,63 @@ def match_marks(
     source, target = (
         _usable_points(marks, f"marks of the {name}", _HINT) for marks, name in zip((moving, fixed), names, strict=True)
     )
-    sides = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
+    sides_text = f"{len(source)} marks of the {names[0]} and {len(target)} of the {names[1]}"
     limits = (scale_tolerance, tolerance_um)
     choice = choose(source, target, *limits, hands=(False, True) if mirror else (False,))
-    turned_over = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
-    count, smaller = len(choice.pairs), min(len(source), len(target))
-    if turned_over.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
+    mirror_choice = BestMatch() if mirror else choose(source, target, *limits, hands=(True,))
+    count, smaller_count = len(choice.pairs), min(len(source), len(target))
+    if mirror_choice.log_chance < min(choice.log_chance - 1.0, ACCEPTED):
         raise CannotRegister(
-            f"{sides}: {count} match, but {len(turned_over.pairs)} match if one side is mirrored: {_WRONG_SIDE}"
+            f"{sides_text}: {count} match, but {len(mirror_choice.pairs)} match if one side is mirrored: {_WRONG_SIDE}"
         )
-    if count < choice.needed:
-        raise CannotRegister(f"{sides}: {_no_match(choice, smaller, mirror)}")
-    if smaller == 3:
-        for corners in (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]):
-            lengths = np.sort(np.linalg.norm(corners - np.roll(corners, 1, axis=0), axis=1))
+    if count < choice.needed_count:
+        raise CannotRegister(f"{sides_text}: {_no_match(choice, smaller_count, mirror)}")
+    if smaller_count == 3:
+        for triangle in (source[choice.pairs[:, 0]], target[choice.pairs[:, 1]]):
+            lengths = np.sort(np.linalg.norm(triangle - np.roll(triangle, 1, axis=0), axis=1))
             if np.diff(lengths).min() < 3.0 * tolerance_um:
                 raise CannotRegister(
-                    f"{sides}: three marks match, but two of their three distances are alike within "
+                    f"{sides_text}: three marks match, but two of their three distances are alike within "
                     f"{3.0 * tolerance_um:g} um, so they could be taken for one another. Add a fourth mark, or {_HINT}."
                 )
-    rival_chance = min(choice.second_log_chance, turned_over.log_chance)
-    hint = _HINT + ". Without --mirror, only one handedness competes" * mirror
-    transform, rms = _fit_choice(choice, source, target, sides, scale_tolerance, rival_chance, hint=hint)
-    repeats = self_likeness(*choice.together(), tolerance_um=tolerance_um, mirror=mirror)
-    if repeats is not None:
+    rival_chance = min(choice.second_log_chance, mirror_choice.log_chance)
+    hint_text = _HINT + ". Without --mirror, only one handedness competes" * mirror
+    transform, rms = _fit_choice(choice, source, target, sides_text, scale_tolerance, rival_chance, hint_text=hint_text)
+    symmetry_text = self_likeness(*choice.together(), tolerance_um=tolerance_um, mirror=mirror)
+    if symmetry_text is not None:
         raise CannotRegister(
-            f"{sides}: {count} match, but the pattern may be symmetric or regular: {repeats}, and the others may be "
-            f"lost. Add marks that break the symmetry, or {_HINT}."
+            f"{sides_text}: {count} match, but the pattern may be symmetric or regular: {symmetry_text}, and the "
+            f"others may be lost. Add marks that break the symmetry, or {_HINT}."
         )
     sentence = (
-        f"{sides}: {count} match ({_described(transform)}, residual {rms:.1f} um rms); the second-best match has "
-        f"{choice.second_best}."
+        f"{sides_text}: {count} match ({_similarity_text(transform)}, residual {rms:.1f} um rms); the second-best "
+        f"match has {choice.second_best_count}."
     )
     if choice.stretch >= 0.001 and count >= 6:
         sentence += (
             f" One direction is stretched by {100 * choice.stretch:.1f} % against the other: an affine fit may be "
             "better."
         )
-    if smaller == 3:
+    if smaller_count == 3:
         sentence += " Three marks only: all match and their distances differ, but one false mark would not be noticed."
     return Matched(
-        pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best,
+        pairs=choice.pairs, transform=transform, mirrored=choice.mirrored, second_best=choice.second_best_count,
         sentence=sentence, labels=tuple(f"hole {k + 1}" for k in range(count)),
     )  # fmt: skip
 
 
-def _no_match(choice: BestMatch, smaller: int, mirror: bool) -> str:
-    if smaller == 3:
+def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:
+    if smaller_count == 3:
         return f"with three marks on a side a match may be chance. Add a fourth, or {_HINT}."
-    needed = f"about {choice.needed}" if choice.needed <= smaller else f"more than the {smaller} of the smaller side"
-    turned = "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
+    needed_text = f"more than the {smaller_count} of the smaller side"
+    if choice.needed_count <= smaller_count:
+        needed_text = f"about {choice.needed_count}"
+    mirror_text = "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
     return (
-        f"no match found: {_agreeing(choice)} agree at best, and {needed} have to, closer than chance brings them. "
-        "Printed dots as large as holes count as marks: give --printed, and raise the lower end of --hole-um above "
-        "them. Check the pixel and voxel sizes (if uncertain, allow more with --scale-tolerance), --top and "
-        f"--image-side{turned}; find more of the marks, or {_HINT}."
+        f"no match found: {_agreeing_count(choice)} agree at best, and {needed_text} have to, closer than chance "
+        "brings them. Printed dots as large as holes count as marks: give --printed, and raise the lower end of "
+        "--hole-um above them. Check the pixel and voxel sizes (if uncertain, allow more with --scale-tolerance), "
+        f"--top and --image-side{mirror_text}; find more of the marks, or {_HINT}."
     )
 
 
@@ -219,7 +221,7 @@ def match_by_design(
     MarkError
         If a position is not finite, an array has another shape, or there is not one label a hole.
     """
-    sides = [
+    side_points = [
         _usable_points(marks, f"marks of the {layer}", _PAIRS_HINT)
         for marks, layer in zip((moving, fixed), names, strict=True)
     ]
@@ -229,12 +231,12 @@ def match_by_design(
         raise MarkError(f"{len(labels)} labels are given for {len(holes)} designed holes. Give one for each.")
     choices = [
         {hand: choose(holes, side, scale_tolerance, tolerance_um, hands=(hand,)) for hand in (False, True)}
-        for side in sides
+        for side in side_points
     ]
-    (first, second), is_ambiguous = _choose_hands(choices, names, mirror)
-    (to_first, sentence), (to_second, second_sentence) = (
+    (first_match, second_match), is_ambiguous = _choose_hands(choices, names, mirror)
+    (first_transform, sentence), (second_transform, second_sentence) = (
         _fit_on_design(choice, side, holes, scale_tolerance, layer)
-        for choice, side, layer in zip((first, second), sides, names, strict=True)
+        for choice, side, layer in zip((first_match, second_match), side_points, names, strict=True)
     )
     sentence += f" {second_sentence}"
     if is_ambiguous:
@@ -242,30 +244,32 @@ def match_by_design(
             f"{sentence} Turned over, the design fits nearly as well, so the holes cannot be identified. Leave the "
             f"design out, or {_PAIRS_HINT}."
         )
-    pairs, shared = _join_on_design(first, second)
-    mirrored = first.mirrored != second.mirrored
+    pairs, shared_holes = _join_on_design(first_match, second_match)
+    mirrored = first_match.mirrored != second_match.mirrored
     # From so many marks on both sides on, they alone give the transformation; with fewer, the design helps.
     if len(pairs) >= 4:
-        transform, rms = _fit_similarity(sides[0][pairs[:, 0]], sides[1][pairs[:, 1]], mirrored)
-        basis = f"residual {rms:.1f} um rms"
+        transform, rms = _fit_similarity(side_points[0][pairs[:, 0]], side_points[1][pairs[:, 1]], mirrored)
+        basis_text = f"residual {rms:.1f} um rms"
     else:
         # The design's holes as both sides have them, laid on one another.
-        transform = _fit_similarity(to_first(holes), to_second(holes), mirrored)[0]
-        basis = "through the design, since fewer than 4 are on both sides"
+        transform = _fit_similarity(first_transform(holes), second_transform(holes), mirrored)[0]
+        basis_text = "through the design, since fewer than 4 are on both sides"
     return Matched(
-        pairs=pairs, labels=tuple(labels[k] for k in shared), transform=transform, mirrored=mirrored,
-        second_best=max(first.second_best, second.second_best),
-        design=f"Holes identified by the pattern {name} of {len(holes)} holes{_FROM_BEHIND * second.mirrored}.",
-        sentence=f"{sentence} {len(pairs)} holes are on both sides ({_described(transform)}, {basis}).",
+        pairs=pairs, labels=tuple(labels[k] for k in shared_holes), transform=transform, mirrored=mirrored,
+        second_best=max(first_match.second_best_count, second_match.second_best_count),
+        design=f"Holes identified by the pattern {name} of {len(holes)} holes{_FROM_BEHIND * second_match.mirrored}.",
+        sentence=f"{sentence} {len(pairs)} holes are on both sides ({_similarity_text(transform)}, {basis_text}).",
     )  # fmt: skip
 
 
-def _join_on_design(first: BestMatch, second: BestMatch) -> tuple[Ints, Ints]:
+def _join_on_design(first_match: BestMatch, second_match: BestMatch) -> tuple[Ints, Ints]:
     """Pair the marks of two sides at the designed holes that both have, sorted by the first; and number these holes."""
-    shared, a, b = np.intersect1d(first.pairs[:, 0], second.pairs[:, 0], assume_unique=True, return_indices=True)
-    pairs = np.stack([first.pairs[a, 1], second.pairs[b, 1]], axis=1)
+    shared_holes, i, j = np.intersect1d(
+        first_match.pairs[:, 0], second_match.pairs[:, 0], assume_unique=True, return_indices=True
+    )
+    pairs = np.stack([first_match.pairs[i, 1], second_match.pairs[j, 1]], axis=1)
     order = np.argsort(pairs[:, 0])
-    return np.ascontiguousarray(pairs[order]), shared[order]
+    return np.ascontiguousarray(pairs[order]), shared_holes[order]
 
 
 def _choose_hands(
@@ -275,65 +279,67 @@ def _choose_hands(
 
     The hand that it has against the sheet is not known; both sides have the same, unless mirrored.
     """
-    on_first, on_second = choices
-    sums = {(i, j): on_first[i].log_chance + on_second[j].log_chance for i in on_first for j in on_second}
-    allowed = {pair: chance for pair, chance in sums.items() if mirror or pair[0] == pair[1]}
-    best = min(allowed, key=lambda pair: (allowed[pair], pair))
-    if min(sums.values()) < min(allowed[best], 2 * ACCEPTED) - 1.0:
+    log_chances = {(i, j): a.log_chance + b.log_chance for i, a in choices[0].items() for j, b in choices[1].items()}
+    allowed = {hands: log_chance for hands, log_chance in log_chances.items() if mirror or hands[0] == hands[1]}
+    best_hands = min(allowed, key=lambda hands: (allowed[hands], hands))
+    if min(log_chances.values()) < min(allowed[best_hands], 2 * ACCEPTED) - 1.0:
         raise CannotRegister(
             f"The {names[0]} and the {names[1]} both match the design, but one of them only if it is turned over: "
             f"{_WRONG_SIDE}"
         )
-    is_ambiguous = any(pair != best and chance < allowed[best] + _MARGIN for pair, chance in allowed.items())
-    return (on_first[best[0]], on_second[best[1]]), is_ambiguous
+    is_ambiguous = any(
+        log_chance < allowed[best_hands] + _MARGIN for hands, log_chance in allowed.items() if hands != best_hands
+    )
+    return (choices[0][best_hands[0]], choices[1][best_hands[1]]), is_ambiguous
 
 
 def _fit_on_design(
     choice: BestMatch, points: Floats, holes: Floats, scale_tolerance: float, name: str
 ) -> tuple[Similarity, str]:
     """Fit the best arrangement of a design on one side and describe it, or refuse it."""
-    sides, count = f"{len(points)} marks of the {name} and {len(holes)} designed holes", len(choice.pairs)
-    if count < choice.needed:
+    sides_text, count = f"{len(points)} marks of the {name} and {len(holes)} designed holes", len(choice.pairs)
+    if count < choice.needed_count:
         raise CannotRegister(
-            f"{sides}: the design does not match the marks: {_agreeing(choice)} agree at best, and about "
-            f"{choice.needed} have to, closer than chance brings them. Check that it is the design of this sheet, its "
-            f"unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
+            f"{sides_text}: the design does not match the marks: {_agreeing_count(choice)} agree at best, and about "
+            f"{choice.needed_count} have to, closer than chance brings them. Check that it is the design of this "
+            f"sheet, its unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
         )
-    rival_chance = choice.second_log_chance
-    transform, rms = _fit_choice(choice, holes, points, sides, scale_tolerance, rival_chance, hint=_PAIRS_HINT)
-    sentence = f"{sides}: {count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best}."
-    return transform, sentence
+    transform, rms = _fit_choice(
+        choice, holes, points, sides_text, scale_tolerance, choice.second_log_chance, hint_text=_PAIRS_HINT
+    )
+    match_text = f"{count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best_count}."
+    return transform, f"{sides_text}: {match_text}"
 
 
-def _agreeing(choice: BestMatch) -> int:
+def _agreeing_count(choice: BestMatch) -> int:
     """Count the marks that agree; any two do."""
     return max(2, len(choice.pairs))
 
 
-def _described(transform: Similarity) -> str:
-    mirrored = ", mirrored" * transform.mirrored
-    return f"rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{mirrored}"
+def _similarity_text(transform: Similarity) -> str:
+    mirrored_text = ", mirrored" * transform.mirrored
+    return f"rotation {np.degrees(transform.rotation_rad):.2f} deg, scale {transform.scale:.4f}{mirrored_text}"
 
 
 def _fit_choice(
-    choice: BestMatch, source: Floats, target: Floats, sides: str, scale_tolerance: float, rival_chance: float, *,
-    hint: str,
+    choice: BestMatch, source: Floats, target: Floats, sides_text: str, scale_tolerance: float, rival_chance: float, *,
+    hint_text: str,
 ) -> tuple[Similarity, float]:  # fmt: skip
     """Fit the arrangement and give its rms residual; refuse one with a rival, or at a scale that is out of range."""
     count = len(choice.pairs)
     if rival_chance < choice.log_chance + _MARGIN:
         raise CannotRegister(
-            f"{sides}: {count} match in the best arrangement, {choice.second_best} in the second-best, too close to "
-            "decide: the pattern is ambiguous, symmetric or regular, or the marks that would decide are missing. Find "
-            f"more of the marks (range of hole diameters), remove false ones, or {hint}."
+            f"{sides_text}: {count} match in the best arrangement, {choice.second_best_count} in the second-best, too "
+            "close to decide: the pattern is ambiguous, symmetric or regular, or the marks that would decide are "
+            f"missing. Find more of the marks (range of hole diameters), remove false ones, or {hint_text}."
         )
     transform, rms = _fit_similarity(source[choice.pairs[:, 0]], target[choice.pairs[:, 1]], choice.mirrored)
-    off = abs(transform.scale - 1.0)
-    if off > scale_tolerance:
+    deviation = abs(transform.scale - 1.0)
+    if deviation > scale_tolerance:
         raise CannotRegister(
-            f"{sides}: {count} match, but at a scale of {transform.scale:.4f}, which is {100 * off:.1f} % off the "
-            f"calibration; {100 * scale_tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they are "
-            "that uncertain, allow more with --scale-tolerance."
+            f"{sides_text}: {count} match, but at a scale of {transform.scale:.4f}, which is {100 * deviation:.1f} % "
+            f"off the calibration; {100 * scale_tolerance:.3g} % are allowed. Check the pixel and voxel sizes; if they "
+            "are that uncertain, allow more with --scale-tolerance."
         )
     return transform, rms
 
@@ -345,19 +351,19 @@ def _fit_similarity(source: Floats, target: Floats, mirrored: bool) -> tuple[Sim
     return transform, float(np.sqrt(np.mean(np.sum((transform(source) - target) ** 2, axis=1))))
 
 
-def _usable_points(marks: ArrayLike, name: str, hint: str) -> Floats:
+def _usable_points(marks: ArrayLike, name: str, hint_text: str) -> Floats:
     """Return three marks or more as ``(n, 2)`` float64, or name their faults."""
     points = points_of(marks, name)
-    bad = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
-    if bad.size:
+    nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=1))
+    if nonfinite_rows.size:
         raise MarkError(
-            f"Position of mark {listed(bad)} (counted from 0) among the {name} is not finite. Correct it, or leave it "
-            "out."
+            f"Position of mark {listed(nonfinite_rows)} (counted from 0) among the {name} is not finite. Correct it, "
+            "or leave it out."
         )
     if len(points) < 3:
         places = "".join(f" ({x:.0f}, {y:.0f}) um" for x, y in points)
         raise CannotRegister(
             f"{len(points)} {name}: at least 3 are needed to match them, 4 are better{'; they lie at' * bool(places)}"
-            f"{places}. Check the field, the pixel and voxel sizes, widen the range of hole diameters, or {hint}."
+            f"{places}. Check the field, the pixel and voxel sizes, widen the range of hole diameters, or {hint_text}."
         )
     return points

@@ -25,41 +25,41 @@ from planish.register.pairs import as_complex
 class BestMatch(NamedTuple):
     """The best arrangement of two sides; by default, none.
 
-    ``pairs`` (k, 2) hold the row of the first side and of the second, sorted by the first; with fewer than ``needed``
-    they may be chance. ``log_chance`` is log10 of how many such arrangements chance would offer, ``second_log_chance``
-    that of the best different match, in which ``second_best`` marks agree; ``stretch`` the share by which one direction
-    is longer than the other. ``landed`` and ``large`` are the marks of the smaller side, which is the second one if
-    ``swapped``, and of the larger side, in the frame of the latter.
+    ``pairs`` (k, 2) hold the row of the first side and of the second, sorted by the first; with fewer than
+    ``needed_count`` they may be chance. ``log_chance`` is log10 of how many such arrangements chance would offer,
+    ``second_log_chance`` that of the best different match, in which ``second_best_count`` marks agree; ``stretch`` the
+    share by which one direction is longer than the other. ``small_points`` and ``large_points`` are the marks of the
+    smaller side, which is the second one if ``is_swapped``, and of the larger side, in the frame of the latter.
     """
 
     pairs: Ints = np.empty((0, 2), np.intp)
-    landed: Complexes = np.empty(0, complex)
-    large: Complexes = np.empty(0, complex)
+    small_points: Complexes = np.empty(0, complex)
+    large_points: Complexes = np.empty(0, complex)
     mirrored: bool = False
-    needed: int = 4
+    needed_count: int = 4
     log_chance: float = 10.0
     second_log_chance: float = np.inf
-    second_best: int = 0
+    second_best_count: int = 0
     stretch: float = 0.0
-    swapped: bool = False
+    is_swapped: bool = False
 
     def together(self) -> tuple[Complexes, tuple[int, int]]:
         """All marks of the field that both sides show, first the pairs; and how many each side alone shows."""
-        rows, columns = self.pairs.T[::-1] if self.swapped else self.pairs.T
+        rows, columns = self.pairs.T[::-1] if self.is_swapped else self.pairs.T
         # Marks of a larger map are no evidence about a smaller one.
         alone = [
-            points[_inside(points, self.large, 0.15) & _inside(points, self.landed, 0.15)]
-            for points in (np.delete(self.landed, rows), np.delete(self.large, columns))
+            points[_inside(points, self.large_points, 0.15) & _inside(points, self.small_points, 0.15)]
+            for points in (np.delete(self.small_points, rows), np.delete(self.large_points, columns))
         ]
-        return np.concatenate([self.large[columns], *alone]), (len(alone[0]), len(alone[1]))
+        return np.concatenate([self.large_points[columns], *alone]), (len(alone[0]), len(alone[1]))
 
 
 def choose(
     source: Floats, target: Floats, scale_tolerance: float, tolerance_um: float, *, hands: tuple[bool, ...]
 ) -> BestMatch:
     """Return the best arrangement of three or more marks a side, (n, 2) and (m, 2) in um."""
-    swapped = len(source) > len(target)
-    a, b = (as_complex(p, False) for p in ((target, source) if swapped else (source, target)))
+    is_swapped = len(source) > len(target)
+    a, b = (as_complex(p, False) for p in ((target, source) if is_swapped else (source, target)))
     arrangements = search(a, b, scale_tolerance, tolerance_um, hands=hands)
     if len(arrangements.inliers) == 0:
         return BestMatch()
@@ -68,60 +68,60 @@ def choose(
     # Pairs are within the tolerance, or less where the others agree much better. The median distance of a normal
     # scatter in the plane is 1.18 standard deviations.
     squares = arrangements.squares[best]
-    agreeing = squares[squares <= tolerance_um * tolerance_um]
-    spare = max(len(agreeing) - float(arrangements.freedom[best]), 1.0)
-    scatter = np.sqrt(np.median(agreeing) * len(agreeing) / spare) / 1.18
+    agreeing_squares = squares[squares <= tolerance_um * tolerance_um]
+    free_count = max(len(agreeing_squares) - float(arrangements.freedom[best]), 1.0)
+    scatter = np.sqrt(np.median(agreeing_squares) * len(agreeing_squares) / free_count) / 1.18
     # A pair this many times further apart than the others are is not one, however wide the tolerance.
     rows = np.flatnonzero(squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2)
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
-    pairs = pairs[:, ::-1] if swapped else pairs
+    pairs = pairs[:, ::-1] if is_swapped else pairs
     landed = arrangements.landed[best]
     # Of the marks of the smaller side that lie in the field of the other, 35 % have to agree.
     in_common_field = np.count_nonzero(_inside(landed, b, 0.05))
-    needed = 3 if len(a) == 3 else max(4, int(np.ceil(0.35 * in_common_field)))
-    if len(pairs) < needed or arrangements.log_chance[best] > ACCEPTED:
-        by_chance = marks_needed(len(a), b, int(arrangements.tests[0]), tolerance_um)
-        needed = max(needed, by_chance, len(pairs) + 1)
+    needed_count = 3 if len(a) == 3 else max(4, int(np.ceil(0.35 * in_common_field)))
+    if len(pairs) < needed_count or arrangements.log_chance[best] > ACCEPTED:
+        chance_count = marks_needed(len(a), b, int(arrangements.tests[0]), tolerance_um)
+        needed_count = max(needed_count, chance_count, len(pairs) + 1)
     rival_chance, rival_count = _rival(arrangements, best, b, tolerance_um)
     return BestMatch(
         pairs=np.ascontiguousarray(pairs[np.argsort(pairs[:, 0])]),
         mirrored=bool(arrangements.mirrored[best]),
-        needed=needed,
+        needed_count=needed_count,
         log_chance=float(arrangements.log_chance[best]),
         second_log_chance=rival_chance,
-        second_best=rival_count,
+        second_best_count=rival_count,
         stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
-        swapped=swapped,
-        landed=landed,
-        large=b,
+        is_swapped=is_swapped,
+        small_points=landed,
+        large_points=b,
     )
 
 
 def _rival(arrangements: Arrangements, best: int, b: Complexes, tolerance: float) -> tuple[float, int]:
     """Give log10 of how often chance offers the best different arrangement, and the marks that agree in it."""
-    used = arrangements.squares[best] <= tolerance * tolerance
-    moved = np.max(np.abs(arrangements.landed[:, used] - arrangements.landed[best, used]), axis=1)
-    turned_over = arrangements.mirrored != arrangements.mirrored[best]
-    is_rival = turned_over | (moved > 2.0 * tolerance)
+    is_used = arrangements.squares[best] <= tolerance * tolerance
+    moved = np.max(np.abs(arrangements.landed[:, is_used] - arrangements.landed[best, is_used]), axis=1)
+    is_turned_over = arrangements.mirrored != arrangements.mirrored[best]
+    is_rival = is_turned_over | (moved > 2.0 * tolerance)
     if not is_rival.any():
         return np.inf, 0
     rivals = arrangements.take(is_rival)
     # Pairs that both arrangements share support neither, unless one of the two is turned over.
-    shared = (rivals.partner == arrangements.partner[best]) & used & ~turned_over[is_rival, None]
-    squares = np.where(shared, np.inf, rivals.squares)
-    chance = log_chance(squares, b, int(rivals.tests[0]), tolerance, rivals.freedom, np.zeros(len(squares)))
-    first = int(np.lexsort((-rivals.inliers, chance))[0])
-    if np.isfinite(chance[first]):
-        return float(chance[first]), int(rivals.inliers[first])
+    is_shared = (rivals.partner == arrangements.partner[best]) & is_used & ~is_turned_over[is_rival, None]
+    squares = np.where(is_shared, np.inf, rivals.squares)
+    log_chances = log_chance(squares, b, int(rivals.tests[0]), tolerance, rivals.freedom, np.zeros(len(squares)))
+    best_rival = int(np.lexsort((-rivals.inliers, log_chances))[0])
+    if np.isfinite(log_chances[best_rival]):
+        return float(log_chances[best_rival]), int(rivals.inliers[best_rival])
     return np.inf, int(rivals.inliers.max())
 
 
-def _inside(points: Complexes, around: Complexes, border: float) -> Bools:
+def _inside(points: Complexes, field_points: Complexes, border: float) -> Bools:
     """Mask of the points in the rectangle around others, widened by a share of its longer side."""
-    x0, x1, y0, y1 = around.real.min(), around.real.max(), around.imag.min(), around.imag.max()
-    extra = border * max(x1 - x0, y1 - y0)
-    inside_x = (points.real >= x0 - extra) & (points.real <= x1 + extra)
-    return inside_x & (points.imag >= y0 - extra) & (points.imag <= y1 + extra)
+    x0, x1, y0, y1 = field_points.real.min(), field_points.real.max(), field_points.imag.min(), field_points.imag.max()
+    margin = border * max(x1 - x0, y1 - y0)
+    inside_x = (points.real >= x0 - margin) & (points.real <= x1 + margin)
+    return inside_x & (points.imag >= y0 - margin) & (points.imag <= y1 + margin)
 
 
 _NOT_BURNT = 0.05  # share of holes that were not burnt through
@@ -129,14 +129,14 @@ _NOT_BURNT = 0.05  # share of holes that were not burnt through
 _LOST_OF_ALONE = 0.75
 
 
-def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
+def self_likeness(points: Complexes, alone_counts: tuple[int, int], *, tolerance_um: float, mirror: bool) -> str | None:
     """Return how a pattern may repeat itself, as part of a sentence, or None if it can be ruled out.
 
     ``points`` (u,) in um are all marks found on either side, in one frame, each once; those found on both come first,
-    then those ``alone`` on either side: lost on the other, or no marks. On each side, a symmetric pattern that lost
-    some marks looks like one without symmetry; together they give it away.
+    then those found on one side alone, ``alone_counts`` of either: lost on the other, or no marks. On each side, a
+    symmetric pattern that lost some marks looks like one without symmetry; together they give it away.
     """
-    count, sure = len(points), len(points) - sum(alone)
+    count, n_common = len(points), len(points) - sum(alone_counts)
     if count < 4:
         return None
     # Scales up to 1 % off: under those a pattern may repeat itself.
@@ -145,70 +145,73 @@ def self_likeness(points: Complexes, alone: tuple[int, int], *, tolerance_um: fl
     symmetries = arrangements.take(arrangements.mirrored | is_moved)
     if len(symmetries.inliers) == 0:
         return None
-    doubt = _log_evidence(symmetries, points, count - sure, tolerance_um)
-    meets = symmetries.squares <= (REACH * tolerance_um) ** 2
-    met, met_of_sure = np.count_nonzero(meets, axis=1), np.count_nonzero(meets[:, :sure], axis=1)
-    gone = min(0.9, 0.1 + _LOST_OF_ALONE * (count - sure + 1.0) / (count + 2.0))
-    lost = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (sure + c + 2.0) for c in alone]))
+    log_evidence = _log_evidence(symmetries, points, count - n_common, tolerance_um)
+    is_met = symmetries.squares <= (REACH * tolerance_um) ** 2
+    n_met, n_common_met = np.count_nonzero(is_met, axis=1), np.count_nonzero(is_met[:, :n_common], axis=1)
+    missing_share = min(0.9, 0.1 + _LOST_OF_ALONE * (count - n_common + 1.0) / (count + 2.0))
+    lost_share = float(np.prod([_LOST_OF_ALONE * (c + 1.0) / (n_common + c + 2.0) for c in alone_counts]))
     # Where as many partners are missing as in fewer than this share of symmetric patterns, there is no symmetry.
-    plausible = np.array([_at_least(count - k, count, gone) > 1e-3 for k in range(count + 1)])
+    is_plausible = np.array([_at_least(count - k, count, missing_share) > 1e-3 for k in range(count + 1)])
     # The same for marks found on both sides, of whose partners only those lost on both are missing. A wrong arrangement
     # that agrees well makes losses look rare; the symmetry itself gives what has to be lost.
-    lost_of_sure = [max(lost, (gap / max(sure + gap, 1)) ** 2) for gap in range(sure + 1)]
-    of_sure = np.array([_at_least(gap, sure, _NOT_BURNT + p) > 3e-3 for gap, p in enumerate(lost_of_sure)])
+    common_lost_shares = [max(lost_share, (gap / max(n_common + gap, 1)) ** 2) for gap in range(n_common + 1)]
+    is_plausible_common = np.array(
+        [_at_least(gap, n_common, _NOT_BURNT + p) > 3e-3 for gap, p in enumerate(common_lost_shares)]
+    )
     # How much better than chance a symmetry has to explain the marks before it counts: symmetric patterns are rare
     # among those that people burn, but a wrong match is worse than none. Marks on one line meet by chance so often that
     # what is plausible alone decides.
-    limit = -2.0 if extents(points)[1] > 4.0 * tolerance_um else -8.0
-    alike = np.array([_lost_alike(count - k, count, alone) for k in range(count + 1)])
-    suspect = plausible[met] & of_sure[sure - met_of_sure] & (doubt + alike[met] > limit)
-    if not np.any(suspect):
+    evidence_limit = -2.0 if extents(points)[1] > 4.0 * tolerance_um else -8.0
+    log_alike = np.array([_lost_alike(count - k, count, alone_counts) for k in range(count + 1)])
+    is_suspect = is_plausible[n_met] & is_plausible_common[n_common - n_common_met]
+    is_suspect &= log_evidence + log_alike[n_met] > evidence_limit
+    if not np.any(is_suspect):
         return None
     # The most complete one is the clearest to name.
-    worst = int(np.lexsort((-doubt, -met, ~suspect))[0])
+    worst = int(np.lexsort((-log_evidence, -n_met, ~is_suspect))[0])
     turn_deg = abs(float(np.degrees(np.angle(symmetries.alpha[worst]))))
-    motion = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
+    motion_text = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
     if not symmetries.mirrored[worst] and turn_deg < 5.0:
         middle = points.mean()
         landed = symmetries.alpha[worst] * middle + symmetries.gamma[worst] * np.conj(middle) + symmetries.beta[worst]
-        motion = f"shifted by {abs(landed - middle):.0f} um"
-    return f"of the {count} marks in all, {met[worst]} coincide with a mark again when the pattern is {motion}"
+        motion_text = f"shifted by {abs(landed - middle):.0f} um"
+    return f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern is {motion_text}"
 
 
-def _log_evidence(symmetries: Arrangements, points: Complexes, singles: int, tolerance: float) -> Floats:
+def _log_evidence(symmetries: Arrangements, points: Complexes, single_count: int, tolerance: float) -> Floats:
     """log10 of how much better a symmetry explains the marks that meet, and those that do not, than chance does."""
     count = len(points)
-    paired = symmetries.partner >= 0
-    moved = paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
-    back = np.take_along_axis(symmetries.partner, np.maximum(symmetries.partner, 0).astype(np.intp), axis=1)
-    mutual = moved & (back == np.arange(count))
-    arcs = moved.sum(axis=1)
-    swaps = mutual.sum(axis=1)
+    is_paired = symmetries.partner >= 0
+    is_moved = is_paired & (np.abs(symmetries.landed - points) > 2.0 * tolerance)
+    reverse_partner = np.take_along_axis(symmetries.partner, np.maximum(symmetries.partner, 0).astype(np.intp), axis=1)
+    is_mutual = is_moved & (reverse_partner == np.arange(count))
+    moved_counts = is_moved.sum(axis=1)
+    mutual_counts = is_mutual.sum(axis=1)
     # A half turn or a mirror image exchanges marks: each couple is one coincidence, and the first fixes the symmetry.
-    exchange = swaps > 0.6 * arcs
-    couples = arcs - swaps / 2
-    free = np.where(exchange, couples - 1, arcs - 2)
-    tests = np.where(exchange, count * (count - 1) / 2, symmetries.tests)
-    rms = np.sqrt(np.sum(np.where(paired, symmetries.squares, 0.0), axis=1) / np.maximum(paired.sum(axis=1), 1))
-    share = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
-    gone = min(0.9, max(0.1, (singles + 1.0) / (count + 2.0)))
-    missing = count - paired.sum(axis=1)
+    is_exchange = mutual_counts > 0.6 * moved_counts
+    pair_counts = moved_counts - mutual_counts / 2
+    free_counts = np.where(is_exchange, pair_counts - 1, moved_counts - 2)
+    tests = np.where(is_exchange, count * (count - 1) / 2, symmetries.tests)
+    rms = np.sqrt(np.sum(np.where(is_paired, symmetries.squares, 0.0), axis=1) / np.maximum(is_paired.sum(axis=1), 1))
+    meeting_shares = share_within(1.8 * rms + 0.08 * tolerance, points, tolerance)
+    missing_share = min(0.9, max(0.1, (single_count + 1.0) / (count + 2.0)))
+    missing_counts = count - is_paired.sum(axis=1)
     return (
-        -np.maximum(free, 0) * np.log10(share) - np.log10(np.maximum(tests, 1))
-        + missing * log10(gone) + paired.sum(axis=1) * log10(1.0 - gone)
+        -np.maximum(free_counts, 0) * np.log10(meeting_shares) - np.log10(np.maximum(tests, 1))
+        + missing_counts * log10(missing_share) + is_paired.sum(axis=1) * log10(1.0 - missing_share)
     )  # fmt: skip
 
 
-def _lost_alike(gap: int, count: int, alone: tuple[int, int]) -> float:
-    """log10 of the probability that both sides lost the same ``gap`` marks and no others but those found alone.
+def _lost_alike(n_lost: int, count: int, alone_counts: tuple[int, int]) -> float:
+    """log10 of the probability that both sides lost the same ``n_lost`` marks and no others but those found alone.
 
     Either by chance, among the marks that each side lost, or because these holes were never burnt through.
     """
-    whole = count + gap
-    lost_first, lost_second = gap + alone[1], gap + alone[0]
-    chance = comb(lost_first, gap) * comb(whole - lost_first, lost_second - gap) / comb(whole, lost_second)
-    never = comb(whole, gap) * _NOT_BURNT**gap * (1.0 - _NOT_BURNT) ** count
-    return log10(max(chance, never, 1e-300))
+    n_holes = count + n_lost
+    n_first, n_second = n_lost + alone_counts[1], n_lost + alone_counts[0]
+    chance_alike = comb(n_first, n_lost) * comb(n_holes - n_first, n_second - n_lost) / comb(n_holes, n_second)
+    chance_unburnt = comb(n_holes, n_lost) * _NOT_BURNT**n_lost * (1.0 - _NOT_BURNT) ** count
+    return log10(max(chance_alike, chance_unburnt, 1e-300))
 
 
 def _at_least(k: int, n: int, p: float) -> float:

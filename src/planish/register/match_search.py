@@ -44,9 +44,9 @@ class Arrangements(NamedTuple):
     mirrored: Bools  # (h,)
     tests: Ints  # (h,): hypotheses tried, the same in all rows
 
-    def take(self, chosen: Ints | Bools) -> Arrangements:
+    def take(self, rows: Ints | Bools) -> Arrangements:
         """Return some of the rows."""
-        return Arrangements._make(column[chosen] for column in self)
+        return Arrangements._make(column[rows] for column in self)
 
 
 def search(
@@ -59,30 +59,31 @@ def search(
     """
     from planish.register import _kernels
 
-    on_itself = a is b
-    pairs, seeds = _hypotheses(a, b, scale_tolerance + SCALE_SPARE, tolerance_um, 25_000 if on_itself else 40_000)
+    is_self = a is b
+    hypotheses, seeds = _hypotheses(a, b, scale_tolerance + SCALE_SPARE, tolerance_um, 25_000 if is_self else 40_000)
     tests = len(seeds) * len(hands)
     reach = REACH * tolerance_um
-    wide = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
-    raster, cells = _raster(b, wide), _cells(b, wide)
-    reaches = np.array([wide, 0.5 * (wide + reach), reach, reach, reach])
+    wide_reach = reach + 0.5 * STRETCH * float(np.hypot(np.ptp(b.real), np.ptp(b.imag)))
+    raster, cells = _raster(b, wide_reach), _cells(b, wide_reach)
+    reaches = np.array([wide_reach, 0.5 * (wide_reach + reach), reach, reach, reach])
     # Localisation error that the stretch is weighed against, as a share of the tolerance.
     ridge = (0.16 * tolerance_um / (0.5 * STRETCH)) ** 2
-    parts: list[Arrangements] = []
+    hand_arrangements: list[Arrangements] = []
     for hand in hands:
         points = -np.conj(a) if hand else a
-        counts = _kernels.count_near(points, b, *pairs, raster, 0.0 if on_itself else 0.6)
-        enough = max(3, int(0.3 * len(a) if on_itself else 0.6 * counts.max(initial=0)))
-        if on_itself and not hand:
+        counts = _kernels.count_near(points, b, *hypotheses, raster, 0.0 if is_self else 0.6)
+        least_count = max(3, int(0.3 * len(a) if is_self else 0.6 * counts.max(initial=0)))
+        if is_self and not hand:
             # These leave every mark where it is.
             counts[(seeds[:, :2] == seeds[:, 2:]).all(axis=1)] = 0
-        chosen = np.flatnonzero(counts >= enough)
-        if len(chosen) > _MOST_REFINED:
-            chosen = np.sort(chosen[np.argsort(-counts[chosen].astype(np.intp), kind="stable")[:_MOST_REFINED]])
-        refined = _kernels.refine(seeds[chosen], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells)
+        best_rows = np.flatnonzero(counts >= least_count)
+        if len(best_rows) > _MOST_REFINED:
+            order = np.argsort(-counts[best_rows].astype(np.intp), kind="stable")
+            best_rows = np.sort(best_rows[order[:_MOST_REFINED]])
+        refined = _kernels.refine(seeds[best_rows], points, b, reaches, (0.5 * tolerance_um) ** 2, ridge, *cells)
         is_possible = np.abs(np.abs(refined[2]) - 1.0) <= scale_tolerance + SCALE_SPARE
-        parts.append(_arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests))
-    return Arrangements._make(np.concatenate(columns) for columns in zip(*parts, strict=True))
+        hand_arrangements.append(_arrangements(refined, is_possible, points, b, tolerance_um, ridge, hand, tests))
+    return Arrangements._make(np.concatenate(columns) for columns in zip(*hand_arrangements, strict=True))
 
 
 def _arrangements(
@@ -94,8 +95,8 @@ def _arrangements(
     # Largest stretch that an arrangement may have; a wrong one often needs more.
     is_possible &= np.abs(gamma) <= 0.5 * 0.012 * np.abs(alpha)
     is_possible &= np.count_nonzero(partner >= 0, axis=1) >= 3
-    _, once = np.unique(partner[is_possible], axis=0, return_index=True)
-    rows = np.flatnonzero(is_possible)[once]
+    _, first_rows = np.unique(partner[is_possible], axis=0, return_index=True)
+    rows = np.flatnonzero(is_possible)[first_rows]
     partner, squares, alpha, gamma, beta, power = (column[rows] for column in refined)
     freedom = np.where(np.count_nonzero(partner >= 0, axis=1) > 3, 2.0 + power / (power + ridge), 2.0)
     return Arrangements(
@@ -139,37 +140,38 @@ def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
 
 
 def _hypotheses(
-    a: Complexes, b: Complexes, give: float, tolerance: float, most: int
+    a: Complexes, b: Complexes, scale_tolerance: float, tolerance: float, most_count: int
 ) -> tuple[tuple[Ints, Ints, Ints, Ints], Ints]:
-    """Lay each pair of ``a`` on the pairs of ``b`` that are as long, up to the share ``give``, either end first.
+    """Lay each pair of ``a`` on the pairs of ``b`` that are as long within ``scale_tolerance``, either end first.
 
     Gives ``base``, ``first``, ``start`` and ``target`` as the kernel takes them; and of each hypothesis the marks
-    ``i, j`` of ``a`` and ``k, q`` of ``b``: (h, 4). Beyond ``most`` of them, pairs of ``a`` are thinned out evenly.
+    ``i, j`` of ``a`` and ``k, q`` of ``b``: (h, 4). Beyond ``most_count``, pairs of ``a`` are thinned out evenly.
     """
-    base, length = _by_length(a)
-    base, length = base[length >= 3.0 * tolerance], length[length >= 3.0 * tolerance]
-    target, other = _by_length(b)
+    base, base_lengths = _by_length(a)
+    base, base_lengths = base[base_lengths >= 3.0 * tolerance], base_lengths[base_lengths >= 3.0 * tolerance]
+    target, target_lengths = _by_length(b)
     slack = 0.6 * tolerance
-    first = np.searchsorted(other, (1.0 - give) * length - slack, side="left")
-    last = np.searchsorted(other, (1.0 + give) * length + slack, side="right")
-    tried = 2 * int(np.sum(last - first))
-    if tried > most:
-        thinned = np.unique(np.linspace(0, len(base) - 1, max(1, len(base) * most // tried)).astype(np.intp))
-        base, first, last = base[thinned], first[thinned], last[thinned]
-    start = np.concatenate([[0], np.cumsum(2 * (last - first))])
-    row = np.repeat(np.arange(len(base)), 2 * (last - first))
-    half, turned = np.divmod(np.arange(start[-1]) - start[row], 2)
-    goal = target[first[row] + half]
-    goal[turned == 1] = goal[turned == 1, ::-1]
-    return (base, first, start, target), np.concatenate([base[row], goal], axis=1)
+    first = np.searchsorted(target_lengths, (1.0 - scale_tolerance) * base_lengths - slack, side="left")
+    stop = np.searchsorted(target_lengths, (1.0 + scale_tolerance) * base_lengths + slack, side="right")
+    tried_count = 2 * int(np.sum(stop - first))
+    if tried_count > most_count:
+        base_count = max(1, len(base) * most_count // tried_count)
+        sample_rows = np.unique(np.linspace(0, len(base) - 1, base_count).astype(np.intp))
+        base, first, stop = base[sample_rows], first[sample_rows], stop[sample_rows]
+    start = np.concatenate([[0], np.cumsum(2 * (stop - first))])
+    base_rows = np.repeat(np.arange(len(base)), 2 * (stop - first))
+    target_index, is_turned = np.divmod(np.arange(start[-1]) - start[base_rows], 2)
+    target_pairs = target[first[base_rows] + target_index]
+    target_pairs[is_turned == 1] = target_pairs[is_turned == 1, ::-1]
+    return (base, first, start, target), np.concatenate([base[base_rows], target_pairs], axis=1)
 
 
 def _by_length(points: Complexes) -> tuple[Ints, Floats]:
     """All pairs of points (k, 2), the shortest first, and their lengths (k,)."""
     pairs = np.stack(np.triu_indices(len(points), 1), axis=1)
-    length = np.abs(points[pairs[:, 1]] - points[pairs[:, 0]])
-    order = np.argsort(length, kind="stable")
-    return pairs[order], length[order]
+    lengths = np.abs(points[pairs[:, 1]] - points[pairs[:, 0]])
+    order = np.argsort(lengths, kind="stable")
+    return pairs[order], lengths[order]
 
 
 def _raster(b: Complexes, reach: float) -> tuple[float, float, float, NDArray[np.uint8]]:
@@ -209,20 +211,20 @@ def log_chance(squares: Floats, b: Complexes, tests: int, tolerance: float, free
     The marks that agree best are taken, as many as make chance least likely.
     """
     n = squares.shape[1]
-    ordered = np.sort(np.where(squares <= tolerance * tolerance, squares, np.inf), axis=1)
+    sorted_squares = np.sort(np.where(squares <= tolerance * tolerance, squares, np.inf), axis=1)
     k = np.arange(1.0, n + 1.0)
     # Fitting makes residuals smaller; a tenth of the tolerance keeps those of exact numbers finite.
     with np.errstate(invalid="ignore"):
-        inflated = ordered * k / np.maximum(k - freedom[:, None], 0.5)
-        radius = np.sqrt(inflated + (0.08 * tolerance) ** 2)
-        share = share_within(radius, b, tolerance)
+        inflated_squares = sorted_squares * k / np.maximum(k - freedom[:, None], 0.5)
+        radius = np.sqrt(inflated_squares + (0.08 * tolerance) ** 2)
+        shares = share_within(radius, b, tolerance)
         # The stretch was free too: as many as can be distinguished count as tests.
-        spread = np.sqrt(power / np.maximum(np.sum(np.isfinite(ordered), axis=1), 1))
+        spread = np.sqrt(power / np.maximum(np.sum(np.isfinite(sorted_squares), axis=1), 1))
         stretches = np.where(freedom > 2.0, 0.5 * STRETCH * spread, 0.0)[:, None] / radius
-        choices = np.array([_log10_choose(n - 2, int(c) - 2) if c >= 2 else 0.0 for c in k])
-        log_tests = log10(max(tests, 1) * max(n - 2, 1)) + choices
-        logs = log_tests + (k - 2) * np.log10(share) + np.log10(np.maximum(1.0, np.pi * stretches**2))
-    return np.where((k >= 3) & np.isfinite(ordered), logs, np.inf).min(axis=1)
+        log_choices = np.array([_log10_choose(n - 2, int(c) - 2) if c >= 2 else 0.0 for c in k])
+        log_tests = log10(max(tests, 1) * max(n - 2, 1)) + log_choices
+        log_counts = log_tests + (k - 2) * np.log10(shares) + np.log10(np.maximum(1.0, np.pi * stretches**2))
+    return np.where((k >= 3) & np.isfinite(sorted_squares), log_counts, np.inf).min(axis=1)
 
 
 def _log10_choose(n: int, k: int) -> float:

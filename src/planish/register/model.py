@@ -77,21 +77,22 @@ class ParametricModel(Model):
         if len(pairs) <= self.least:
             return np.full((len(pairs), 2), np.nan)
         if not self.linear:
-            missed, numbers = np.full((len(pairs), 2), np.nan), np.arange(len(pairs))
-            for k in numbers:
+            errors, rows = np.full((len(pairs), 2), np.nan), np.arange(len(pairs))
+            for k in rows:
                 with suppress(CannotRegister, MarkError):
-                    without = self.fit(pairs.take(numbers != k), transform.mirrored)
-                    missed[k] = pairs.fixed[k] - without(pairs.moving[k])
-            return missed
+                    reduced_fit = self.fit(pairs.take(rows != k), transform.mirrored)
+                    errors[k] = pairs.fixed[k] - reduced_fit(pairs.moving[k])
+            return errors
         whitening = pairs.whitening()
         q, _ = whitened_qr(whitening, self.design(transform, pairs.frame(), pairs.moving), self.name)
         blocks = q.reshape(len(pairs), 2, -1)
         residual_blocks = np.eye(2) - blocks @ blocks.swapaxes(1, 2)
         # Leverage 1: without this mark the others leave a parameter free.
-        lonely = np.linalg.eigvalsh(residual_blocks)[:, 0] < COINCIDENT
-        residual_blocks[lonely] = np.nan
-        error = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
-        return np.asarray(np.linalg.solve(whitening, inverse_of(residual_blocks) @ error)[..., 0], dtype=np.float64)
+        is_undetermined = np.linalg.eigvalsh(residual_blocks)[:, 0] < COINCIDENT
+        residual_blocks[is_undetermined] = np.nan
+        whitened_errors = whitening @ (pairs.fixed - transform(pairs.moving))[..., None]
+        missed = np.linalg.solve(whitening, inverse_of(residual_blocks) @ whitened_errors)
+        return np.asarray(missed[..., 0], dtype=np.float64)
 
 
 def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) -> Floats:
@@ -108,11 +109,11 @@ def least_squares(whitening: Floats, design: Floats, target: Floats, name: str) 
 
 def whitened_qr(whitening: Floats, design: Floats, name: str) -> tuple[Floats, Floats]:
     """Return the QR factors of the whitened design, (2n, p) and (p, p); refuse equations that leave something free."""
-    rows = (whitening @ design).reshape(-1, design.shape[-1])
-    q, r = np.linalg.qr(rows)
-    sizes = np.linalg.svd(r / np.maximum(np.linalg.norm(r, axis=0), 1e-300), compute_uv=False)
+    equations = (whitening @ design).reshape(-1, design.shape[-1])
+    q, r = np.linalg.qr(equations)
+    singular_values = np.linalg.svd(r / np.maximum(np.linalg.norm(r, axis=0), 1e-300), compute_uv=False)
     # Condition number of the scaled equations beyond which marks do not fix the parameters.
-    if len(rows) < design.shape[-1] or not sizes[-1] > 1e-8 * sizes[0]:
+    if len(equations) < design.shape[-1] or not singular_values[-1] > 1e-8 * singular_values[0]:
         raise CannotRegister(
             f"The marks do not fix one {name} transformation: at least one parameter stays free. Add marks away from "
             "the lines that the others lie on, or choose a model with fewer parameters."
@@ -124,11 +125,11 @@ def refuse_line(pairs: Pairs, name: str) -> None:
     """Refuse marks that lie on one line."""
     share = pairs.share
     for side, points in (("moving", pairs.moving), ("fixed", pairs.fixed)):
-        away = np.sqrt(share)[:, None] * (points - share @ points)
-        long, across = np.linalg.svd(away, compute_uv=False)[:2]
+        offsets = np.sqrt(share)[:, None] * (points - share @ points)
+        long_um, across_um = np.linalg.svd(offsets, compute_uv=False)[:2]
         # Marks whose spread across a line is below this share of that along it fix nothing across it.
-        if across < 0.01 * long:
+        if across_um < 0.01 * long_um:
             raise CannotRegister(
-                f"The {side} marks lie on one line (spread {long:.4g} um rms along it, {across:.2g} um across); a "
-                f"model of type {name} needs marks away from it. Add some, or fit a similarity."
+                f"The {side} marks lie on one line (spread {long_um:.4g} um rms along it, {across_um:.2g} um across); "
+                f"a model of type {name} needs marks away from it. Add some, or fit a similarity."
             )

@@ -101,9 +101,9 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
     faults: list[str] = []
     information = _information(weights, len(source), faults)
     for name, points in sides.items():
-        bad = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
-        if bad.size:
-            faults.append(f"{name} mark{'s' * (bad.size > 1)} {listed(bad)} not finite")
+        nonfinite_rows = np.flatnonzero(~np.all(np.isfinite(points), axis=-1))
+        if nonfinite_rows.size:
+            faults.append(f"{name} mark{'s' * (nonfinite_rows.size > 1)} {listed(nonfinite_rows)} not finite")
     if faults:
         raise MarkError(f"The marks cannot be used: {'; '.join(faults)}. Correct or remove them.")
     pairs = Pairs(moving=source, fixed=target, information=information)
@@ -113,31 +113,31 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
             f"{used.size} pair{'s' * (used.size != 1)} of marks given, a transformation needs 2, and 3 to estimate "
             f"its error. Add {2 - used.size} or more, far apart."
         )
-    reach = {name: COINCIDENT * max(1.0, float(np.abs(points[used]).max())) for name, points in sides.items()}
+    coincidence_um = {name: COINCIDENT * max(1.0, float(np.abs(points[used]).max())) for name, points in sides.items()}
     for name, points in sides.items():
-        if np.ptp(points[used], axis=0).max() <= reach[name]:
+        if np.ptp(points[used], axis=0).max() <= coincidence_um[name]:
             x, y = points[used[0]]
             raise MarkError(f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are needed.")
-    repeats: set[int] = set()
+    repeated_rows: set[int] = set()
     for (name, points), (other, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
-        for a, b in sorted(KDTree(points[used]).query_pairs(reach[name])):
+        for a, b in sorted(KDTree(points[used]).query_pairs(coincidence_um[name])):
             first, second = used[a], used[b]
             distance = float(np.linalg.norm(partners[first] - partners[second]))
-            if distance > reach[other]:
+            if distance > coincidence_um[other]:
                 x, y = points[first]
                 raise MarkError(
                     f"Marks {first} and {second} lie at one place on the {name} side, ({x:g}, {y:g}) um, and "
                     f"{distance:.4g} um apart on the other. One of them is wrong: correct or remove it."
                 )
-            repeats.add(int(second))
-    rows = np.array(sorted(repeats), dtype=np.intp)
-    pairs.information[rows] = 0.0
-    return pairs, rows
+            repeated_rows.add(int(second))
+    repeated = np.array(sorted(repeated_rows), dtype=np.intp)
+    pairs.information[repeated] = 0.0
+    return pairs, repeated
 
 
-def listed(which: Sequence[int] | Ints) -> str:
+def listed(rows: Sequence[int] | Ints) -> str:
     """Numbers of a few marks, counted from 0, as in an array or a table without its header."""
-    return ", ".join(str(int(k)) for k in which[:8]) + (", ..." if len(which) > 8 else "")
+    return ", ".join(str(int(k)) for k in rows[:8]) + (", ..." if len(rows) > 8 else "")
 
 
 def weighted_rms(lengths: Floats, weights: Floats) -> float:
@@ -171,9 +171,9 @@ def _information(weights: ArrayLike | None, n: int, faults: list[str]) -> Floats
     largest = np.maximum(a, d)
     with np.errstate(invalid="ignore"):
         is_positive = (np.abs(b - c) <= 1e-9 * largest) & (a > 0) & (a * d - b**2 > 1e-12 * largest**2)
-    bad = np.flatnonzero(~(is_positive & np.isfinite(weights).all(axis=(1, 2))))
-    if bad.size:
-        faults.append(f"covariance of mark {listed(bad)} not symmetric and positive")
+    bad_rows = np.flatnonzero(~(is_positive & np.isfinite(weights).all(axis=(1, 2))))
+    if bad_rows.size:
+        faults.append(f"covariance of mark {listed(bad_rows)} not symmetric and positive")
         return np.zeros((n, 2, 2))
     return inverse_of(0.5 * (weights + weights.swapaxes(1, 2)))
 
@@ -188,33 +188,33 @@ def choose_hand(pairs: Pairs, mirrored: bool | None) -> bool:
     """
     w = as_complex(pairs.fixed, False)
     w = w - pairs.share @ w
-    rms: list[float] = []
-    turns: list[complex] = []
-    for hand in (False, True):
-        z = as_complex(pairs.moving, hand)
+    hand_rms: list[float] = []
+    rotations: list[complex] = []
+    for is_mirrored in (False, True):
+        z = as_complex(pairs.moving, is_mirrored)
         z = z - pairs.share @ z
-        turn = np.sum(pairs.share * z.conj() * w) / np.sum(pairs.share * np.abs(z) ** 2)
-        turns.append(turn)
-        rms.append(float(np.sqrt(np.sum(pairs.share * np.abs(w - turn * z) ** 2))))
+        rotation = np.sum(pairs.share * z.conj() * w) / np.sum(pairs.share * np.abs(z) ** 2)
+        rotations.append(rotation)
+        hand_rms.append(float(np.sqrt(np.sum(pairs.share * np.abs(w - rotation * z) ** 2))))
     if mirrored is None:
-        return rms[True] < rms[False]
-    mine, other = rms[mirrored], rms[not mirrored]
-    away = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
-    spread = np.sqrt(np.average(np.sum(away**2, axis=1), weights=pairs.weights))
+        return hand_rms[True] < hand_rms[False]
+    rms_um, other_um = hand_rms[mirrored], hand_rms[not mirrored]
+    offsets = pairs.fixed - pairs.weights @ pairs.fixed / np.sum(pairs.weights)
+    spread = np.sqrt(np.average(np.sum(offsets**2, axis=1), weights=pairs.weights))
     # The other hand has to fit five times as well, and this one has to miss by 5 % of the marks' spread, to be refused.
-    if len(pairs) < 3 or mine < 0.05 * spread or other > 0.2 * mine:
+    if len(pairs) < 3 or rms_um < 0.05 * spread or other_um > 0.2 * rms_um:
         return mirrored
     # Exchanged columns are a mirror image that is turned by -90 degrees.
-    turn = turns[not mirrored] / abs(turns[not mirrored])
-    swapped = not mirrored and max(abs(turn.real), abs(turn.imag + 1.0)) < 0.2
-    exchange = "x and y are exchanged on one side: exchange the two columns of that table"
-    declare = (
+    rotation = rotations[not mirrored] / abs(rotations[not mirrored])
+    is_exchanged = not mirrored and max(abs(rotation.real), abs(rotation.imag + 1.0)) < 0.2
+    exchange_text = "x and y are exchanged on one side: exchange the two columns of that table"
+    declare_text = (
         "the maps are not mirrored after all: leave out mirrored=True, or --mirror"
         if mirrored
         else "one map shows the other side: declare it as mirrored (mirrored=True, or --mirror)"
     )
-    first, second = (exchange, declare) if swapped else (declare, exchange)
+    first_text, second_text = (exchange_text, declare_text) if is_exchanged else (declare_text, exchange_text)
     raise MarkError(
-        f"The marks disagree by {mine:.3g} um rms as they are and by {other:.3g} um rms with the handedness of one "
-        f"side reversed. Probably {first}. If not, {second}."
+        f"The marks disagree by {rms_um:.3g} um rms as they are and by {other_um:.3g} um rms with the handedness of "
+        f"one side reversed. Probably {first_text}. If not, {second_text}."
     )

@@ -42,25 +42,25 @@ class FreeForm:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Transform points ``(..., 2)``, in um; NaN stays NaN."""
-        places = np.asarray(points, dtype=np.float64)
-        moved = places + self._values(self._held(places)[0], (0, 0))
-        return np.where(np.isfinite(places).all(axis=-1, keepdims=True), moved, np.nan)
+        points_um = np.asarray(points, dtype=np.float64)
+        moved_um = points_um + self._values(self._clamped(points_um)[0], (0, 0))
+        return np.where(np.isfinite(points_um).all(axis=-1, keepdims=True), moved_um, np.nan)
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)``: ``(..., 2, 2)``, a row for x and y of the image."""
-        places = np.asarray(points, dtype=np.float64)
-        clamped, is_inside = self._held(places)
+        points_um = np.asarray(points, dtype=np.float64)
+        clamped, is_inside = self._clamped(points_um)
         slopes = np.stack([self._values(clamped, nu) for nu in ((0, 1), (1, 0))], axis=-1)
         out = slopes * is_inside[..., None, :] + np.eye(2)
-        return np.where(np.expand_dims(np.all(np.isfinite(places), axis=-1), (-2, -1)), out, np.nan)
+        return np.where(np.expand_dims(np.all(np.isfinite(points_um), axis=-1), (-2, -1)), out, np.nan)
 
-    def _held(self, points: Floats) -> tuple[Floats, Bools]:
+    def _clamped(self, points: Floats) -> tuple[Floats, Bools]:
         """Nearest points of the mesh, and whether they are the points themselves, along x and y."""
         cells = np.array(self.coefficients_um.shape[:0:-1]) - 3
         low = np.array(self.origin_um) + self.mesh_um
-        finite = np.nan_to_num(points)
-        clamped = np.clip(finite, low, low + cells * np.array(self.mesh_um))
-        return clamped, np.equal(clamped, finite)
+        finite_points = np.nan_to_num(points)
+        clamped = np.clip(finite_points, low, low + cells * np.array(self.mesh_um))
+        return clamped, np.equal(clamped, finite_points)
 
     def _values(self, points: Floats, nu: tuple[int, int]) -> Floats:
         """Displacement (..., 2) at points of the mesh, or its derivatives of the orders ``nu`` along y and x."""
@@ -130,13 +130,13 @@ class Refined:
             Cubic interpolation; NaN outside.
         """
         rows, cols = (np.arange(n) * p for n, p in zip(image.shape, pixel_um, strict=True))
-        places = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
-        row_col = np.moveaxis(places[..., ::-1], -1, 0)
+        source_px = self(np.stack(np.meshgrid(cols, rows), axis=-1)) / np.array(pixel_um)[::-1]
+        row_col = np.moveaxis(source_px[..., ::-1], -1, 0)
         is_known = np.isfinite(image)
-        filled = np.where(is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0)
-        moved = ndimage.map_coordinates(filled, row_col, order=3, mode="nearest")
-        whole = ndimage.map_coordinates(is_known.astype(np.float64), row_col, order=1, cval=0.0)
-        return np.where(whole > 0.999, moved, np.nan)
+        filled_image = np.where(is_known, image, float(image[is_known].mean()) if is_known.any() else 0.0)
+        resampled = ndimage.map_coordinates(filled_image, row_col, order=3, mode="nearest")
+        known_weight = ndimage.map_coordinates(is_known.astype(np.float64), row_col, order=1, cval=0.0)
+        return np.where(known_weight > 0.999, resampled, np.nan)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -223,23 +223,23 @@ def refine(
             "Refining on the maps needs the library SimpleITK, which is not installed. Run: "
             'pip install "planish[refine]". Or keep the marks only.'
         ) from error
-    maps, masks, pixel_um, first_um = _prepared(linked, image, valid, pixel_um, options.grid_um)
-    transform = _searched(itk, maps, masks, pixel_um, first_um, options)
+    maps, masks, pixel_um, first_um = _prepare(linked, image, valid, pixel_um, options.grid_um)
+    transform = _search(itk, maps, masks, pixel_um, first_um, options)
     # 65 places along either axis, where displacement and derivatives are looked at.
     rows, cols = (np.unique(np.linspace(0, n - 1, min(n, 65)).round().astype(np.int64)) for n in maps[0].shape)
-    used = np.argwhere((masks[0] & masks[1])[np.ix_(rows, cols)])
-    points = np.stack([cols[used[:, 1]], rows[used[:, 0]]], axis=-1) * np.array(pixel_um)[::-1] + first_um
-    return _judged(transform, points, fit, options)
+    used_nodes = np.argwhere((masks[0] & masks[1])[np.ix_(rows, cols)])
+    points = np.stack([cols[used_nodes[:, 1]], rows[used_nodes[:, 0]]], axis=-1) * np.array(pixel_um)[::-1] + first_um
+    return _assess(transform, points, fit, options)
 
 
-def _judged(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions) -> Refined:
+def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, options: RefineOptions) -> Refined:
     """Look at displacement and derivatives at the points; refuse folds and what the marks do not allow."""
-    derivatives = transform.jacobian(points)
-    areas = derivatives[:, 0, 0] * derivatives[:, 1, 1] - derivatives[:, 0, 1] * derivatives[:, 1, 0]
-    length = np.linalg.norm(transform(points) - points, axis=1)
-    expected = fit.expected_error_um(fit.inverse(points))
+    jacobians = transform.jacobian(points)
+    areas = jacobians[:, 0, 0] * jacobians[:, 1, 1] - jacobians[:, 0, 1] * jacobians[:, 1, 0]
+    moved_um = np.linalg.norm(transform(points) - points, axis=1)
+    expected_um = fit.expected_error_um(fit.inverse(points))
     with np.errstate(divide="ignore", invalid="ignore"):
-        ratio = np.where((expected == 0) & (length == 0), 0.0, length / expected)
+        ratios = np.where((expected_um == 0) & (moved_um == 0), 0.0, moved_um / expected_um)
     faults: list[str] = []
     worst = int(np.argmin(areas))
     if not areas[worst] > 0:
@@ -248,51 +248,51 @@ def _judged(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
             f"The refinement folds the map near ({x:.5g}, {y:.5g}) um. Take a coarser mesh or the affine model, or "
             "keep the marks only."
         )
-    if not np.isfinite(ratio).all():
+    if not np.isfinite(ratios).all():
         faults.append(
             "The error of the marks is unknown, so nothing bounds a refinement. Add marks, or keep the marks only."
         )
-    elif ratio.max() > options.most:
-        worst = int(np.argmax(ratio))
+    elif ratios.max() > options.most:
+        worst = int(np.argmax(ratios))
         x, y = points[worst]
         faults.append(
-            f"The refinement moves the map by {length[worst]:.1f} um near ({x:.5g}, {y:.5g}) um, where the marks are "
-            f"expected to be right to {expected[worst]:.1f} um; up to {options.most:g} times that is accepted. Either "
-            "marks are wrong or the maps mislead. Check the marks, or keep them only."
+            f"The refinement moves the map by {moved_um[worst]:.1f} um near ({x:.5g}, {y:.5g}) um, where the marks are "
+            f"expected to be right to {expected_um[worst]:.1f} um; up to {options.most:g} times that is accepted. "
+            "Either marks are wrong or the maps mislead. Check the marks, or keep them only."
         )
     if faults and options.bounded:
         raise CannotRegister(faults[0])
-    strain = float(np.abs(np.linalg.svd(derivatives, compute_uv=False) - 1.0).max())
+    strain = float(np.abs(np.linalg.svd(jacobians, compute_uv=False) - 1.0).max())
     if strain > NOTABLE:
         faults.append(
             f"The refinement strains the map by up to {100 * strain:.1f} %. Paper strains by 0.1-0.5 %: look at the "
             "lags of tiles before you believe it."
         )
-    rms, largest = float(np.sqrt(np.mean(length**2))), float(length.max())
-    model = {"affine": "affine", "bspline": "B-spline"}[options.model]
+    rms, largest = float(np.sqrt(np.mean(moved_um**2))), float(moved_um.max())
+    words = {"affine": "affine", "bspline": "B-spline"}[options.model]
     return Refined(
         transform=transform,
         model=options.model,
         metric=options.metric,
         moved_um=(rms, largest),
-        share=float(ratio.max()),
+        share=float(ratios.max()),
         area=(float(areas.min()), float(areas.max())),
         strain=strain,
         warnings=tuple(faults),
-        sentence=f"Refined on the maps ({model}, {options.metric}): points moved by {rms:.1f} um rms, {largest:.1f} um "
+        sentence=f"Refined on the maps ({words}, {options.metric}): points moved by {rms:.1f} um rms, {largest:.1f} um "
         f"at most, strain up to {100 * strain:.2f} %.",
     )
 
 
-def _searched(
+def _search(
     itk: Any, maps: list[Floats], masks: list[Bools], pixel_um: Pair, first_um: Pair, options: RefineOptions
 ) -> Affine | FreeForm:
     """Climb from the identity. The library works in pixels (of the columns' axis), so its steps are pixels too."""
-    unit = pixel_um[1]
+    unit_um = pixel_um[1]
     images: list[Any] = []
     for values in (*maps, *masks):
         itk_image = itk.GetImageFromArray(values.astype(np.uint8) if values.dtype == np.bool_ else values)
-        itk_image.SetSpacing((1.0, pixel_um[0] / unit))
+        itk_image.SetSpacing((1.0, pixel_um[0] / unit_um))
         images.append(itk_image)
     search = itk.ImageRegistrationMethod()
     search.SetNumberOfThreads(1)
@@ -306,21 +306,21 @@ def _searched(
     # A linear interpolation blurs between pixels, and less noise looks like agreement.
     search.SetInterpolator(itk.sitkBSpline3)
     rows, cols = masks[0].shape
-    sides = cols * pixel_um[1], rows * pixel_um[0]
+    sides_um = cols * pixel_um[1], rows * pixel_um[0]
     if options.model == "affine":
-        start = itk.AffineTransform(2)
-        start.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * pixel_um[0] / unit))
+        transform = itk.AffineTransform(2)
+        transform.SetCenter((0.5 * (cols - 1), 0.5 * (rows - 1) * pixel_um[0] / unit_um))
         search.SetOptimizerAsRegularStepGradientDescent(
             learningRate=1.0, minStep=1e-3, numberOfIterations=_STEPS, relaxationFactor=0.5
         )
         search.SetOptimizerScalesFromPhysicalShift()
     else:
-        mesh = [max(math.ceil(side / options.grid_um), 1) for side in sides]
-        start = itk.BSplineTransformInitializer(images[0], mesh, 3)
+        mesh = [max(math.ceil(side / options.grid_um), 1) for side in sides_um]
+        transform = itk.BSplineTransformInitializer(images[0], mesh, 3)
         search.SetOptimizerAsLBFGSB(
             gradientConvergenceTolerance=1e-5, numberOfIterations=_STEPS, costFunctionConvergenceFactor=1e10
         )
-    search.SetInitialTransform(start, True)
+    search.SetInitialTransform(transform, True)
     try:
         search.Execute(images[0], images[1])
     except RuntimeError as fault:
@@ -329,24 +329,24 @@ def _searched(
             f"The maps could not be refined ({why}). Check that both show texture at the same places, or keep the "
             "marks only."
         ) from fault
-    return _transform_um(itk, start, unit, first_um)
+    return _transform_um(itk, transform, unit_um, first_um)
 
 
-def _transform_um(itk: Any, in_pixels: Any, unit: float, first_um: Pair) -> Affine | FreeForm:
-    """Read a transformation in pixels of ``unit`` um as one in um."""
-    if hasattr(in_pixels, "GetMatrix"):
-        a, b, c, d = in_pixels.GetMatrix()
-        middle = np.array(in_pixels.GetCenter())
-        (x, y), (u, v) = (k * unit + first_um for k in (middle, middle + np.array(in_pixels.GetTranslation())))
+def _transform_um(itk: Any, fitted: Any, unit_um: float, first_um: Pair) -> Affine | FreeForm:
+    """Read a transformation in pixels of ``unit_um`` um as one in um."""
+    if hasattr(fitted, "GetMatrix"):
+        a, b, c, d = fitted.GetMatrix()
+        centre = np.array(fitted.GetCenter())
+        (x, y), (u, v) = (p * unit_um + first_um for p in (centre, centre + np.array(fitted.GetTranslation())))
         return Affine(linear=((a, b), (c, d)), source=(float(x), float(y)), target=(float(u), float(v)))
-    nodes = in_pixels.GetCoefficientImages()
-    x, y = (np.array(nodes[0].GetOrigin()) * unit + first_um).tolist()
-    across, down = (np.array(nodes[0].GetSpacing()) * unit).tolist()
-    coefficients = np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit for c in nodes])
-    return FreeForm(coefficients_um=coefficients, origin_um=(x, y), mesh_um=(across, down))
+    coefficient_images = fitted.GetCoefficientImages()
+    x, y = (np.array(coefficient_images[0].GetOrigin()) * unit_um + first_um).tolist()
+    mesh_x, mesh_y = (np.array(coefficient_images[0].GetSpacing()) * unit_um).tolist()
+    coefficients = np.stack([itk.GetArrayFromImage(c).astype(np.float64) * unit_um for c in coefficient_images])
+    return FreeForm(coefficients_um=coefficients, origin_um=(x, y), mesh_um=(mesh_x, mesh_y))
 
 
-def _prepared(
+def _prepare(
     linked: Floats, image: Floats, valid: Bools | None, pixel_um: Pair, grid_um: float
 ) -> tuple[list[Floats], list[Bools], Pair, Pair]:
     """Both maps, averaged and filled with their means, their masks, the pixel, and (x, y) of the first one's middle."""

@@ -116,15 +116,15 @@ class FittedTransform:
 
         ``labels`` (n,) are those of all marks; "agree to" is the leave-one-out error, rms.
         """
-        out, used = np.flatnonzero(self.robust_weights == 0), np.count_nonzero(self.weights > 0)
+        excluded, used_count = np.flatnonzero(self.robust_weights == 0), np.count_nonzero(self.weights > 0)
         rms = self.leave_one_out_rms_um
-        sentence = f"{used} of {used + out.size}" if out.size else f"{used}"
+        sentence = f"{used_count} of {used_count + excluded.size}" if excluded.size else f"{used_count}"
         sentence += f" marks agree to {rms:.1f} um (leave-one-out, rms)" if np.isfinite(rms) else " marks were used"
-        if out.size:
-            names = and_join_few([str(labels[int(k)]) for k in out])
-            distances = and_join_few([f"{distance:.0f}" for distance in np.hypot(*self.residuals_um[out].T)])
-            verb, auxiliary = ("are", "were") if out.size > 1 else ("is", "was")
-            sentence += f"; {names} {verb} {distances} um off and {auxiliary} left out"
+        if excluded.size:
+            names_text = and_join_few([str(labels[int(k)]) for k in excluded])
+            distances_text = and_join_few([f"{distance:.0f}" for distance in np.hypot(*self.residuals_um[excluded].T)])
+            verb, auxiliary = ("are", "were") if excluded.size > 1 else ("is", "was")
+            sentence += f"; {names_text} {verb} {distances_text} um off and {auxiliary} left out"
         return sentence + "."
 
     @property
@@ -169,9 +169,10 @@ class FittedTransform:
         ----------
         Fitzpatrick and West (2001), IEEE Trans. Med. Imaging 20, 917, doi:10.1109/42.952729.
         """
-        places = np.asarray(points, dtype=np.float64)
-        flat = places.reshape(-1, 2)
-        return np.sqrt(self.field.expected_square(flat, self.transform(flat))).reshape(places.shape[:-1])
+        points_um = np.asarray(points, dtype=np.float64)
+        flat_points = points_um.reshape(-1, 2)
+        squares_um2 = self.field.expected_square(flat_points, self.transform(flat_points))
+        return np.sqrt(squares_um2).reshape(points_um.shape[:-1])
 
     def refitted(self, moving: ArrayLike) -> Transform:
         """Fit the same pairs with other moving places, as another flattening of the sheet puts them.
@@ -236,35 +237,35 @@ class Chain:
 
     def __call__(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the first map to the last one, in um; NaN stays NaN."""
-        places = np.asarray(points, dtype=np.float64)
+        points_um = np.asarray(points, dtype=np.float64)
         for fit in self.fits:
-            places = fit(places)
-        return places
+            points_um = fit(points_um)
+        return points_um
 
     def inverse(self, points: ArrayLike) -> Floats:
         """Take points ``(..., 2)`` of the last map back to the first one, in um; NaN where a link finds no point."""
-        places = np.asarray(points, dtype=np.float64)
+        points_um = np.asarray(points, dtype=np.float64)
         for fit in reversed(self.fits):
-            places = fit.inverse(places)
-        return places
+            points_um = fit.inverse(points_um)
+        return points_um
 
     def jacobian(self, points: ArrayLike) -> Floats:
         """Derivatives of the image at points ``(..., 2)`` of the first map: ``(..., 2, 2)``."""
-        places = np.asarray(points, dtype=np.float64)
-        derivatives = np.broadcast_to(np.eye(2), (*places.shape[:-1], 2, 2))
+        points_um = np.asarray(points, dtype=np.float64)
+        jacobians = np.broadcast_to(np.eye(2), (*points_um.shape[:-1], 2, 2))
         for fit in self.fits:
-            derivatives = fit.jacobian(places) @ derivatives
-            places = fit(places)
-        return np.array(derivatives)
+            jacobians = fit.jacobian(points_um) @ jacobians
+            points_um = fit(points_um)
+        return np.array(jacobians)
 
     @property
     def similarity(self) -> Similarity:
         """The closest similarity at the middle of the first link's marks."""
-        first = self.fits[0]
+        first_fit = self.fits[0]
         if len(self.fits) == 1:
-            return first.transform.similarity
-        middle = first.moving.mean(axis=0)
-        return nearest_similarity(self.jacobian(middle), middle, self(middle))
+            return first_fit.transform.similarity
+        centre = first_fit.moving.mean(axis=0)
+        return nearest_similarity(self.jacobian(centre), centre, self(centre))
 
     @property
     def mirrored(self) -> bool:
@@ -277,13 +278,13 @@ class Chain:
         In um of the last map: the errors of the links are independent, and each is carried on by the links after it,
         with the mean square of their stretch.
         """
-        places = np.asarray(points, dtype=np.float64)
-        square = np.zeros(places.shape[:-1])
+        points_um = np.asarray(points, dtype=np.float64)
+        square_errors = np.zeros(points_um.shape[:-1])
         for fit in self.fits:
-            stretch = 0.5 * np.sum(fit.jacobian(places) ** 2, axis=(-2, -1))
-            square = square * stretch + fit.expected_error_um(places) ** 2
-            places = fit(places)
-        return np.sqrt(square)
+            stretch = 0.5 * np.sum(fit.jacobian(points_um) ** 2, axis=(-2, -1))
+            square_errors = square_errors * stretch + fit.expected_error_um(points_um) ** 2
+            points_um = fit(points_um)
+        return np.sqrt(square_errors)
 
 
 FORMAT = "planish registration 1"

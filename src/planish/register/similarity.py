@@ -30,7 +30,7 @@ class RigidModel(ParametricModel):
         turn = product / abs(product)
         if not pairs.isotropic:
             z, w = as_complex(pairs.moving, mirrored), as_complex(pairs.fixed, False)
-            whitening, size, last = pairs.whitening(), float(np.sqrt(square)), np.inf
+            whitening, size, last_length = pairs.whitening(), float(np.sqrt(square)), np.inf
             for _ in range(_STEPS):
                 turned = turn * (z - z_mean)
                 error = w - middle - turned
@@ -38,17 +38,17 @@ class RigidModel(ParametricModel):
                 step = least_squares(whitening, design, np.stack([error.real, error.imag], axis=-1), "rigid")
                 middle += complex(step[0], step[1])
                 turn *= np.exp(1j * step[2] / size)
-                length = float(np.abs(step).max())
-                if length < 1e-15 * size or length >= last:
+                step_length = float(np.abs(step).max())
+                if step_length < 1e-15 * size or step_length >= last_length:
                     break
-                last = length
+                last_length = step_length
         shift = middle - turn * z_mean
         return Similarity(rotation_rad=float(np.angle(turn)), shift_um=(shift.real, shift.imag), mirrored=mirrored)
 
     def design(self, transform: Transform, frame: Frame, points: Floats, /) -> Floats:
         """Shift in x, shift in y, turn."""
-        away = (transform(points) - transform(frame[0])) / frame[1]
-        return similarity_columns(away[..., 0] + 1j * away[..., 1], only_turn=True)
+        scaled_offsets = (transform(points) - transform(frame[0])) / frame[1]
+        return similarity_columns(scaled_offsets[..., 0] + 1j * scaled_offsets[..., 1], only_turn=True)
 
 
 class SimilarityModel(ParametricModel):
@@ -136,11 +136,11 @@ def similarity_columns(z: NDArray[np.complex128], *, only_turn: bool = False) ->
     return np.stack([design.real, design.imag], axis=-2)
 
 
-def affine_columns(scaled: Floats) -> Floats:
+def affine_columns(scaled_points: Floats) -> Floats:
     """Derivatives of an affine map of points (..., 2) by shift and linear part, row by row: (..., 2, 6)."""
-    design = np.zeros((*scaled.shape[:-1], 2, 6))
+    design = np.zeros((*scaled_points.shape[:-1], 2, 6))
     design[..., 0, 0] = design[..., 1, 1] = 1.0
-    design[..., 0, 2:4] = design[..., 1, 4:6] = scaled
+    design[..., 0, 2:4] = design[..., 1, 4:6] = scaled_points
     return design
 
 
@@ -161,9 +161,9 @@ class ProjectiveModel(ParametricModel):
         target_size = float(np.sqrt(share @ np.sum((pairs.fixed - target) ** 2, axis=1)))
 
         def build(h: Floats) -> Projective:
-            first, second, third = (h / h[2, 2]).tolist()
+            row_1, row_2, row_3 = (h / h[2, 2]).tolist()
             return Projective(
-                homography=(tuple(first), tuple(second), tuple(third)), source=tuple(middle.tolist()),
+                homography=(tuple(row_1), tuple(row_2), tuple(row_3)), source=tuple(middle.tolist()),
                 target=tuple(target.tolist()), source_size=size, target_size=target_size,
             )  # fmt: skip
 
@@ -173,7 +173,7 @@ class ProjectiveModel(ParametricModel):
         scaled = (pairs.moving - middle) / size
         transform = build(_direct_linear(scaled, (pairs.fixed - target) / target_size, np.sqrt(share)))
         whitening = pairs.whitening()
-        last = np.inf
+        last_length = np.inf
         for _ in range(_STEPS):
             error = pairs.fixed - transform(pairs.moving)
             if not np.isfinite(error).all():
@@ -183,41 +183,43 @@ class ProjectiveModel(ParametricModel):
                 )
             step = least_squares(whitening, self.design(transform, (middle, size), pairs.moving), error, self.name)
             # Shortened until the error does not rise.
-            before, h = cost(transform), np.array(transform.homography)
+            start_cost, h = cost(transform), np.array(transform.homography)
             trials = (build(h + np.append(step / 2**k, 0.0).reshape(3, 3)) for k in range(12))
-            allowed = before * (1 + 1e-9) + 1e-300
-            transform = next((t for t in trials if np.isfinite(after := cost(t)) and after <= allowed), transform)
-            length = float(np.abs(step).max())
+            cost_limit = start_cost * (1 + 1e-9) + 1e-300
+            transform = next((t for t in trials if np.isfinite(after := cost(t)) and after <= cost_limit), transform)
+            step_length = float(np.abs(step).max())
             # The last digits do not settle: steps of rounding are as long as the one before.
-            if length < 1e-15 or (length < 1e-9 and length >= 0.5 * last):
+            if step_length < 1e-15 or (step_length < 1e-9 and step_length >= 0.5 * last_length):
                 break
-            last = length
+            last_length = step_length
         return transform
 
     def design(self, transform: Projective, _frame: Frame, points: Floats, /) -> Floats:
         """The first eight numbers of the 3 x 3 matrix, whose last one is 1."""
         h = np.array(transform.homography)
-        scaled = (points - transform.source) / transform.source_size
-        below = (scaled @ h[2, :2] + h[2, 2])[..., None]
-        image = (scaled @ h[:2, :2].T + h[:2, 2]) / below
-        rows = np.concatenate([scaled, np.ones_like(below)], axis=-1) / below
+        scaled_points = (points - transform.source) / transform.source_size
+        denominators = (scaled_points @ h[2, :2] + h[2, 2])[..., None]
+        image = (scaled_points @ h[:2, :2].T + h[:2, 2]) / denominators
+        rows = np.concatenate([scaled_points, np.ones_like(denominators)], axis=-1) / denominators
         design = np.zeros((*points.shape[:-1], 2, 8))
         design[..., 0, 0:3] = rows
         design[..., 1, 3:6] = rows
-        design[..., :, 6:8] = -image[..., :, None] * (scaled / below)[..., None, :]
+        design[..., :, 6:8] = -image[..., :, None] * (scaled_points / denominators)[..., None, :]
         return transform.target_size * design
 
 
-def _direct_linear(moving: Floats, fixed: Floats, root: Floats) -> Floats:
+def _direct_linear(moving: Floats, fixed: Floats, weight_roots: Floats) -> Floats:
     """Homography (3, 3) with the least algebraic error, from points scaled to size 1."""
     homogeneous = np.concatenate([moving, np.ones((len(moving), 1))], axis=1)
-    rows = np.zeros((len(moving), 2, 9))
-    rows[:, 0, 0:3] = rows[:, 1, 3:6] = homogeneous
-    rows[:, :, 6:9] = -fixed[:, :, None] * homogeneous[:, None, :]
-    _, sizes, right = np.linalg.svd((root[:, None, None] * rows).reshape(-1, 9), full_matrices=len(moving) < 5)
-    h = right[-1].reshape(3, 3)
-    below = homogeneous @ h[2]
-    if sizes[7] < 1e-7 * sizes[0] or abs(h[2, 2]) < 1e-6 or not (np.all(below > 0) or np.all(below < 0)):
+    equations = np.zeros((len(moving), 2, 9))
+    equations[:, 0, 0:3] = equations[:, 1, 3:6] = homogeneous
+    equations[:, :, 6:9] = -fixed[:, :, None] * homogeneous[:, None, :]
+    equations = (weight_roots[:, None, None] * equations).reshape(-1, 9)
+    _, singular, right_vectors = np.linalg.svd(equations, full_matrices=len(moving) < 5)
+    h = right_vectors[-1].reshape(3, 3)
+    denominators = homogeneous @ h[2]
+    has_one_sign = np.all(denominators > 0) or np.all(denominators < 0)
+    if singular[7] < 1e-7 * singular[0] or abs(h[2, 2]) < 1e-6 or not has_one_sign:
         raise CannotRegister(
             "The marks do not fix one projective transformation: too many lie on one line, or the pairs do not show "
             "one flat sheet. Check the pairs, add marks beside that line, or fit an affine transformation."

@@ -55,9 +55,9 @@ class ThinPlate(Bent):
         """One kernel."""
         yield bending, _slope, self.bend
 
-    def add_bends(self, scaled: Floats, out: Floats) -> None:
+    def add_bends(self, scaled_points: Floats, out: Floats) -> None:
         """Add the local changes at scaled points, as :class:`Bent` does, in one compiled loop."""
-        add_thin_plate(scaled, self.nodes, self.bend, out)
+        add_thin_plate(scaled_points, self.nodes, self.bend, out)
 
 
 class SplineModel(Model):
@@ -106,15 +106,15 @@ class Smoothing:
         self.nodes = (pairs.moving - self.middle) / self.size
         self.whitening = pairs.whitening()
         # Whitened covariance (2n, 2n) of both coordinates.
-        bends = _on_both_axes(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
-        self.kernel = whitened(self.whitening, whitened(self.whitening, bends).T)
+        kernel_matrix = _on_both_axes(bending(np.sum((self.nodes[:, None] - self.nodes) ** 2, axis=-1)))
+        self.kernel = whitened(self.whitening, whitened(self.whitening, kernel_matrix).T)
         full, triangle = qr(whitened(self.whitening, _on_both_axes(np.column_stack([np.ones(n), self.nodes]))))
         self.span, self.triangle = full[:, :6], triangle[:6]
         self.target = pairs.weights @ pairs.fixed / np.sum(pairs.weights)
         self.y = whitened(self.whitening, (pairs.fixed - self.target).reshape(-1, 1))[:, 0]
         complement = full[:, 6:]
-        inner = complement.T @ self.kernel @ complement
-        eigenvalues, vectors = eigh(0.5 * (inner + inner.T))
+        projected_kernel = complement.T @ self.kernel @ complement
+        eigenvalues, vectors = eigh(0.5 * (projected_kernel + projected_kernel.T))
         self.eigenvalues = np.maximum(eigenvalues, 0.0)
         self.vectors = complement @ vectors
         self.z = self.vectors.T @ self.y
@@ -123,14 +123,14 @@ class Smoothing:
         """Whitened errors (n, 2) of the marks left out at a fixed smoothing; NaN where the others lie on one line."""
         # The share of each eigenvector that the spline leaves in the residuals, times a factor that keeps the numbers
         # near 1 also for an interpolating spline, which leaves nothing.
-        scaled, share = smoothing_um2 / self.size**2, np.ones_like(self.eigenvalues)
-        if np.isfinite(scaled):
-            share = (float(np.median(self.eigenvalues)) + scaled) / (self.eigenvalues + scaled)
+        smoothing, residual_shares = smoothing_um2 / self.size**2, np.ones_like(self.eigenvalues)
+        if np.isfinite(smoothing):
+            residual_shares = (float(np.median(self.eigenvalues)) + smoothing) / (self.eigenvalues + smoothing)
         rows = self.vectors.reshape(len(self.pairs), 2, -1)
-        blocks = (rows * share) @ rows.swapaxes(1, 2)
+        blocks = (rows * residual_shares) @ rows.swapaxes(1, 2)
         least = np.linalg.eigvalsh(blocks)[:, 0]
         blocks[least < 1e-12 * float(np.median(least))] = np.nan
-        return (inverse_of(blocks) @ (rows @ (share * self.z))[..., None])[..., 0]
+        return (inverse_of(blocks) @ (rows @ (residual_shares * self.z))[..., None])[..., 0]
 
     def choose(self) -> float:
         """Return the smoothing with the least sum of squares of marks left out; the smoothest among equals."""
@@ -145,8 +145,8 @@ class Smoothing:
         best = int(np.flatnonzero(costs <= costs.min() * (1 + 1e-9))[-1])
         chosen, least = float(np.exp(logs[best])), float(costs[best])
         if 0 < best < len(logs) - 1:
-            around = (float(logs[best - 1]), float(logs[best + 1]))
-            optimum = minimize_scalar(lambda v: cost(float(np.exp(v))), bounds=around, method="bounded")
+            bracket = (float(logs[best - 1]), float(logs[best + 1]))
+            optimum = minimize_scalar(lambda v: cost(float(np.exp(v))), bounds=bracket, method="bounded")
             if float(optimum.fun) < least:
                 chosen, least = float(np.exp(optimum.x)), float(optimum.fun)
         if cost(np.inf) <= least * (1 + 1e-9):

@@ -93,50 +93,50 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
         return None
     used_pairs = pairs.take(rows)
     target = used_pairs.fixed - used_pairs.fixed.mean(axis=0)
-    long, across = np.linalg.svd(target, compute_uv=False)
+    length_um, width_um = np.linalg.svd(target, compute_uv=False)
     # Marks nearer to a line than 1 % of their spread say nothing.
-    if not across > 0.01 * long:
+    if not width_um > 0.01 * length_um:
         return None
     spread = float(np.sqrt(np.mean(np.sum(target**2, axis=1))))
     # Lengths go with the square of the slope.
-    moved = make_interp_spline(scales**2, places[:, rows], k=3)
-    fine = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
-    designs = _centred(moved(fine**2), mirrored) / spread
-    bare, strained = _precisions(designs, target, used_pairs, spread)
-    best = int(np.argmin(_solved(designs, target, strained)[1]))
-    around = fine[max(best - 2, 0)], fine[min(best + 2, fine.size - 1)]
-    fine = np.unique(np.concatenate([fine, np.linspace(*around, _STEPS)]))
-    designs = _centred(moved(fine**2), mirrored) / spread
-    misfit = _solved(designs, target, strained)[1]
-    best, unscaled = int(np.argmin(misfit)), int(np.searchsorted(fine, 1.0))
+    spline = make_interp_spline(scales**2, places[:, rows], k=3)
+    fine_scales = np.unique(np.append(np.geomspace(scales[0], scales[-1], _STEPS), 1.0))
+    designs = _centred(spline(fine_scales**2), mirrored) / spread
+    marks_precision, precision = _precisions(designs, target, used_pairs, spread)
+    best = int(np.argmin(_solved(designs, target, precision)[1]))
+    bracket = fine_scales[max(best - 2, 0)], fine_scales[min(best + 2, fine_scales.size - 1)]
+    fine_scales = np.unique(np.concatenate([fine_scales, np.linspace(*bracket, _STEPS)]))
+    designs = _centred(spline(fine_scales**2), mirrored) / spread
+    misfit = _solved(designs, target, precision)[1]
+    best, one_index = int(np.argmin(misfit)), int(np.searchsorted(fine_scales, 1.0))
     limit = float(special.fdtri(1, 2 * rows.size - 5, 1 - CHANCE))
-    wider = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
-    source = (moved(1.0) - moved(1.0).mean(axis=0)) / spread
-    (affine,), (stretched_misfit,) = _solved(affine_columns(source)[None], target, bare)
-    _, (most, least), turned = np.linalg.svd(affine[2:].reshape(2, 2))
+    t_factor = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
+    source = (spline(1.0) - spline(1.0).mean(axis=0)) / spread
+    (affine_parameters,), (affine_misfit,) = _solved(affine_columns(source)[None], target, marks_precision)
+    _, (largest, smallest), right_vectors = np.linalg.svd(affine_parameters[2:].reshape(2, 2))
     return ThroughScale(
-        scale=float(fine[best]),
-        error=wider * _toward_one(fine, misfit, best, unscaled),
+        scale=float(fine_scales[best]),
+        error=t_factor * _toward_one(fine_scales, misfit, best, one_index),
         limit=limit,
-        evidence=float(misfit[unscaled] - misfit[best]),
-        without_any=_without_any(designs, target, strained, unscaled),
-        stretch=float(most / least - 1),
-        stretch_deg=float(np.degrees(np.arctan2(turned[0, 1], turned[0, 0]))) % 180,
-        over_stretch=float(stretched_misfit + np.log(2 * rows.size) - misfit[best]),
+        evidence=float(misfit[one_index] - misfit[best]),
+        without_any=_without_any(designs, target, precision, one_index),
+        stretch=float(largest / smallest - 1),
+        stretch_deg=float(np.degrees(np.arctan2(right_vectors[0, 1], right_vectors[0, 0]))) % 180,
+        over_stretch=float(affine_misfit + np.log(2 * rows.size) - misfit[best]),
         marks=int(rows.size),
     )
 
 
-def _without_any(designs: Floats, target: Floats, precision: Floats, unscaled: int) -> float:
+def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: int) -> float:
     """Evidence against a scale of 1, the mark left out that speaks most for it; of four marks none can be spared."""
     covariance = np.linalg.inv(precision)
-    numbers = np.arange(len(target))
+    mark_rows = np.arange(len(target))
     evidences: list[float] = []
-    for k in numbers if len(target) > _LEAST else ():
-        axes = np.flatnonzero(np.repeat(numbers != k, 2))
-        without = np.linalg.inv(covariance[np.ix_(axes, axes)])
-        misfit = _solved(designs[:, numbers != k], target[numbers != k], without)[1]
-        evidences.append(float(misfit[unscaled] - misfit.min()))
+    for k in mark_rows if len(target) > _LEAST else ():
+        axes = np.flatnonzero(np.repeat(mark_rows != k, 2))
+        reduced_precision = np.linalg.inv(covariance[np.ix_(axes, axes)])
+        misfit = _solved(designs[:, mark_rows != k], target[mark_rows != k], reduced_precision)[1]
+        evidences.append(float(misfit[one_index] - misfit.min()))
     return min(evidences, default=0.0)
 
 
@@ -149,12 +149,12 @@ def _solved(design: Floats, target: Floats, precision: NDArray[np.floating]) -> 
     """Generalised least squares for each design (m, n, 2, p): parameters (m, p) and rest in variances (m,)."""
     m, n, _, p = design.shape
     rows = np.moveaxis(design.reshape(m, 2 * n, p), 0, 1).reshape(2 * n, m * p)
-    white = np.linalg.cholesky(precision).T @ np.concatenate([rows, target.reshape(-1, 1)], axis=1)
-    columns, wanted = np.moveaxis(white[:, :-1].reshape(2 * n, m, p), 1, 0), white[:, -1]
-    toward = wanted @ columns
+    whitened = np.linalg.cholesky(precision).T @ np.concatenate([rows, target.reshape(-1, 1)], axis=1)
+    columns, white_target = np.moveaxis(whitened[:, :-1].reshape(2 * n, m, p), 1, 0), whitened[:, -1]
+    projections = white_target @ columns
     normal = columns.transpose(0, 2, 1) @ columns
-    parameters = np.asarray(np.linalg.solve(normal, toward[..., None])[..., 0], dtype=np.float64)
-    return parameters, np.maximum(wanted @ wanted - np.sum(toward * parameters, axis=1), 0.0)
+    parameters = np.asarray(np.linalg.solve(normal, projections[..., None])[..., 0], dtype=np.float64)
+    return parameters, np.maximum(white_target @ white_target - np.sum(projections * parameters, axis=1), 0.0)
 
 
 def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) -> tuple[Floats, Floats]:
@@ -170,42 +170,43 @@ def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) ->
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that of a mark.
-    fields = [share * np.exp(-squares / (2 * reach**2)) for reach in (0.5, 1.0) for share in (1.0, 10.0, 100.0, 1000.0)]
+    settings = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))
+    covariances = [ratio * np.exp(-squares / (2 * length**2)) for length, ratio in settings]
     rows = free.reshape(2 * n, -1)
-    logs: list[float] = []
-    candidates: list[Floats] = []
-    for field, square in product(
-        [0.0 * squares, *fields], max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
+    log_weights: list[float] = []
+    precision_pairs: list[Floats] = []
+    for covariance, square in product(
+        [0.0 * squares, *covariances], max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
     ):
-        bare = square * (noise + np.kron(field, np.eye(2)))
-        precisions = np.linalg.inv(np.stack([bare, bare + shears @ shears.T]))
-        rest = float(_solved(free[None], target, precisions[1])[1][0])
+        marks_only = square * (noise + np.kron(covariance, np.eye(2)))
+        precisions = np.linalg.inv(np.stack([marks_only, marks_only + shears @ shears.T]))
+        misfit_left = float(_solved(free[None], target, precisions[1])[1][0])
         determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1] - np.linalg.slogdet(precisions[1])[1]
-        weight = 1 / len(fields) if field.any() else 1.0
-        logs.append(np.log(weight) - 0.5 * float(rest + determinants))
-        candidates.append(precisions)
-    shares = np.exp(np.array(logs) - max(logs))
-    return np.einsum("k,kaij->aij", shares / shares.sum(), np.array(candidates))
+        weight = 1 / len(covariances) if covariance.any() else 1.0
+        log_weights.append(np.log(weight) - 0.5 * float(misfit_left + determinants))
+        precision_pairs.append(precisions)
+    probabilities = np.exp(np.array(log_weights) - max(log_weights))
+    return np.einsum("k,kaij->aij", probabilities / probabilities.sum(), np.array(precision_pairs))
 
 
 def _free_columns(designs: Floats, target: Floats, precision: Floats) -> tuple[Floats, float]:
     """Columns (n, 2, p) of the best similarity and of a change of the scale, where it is one; and the misfit left."""
     parameters, misfit = _solved(designs, target, precision)
     best = int(np.argmin(misfit))
-    change = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[best]
-    change = change - designs[best] @ _solved(designs[[best]], change, precision)[0][0]
-    length = float(np.linalg.norm(change))
-    columns = [designs[best], change[..., None] / length] if length > 1e-6 else [designs[best]]
+    slope = (designs[min(best + 1, len(designs) - 1)] - designs[max(best - 1, 0)]) @ parameters[best]
+    slope = slope - designs[best] @ _solved(designs[[best]], slope, precision)[0][0]
+    length = float(np.linalg.norm(slope))
+    columns = [designs[best], slope[..., None] / length] if length > 1e-6 else [designs[best]]
     return np.concatenate(columns, axis=-1), float(misfit[best])
 
 
-def _toward_one(fine: Floats, misfit: Floats, best: int, unscaled: int) -> float:
+def _toward_one(fine_scales: Floats, misfit: Floats, best: int, one_index: int) -> float:
     """Distance from the best scale towards 1 at which marks fit worse by one variance; infinite where nowhere."""
-    ends: list[float] = []
-    for step in [1] * (best <= unscaled) + [-1] * (best >= unscaled):
-        scales, above = fine[best::step], misfit[best::step] - misfit[best] - 1.0
-        crossing = int(np.argmax(above > 0))
-        around = slice(crossing - 1, crossing + 1)
-        end = abs(np.interp(0.0, above[around], scales[around]) - fine[best]) if crossing else np.inf
-        ends.append(float(end))
-    return max(ends)
+    distances: list[float] = []
+    for step in [1] * (best <= one_index) + [-1] * (best >= one_index):
+        scales, excess = fine_scales[best::step], misfit[best::step] - misfit[best] - 1.0
+        crossing = int(np.argmax(excess > 0))
+        bracket = slice(crossing - 1, crossing + 1)
+        distance = abs(np.interp(0.0, excess[bracket], scales[bracket]) - fine_scales[best]) if crossing else np.inf
+        distances.append(float(distance))
+    return max(distances)

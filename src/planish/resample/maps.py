@@ -62,18 +62,18 @@ def resample_maps(
     pixel, layers = map_um or float(np.sqrt(step[0] * step[1])), names[2]
     grid = covering_grid(uv, pixel)
     places = find_places(uv, grid, least_um=min(step))
-    columns = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
-    maps = resample_dataset(columns, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
+    column_fields = _on_columns(surfaces, flat, names, ("projected_u", "projected_v"))
+    maps = resample_dataset(column_fields, places, dims=("v", "u"), coords={"v": grid.y_um, "u": grid.x_um})
     maps = _as_stored(maps, surfaces, names, pixel, Similarity())
     is_measured = np.isfinite(maps["thickness"].values)
     maps["valid"] = (("v", "u"), is_measured, {"long_name": "Measured"})
     maps.attrs["overlaps"] = places.overlaps
-    middles = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
-    if middles:
+    layer_heights = [float(np.mean(surfaces[name].attrs["layer"])) for name in layers]
+    if layer_heights:
         # Where the layers lie that holes are found in: the face is half a thickness from the centre surface.
-        separation = max(middles) - min(middles)
+        separation = max(layer_heights) - min(layer_heights)
         maps.attrs["layers_apart_um"] = separation * float(surfaces.attrs["thickness_um"])
-        maps.attrs["layer_to_face"] = (0.5 - max(middles)) / separation
+        maps.attrs["layer_to_face"] = (0.5 - max(layer_heights)) / separation
     return maps
 
 
@@ -98,8 +98,8 @@ class SheetOnto:
     def on(self, part: Grid) -> xr.Dataset:
         """The maps on some pixels of the reference."""
         (rows, cols), places = self._mesh.under(part)
-        columns, coords = self._columns.isel(y=rows, x=cols), {"y": part.y_um, "x": part.x_um}
-        maps = resample_dataset(columns, places, dims=("y", "x"), coords=coords)
+        column_fields, coords = self._columns.isel(y=rows, x=cols), {"y": part.y_um, "x": part.x_um}
+        maps = resample_dataset(column_fields, places, dims=("y", "x"), coords=coords)
         pixel = float(np.sqrt(part.pixel_um[0] * part.pixel_um[1])) / self._similarity.scale
         return _as_stored(maps, self._surfaces, self._names, pixel, self._similarity)
 
@@ -199,12 +199,12 @@ def _mean_se(se: Floats, attrs: dict[str, Any], pixel_um: float) -> Floats:
         return se
     x = pixel_um / np.sqrt(float(attrs["patch_um2"]) / (2 * np.pi))
     share = np.sqrt(2 * np.pi) / x * special.erf(x / np.sqrt(2)) - 2 * -np.expm1(-0.5 * x * x) / x**2
-    common = float(attrs["common_um"])
+    common_se = float(attrs["common_um"])
     variance = se**2
-    variance -= common**2
+    variance -= common_se**2
     np.maximum(variance, 0.0, out=variance)
     variance *= share**2
-    variance += common**2
+    variance += common_se**2
     return np.sqrt(variance, out=variance)
 
 
@@ -212,11 +212,11 @@ def _on_columns(surfaces: xr.Dataset, flat: xr.Dataset, names: Names, coordinate
     """What is brought to a grid, with the place in the volume of each column of the centre surface."""
     fields = surfaces[[*names[0], *names[1], *names[2]]].assign({name: flat[name] for name in coordinates})
     frame, is_flattened = Frame.of(surfaces), np.isfinite(flat["u"].values)
-    columns = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
-    columns[frame.through] = surfaces["centre"].values
+    positions = {frame.rows: surfaces["y"].values[:, None], frame.cols: surfaces["x"].values[None, :]}
+    positions[frame.through] = surfaces["centre"].values
     for axis in ("x", "y", "z"):
         attrs = {"units": "um", "long_name": f"Centre surface, {axis} in the volume"}
-        fields[f"volume_{axis}"] = ("y", "x"), np.where(is_flattened, columns[axis], np.nan), attrs
+        fields[f"volume_{axis}"] = ("y", "x"), np.where(is_flattened, positions[axis], np.nan), attrs
     return fields
 
 

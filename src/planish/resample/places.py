@@ -111,11 +111,11 @@ def find_places(uv: Floats, grid: Grid, *, least_um: float | None = None, method
     if method == "delaunay":
         corners = _locate_in_delaunay(uv, first, step, triangle, weight)
     else:
-        low, high = _extents(uv[..., 1], first[1], step[1])
-        twice = np.zeros(size, np.uint8)
+        segment_low, segment_high = _extents(uv[..., 1], first[1], step[1])
+        is_double = np.zeros(size, np.uint8)
 
         def band(begin: int, end: int) -> int:
-            return locate(uv, first, step, _SEGMENT, low, high, triangle, weight, twice, begin, end)
+            return locate(uv, first, step, _SEGMENT, segment_low, segment_high, triangle, weight, is_double, begin, end)
 
         overlaps = sum(each_band(band, size[0]))
     return Places(triangle=triangle, weight=weight, corners=corners, mesh=mesh, fine=fine, overlaps=overlaps)
@@ -191,37 +191,38 @@ def _extents(v: Floats, first: float, step: float) -> tuple[Floats, Floats]:
     if not rows or not starts.size:
         return np.empty((rows, 0)), np.empty((rows, 0))
     bounds: list[Floats] = []
-    for reduced, empty in ((np.fmin, np.inf), (np.fmax, -np.inf)):
-        ends = reduced.reduceat(v, starts, axis=1)
-        ends[:, :-1] = reduced(ends[:, :-1], v[:, starts[1:]])
-        bounds.append((np.where(np.isnan(ends), empty, ends) - first) * (1.0 / step))  # the same sums as in `locate`
+    for ufunc, neutral in ((np.fmin, np.inf), (np.fmax, -np.inf)):
+        segment_ends = ufunc.reduceat(v, starts, axis=1)
+        segment_ends[:, :-1] = ufunc(segment_ends[:, :-1], v[:, starts[1:]])
+        segment_ends = np.where(np.isnan(segment_ends), neutral, segment_ends)
+        bounds.append((segment_ends - first) * (1.0 / step))  # the same sums as in `locate`
     return bounds[0], bounds[1]
 
 
-def _locate_in_delaunay(uv: Floats, first: Pair, step: Pair, triangle: Indices, weight: Floats) -> Indices:
+def _locate_in_delaunay(uv: Floats, first_um: Pair, step_um: Pair, triangle: Indices, weight: Floats) -> Indices:
     """Locate pixels in triangles made anew as in the paper: they bridge gaps and bays, and notice no fold."""
     from scipy.spatial import Delaunay, QhullError
 
     nodes = uv.reshape(-1, 2)
-    finite = np.flatnonzero(np.isfinite(nodes).all(axis=1))
+    finite_nodes = np.flatnonzero(np.isfinite(nodes).all(axis=1))
     try:
-        triangulation = Delaunay(nodes[finite])
+        triangulation = Delaunay(nodes[finite_nodes])
     except (QhullError, ValueError) as error:
         raise SurfaceError(
-            f"The {finite.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one line. "
-            "Check the flat coordinates."
+            f"The {finite_nodes.size} known nodes cannot be triangulated; at least 3 are needed that do not lie in one "
+            "line. Check the flat coordinates."
         ) from error
-    u, v = (a + b * np.arange(n) for a, b, n in zip(first, step, triangle.shape[::-1], strict=True))
+    u, v = (a + b * np.arange(n) for a, b, n in zip(first_um, step_um, triangle.shape[::-1], strict=True))
     for begin in range(0, v.size, _LEAST_ROWS):
         rows = slice(begin, begin + _LEAST_ROWS)
         points = np.stack(np.meshgrid(u, v[rows]), axis=-1)
         triangle[rows] = triangulation.find_simplex(points)
         # Weights of the first two corners; without a triangle they are not used.
-        inverse = triangulation.transform[triangle[rows]]
-        first_two = np.einsum("yxij,yxj->yxi", inverse[..., :2, :], points - inverse[..., 2, :])
-        weight[0, rows] = first_two[..., 1]
-        weight[1, rows] = 1.0 - first_two.sum(axis=-1)
-    return np.ascontiguousarray(finite[triangulation.simplices], dtype=np.int32)
+        barycentric = triangulation.transform[triangle[rows]]
+        corner_weights = np.einsum("yxij,yxj->yxi", barycentric[..., :2, :], points - barycentric[..., 2, :])
+        weight[0, rows] = corner_weights[..., 1]
+        weight[1, rows] = 1.0 - corner_weights.sum(axis=-1)
+    return np.ascontiguousarray(finite_nodes[triangulation.simplices], dtype=np.int32)
 
 
 def resample(field: NDArray[Any], places: Places) -> Floats:

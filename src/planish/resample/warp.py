@@ -96,9 +96,9 @@ def warp_image(
         raise SizeError(
             f"A grid of {shape[0]} x {shape[1]} pixels cannot be made. Check the pixel size and the origin."
         )
-    for whose, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
+    for image_name, (rows, cols) in (("image", pixel_um), ("target", grid.pixel_um)):
         if not (0 < rows < np.inf and 0 < cols < np.inf):
-            raise SizeError(f"The pixel size of the {whose} is {rows:g} x {cols:g} um. Give positive numbers.")
+            raise SizeError(f"The pixel size of the {image_name} is {rows:g} x {cols:g} um. Give positive numbers.")
     needed = shape[0] * shape[1] * image.dtype.itemsize
     if needed > memory_bytes:
         raise ResourceError(
@@ -118,15 +118,15 @@ def warp_image(
     x, y = np.meshgrid(*(np.linspace(-0.5, n - 0.5, 17) for n in shape[::-1]))
     points_um = mapping(np.stack([x, y], axis=-1)) * pixel_um[::-1]
     points_um = points_um[np.isfinite(points_um).all(axis=-1)]
-    where = "nowhere"
+    where_text = "nowhere"
     if len(points_um):
         (a, b), (c, d) = points_um.min(axis=0), points_um.max(axis=0)
-        where = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
-    height, width = size[0] * pixel_um[0], size[1] * pixel_um[1]
+        where_text = f"to x {round(a)} to {round(c)}, y {round(b)} to {round(d)} um of the image"
+    height_um, width_um = size[0] * pixel_um[0], size[1] * pixel_um[1]
     raise CannotRegister(
-        f"The transformation takes the target {where}, which is {width:.0f} um wide and {height:.0f} um high: nothing "
-        "overlaps. Check the pixel sizes and the origin, and that the transformation goes from target to image "
-        "(else use its inverse)."
+        f"The transformation takes the target {where_text}, which is {width_um:.0f} um wide and {height_um:.0f} um "
+        "high: nothing overlaps. Check the pixel sizes and the origin, and that the transformation goes from target to "
+        "image (else use its inverse)."
     )
 
 
@@ -150,10 +150,11 @@ def _part(image: NDArray[Any], positions: Floats, margin: int) -> tuple[NDArray[
     """Part of an image under places (..., 2) and ``more`` pixels around, NaN beside it; and its first pixel (x, y)."""
     low = np.floor(positions.min(axis=(0, 1))).astype(np.int64) - margin
     high = np.floor(positions.max(axis=(0, 1))).astype(np.int64) + 2 + margin
-    pixels = np.prod((high - low).astype(np.float64))
-    if pixels > 2**26:
+    pixel_count = np.prod((high - low).astype(np.float64))
+    if pixel_count > 2**26:
         raise ResourceError(
-            f"{pixels:.1e} pixels of the source lie under one pixel. Warp to smaller pixels first, then take means."
+            f"{pixel_count:.1e} pixels of the source lie under one pixel. Warp to smaller pixels first, then take "
+            "means."
         )
     part = np.full((high - low)[::-1], np.nan, dtype=image.dtype)
     first, last = np.maximum(low, 0), np.minimum(high, image.shape[::-1])
@@ -207,20 +208,21 @@ def find_patches(mapping: Mapping, tile: Tile, source: tuple[int, ...]) -> tuple
     while len(bounds):
         nodes, tests = places_at(_NODES), places_at(_TEST)
         is_defined = np.concatenate([np.isfinite(a).all(axis=-1).reshape(len(a), -1) for a in (nodes, tests)], axis=1)
-        finite = is_defined.all(axis=1)
-        error = np.where(finite, np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2)), np.inf)
+        is_finite = is_defined.all(axis=1)
+        error = np.linalg.norm(places(nodes, _TEST, _TEST) - tests, axis=-1).max(axis=(1, 2))
+        error = np.where(is_finite, error, np.inf)
         low, high = nodes.min(axis=(1, 2)), nodes.max(axis=(1, 2))
         margin = (2 * error + 2.0)[:, None]  # a patch that is further away from the source shows nothing of it
         is_outside = np.any((high + margin < 0) | (low - margin > (source[1] - 1, source[0] - 1)), axis=1)
-        is_empty = (finite & is_outside) | ~is_defined.any(axis=1)
-        single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
+        is_empty = (is_finite & is_outside) | ~is_defined.any(axis=1)
+        is_single = (bounds[:, 1] - bounds[:, 0] == 1) & (bounds[:, 3] - bounds[:, 2] == 1)
         # Where it is tested the polynomial may err by half; the rest is for between the tests. What is summed for area
         # means stays in the cache where no more pixels of the source lie under a patch.
         small = (error <= 0.5 * TOLERANCE) & ((high - low).prod(axis=1) <= 2**18)
-        is_patch = finite & ~is_empty & (small | single)
+        is_patch = is_finite & ~is_empty & (small | is_single)
         patches.append((bounds[is_patch], nodes[is_patch]))
         # The others are cut in the middle of both sides.
-        y0, y1, x0, x1 = bounds[~(is_patch | is_empty | single)].T
+        y0, y1, x0, x1 = bounds[~(is_patch | is_empty | is_single)].T
         y, x = (y0 + y1 + 1) // 2, (x0 + x1 + 1) // 2
         quarters = (y0, y, x0, x), (y0, y, x, x1), (y, y1, x0, x), (y, y1, x, x1)
         bounds = np.concatenate([np.stack(quarter, axis=1) for quarter in quarters])

@@ -29,8 +29,8 @@ def read(content: Content) -> list[PointList]:
     name = content.name
     rows: list[tuple[int, list[Any]]] = [*content.rows.rows]
     if content.json:  # alone or in a project
-        inner: Any = content.json.get("landmarks", content.json)
-        marks: Mapping[str, Any] = inner if isinstance(inner, Mapping) else {}
+        landmarks: Any = content.json.get("landmarks", content.json)
+        marks: Mapping[str, Any] = landmarks if isinstance(landmarks, Mapping) else {}
         axes = marks.get("numDimensions")
         columns: list[list[Any]] = []
         for key in ("names", "active", "movingPoints", "fixedPoints"):
@@ -85,8 +85,8 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
         side = np.pad(side, ((0, 0), (0, axes - side.shape[1])))
         sides.append(np.where(np.isfinite(side).all(axis=1, keepdims=True), side, np.inf))
     numbers = np.hstack(sides)
-    used = used_of(marks) & np.isfinite(numbers).all(axis=1)
+    is_used = used_of(marks) & np.isfinite(numbers).all(axis=1)
     rows: list[list[Any]] = []
-    for label, active, row in zip(labels_of(marks), used.tolist(), numbers.tolist(), strict=True):
-        rows.append([label, str(active).lower(), *("Infinity" if number == np.inf else number for number in row)])
+    for label, is_active, row in zip(labels_of(marks), is_used.tolist(), numbers.tolist(), strict=True):
+        rows.append([label, str(is_active).lower(), *("Infinity" if number == np.inf else number for number in row)])
     return {"": table_text([], rows, quote_all=True).encode()}

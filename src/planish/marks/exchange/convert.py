@@ -63,9 +63,9 @@ def read_any(
     places = [Path(path)] if second is None else [Path(path), Path(second)]
     name = " and ".join(place.name for place in places)
     contents = [read_content(place) for place in places]
-    kinds = [_recognised(content) for content in contents]
-    parts: list[Any] = [module_of(kind).read(content) for kind, content in zip(kinds, contents, strict=True)]
-    if second is None and isinstance(marks := parts[0], xr.Dataset):
+    formats = [_recognised(content) for content in contents]
+    readings: list[Any] = [module_of(kind).read(content) for kind, content in zip(formats, contents, strict=True)]
+    if second is None and isinstance(marks := readings[0], xr.Dataset):
         if unit not in (None, "um"):
             raise SizeError(
                 f"{name} states its unit, um, and --unit says {unit}. Leave --unit out, or correct the file."
@@ -74,25 +74,25 @@ def read_any(
             raise MarkError("A planish file says itself which layer is the moving one. Leave --swap out.")
         # What is known of the layers beside what the file states.
         layers = {layer: dict(about) for layer, about in marks.attrs["layers"].items()}
-        for side, facts in (("moving", moving), ("volume", moving), ("fixed", fixed)):
+        for side, layer_pixels in (("moving", moving), ("volume", moving), ("fixed", fixed)):
             if side in layers:
-                layers[side] |= facts.about()
+                layers[side] |= layer_pixels.about()
         if list(layers) == ["marks"]:
             layers["marks"] |= moving.about() | fixed.about()
         marks, stated = marks.assign_attrs(layers=layers), ("um", True)
     else:
         lists: list[PointList] = []
-        for content, part in zip(contents, parts, strict=True):
-            new = [_single_list(part, content.name)] if isinstance(part, xr.Dataset) else part
-            if second is not None and len(new) != 1:
+        for content, reading in zip(contents, readings, strict=True):
+            file_lists = [_single_list(reading, content.name)] if isinstance(reading, xr.Dataset) else reading
+            if second is not None and len(file_lists) != 1:
                 raise MarkError(
-                    f"{content.name} holds {len(new)} lists of points already. Give it alone, or two files with one "
-                    "each."
+                    f"{content.name} holds {len(file_lists)} lists of points already. Give it alone, or two files with "
+                    "one each."
                 )
-            lists += new
+            lists += file_lists
         marks = join_lists(lists, name=name, moving=moving, fixed=fixed, unit=unit, swap=swap)
         stated = unit or lists[0].unit, all(point_list.stated for point_list in lists)
-    marks.attrs["read_from"] = {"format": kinds[0], "unit": stated[0], "stated": stated[1]}
+    marks.attrs["read_from"] = {"format": formats[0], "unit": stated[0], "stated": stated[1]}
     check_marks(marks, name)
     if unit != "um":
         check_plausible(marks, name)
@@ -166,13 +166,15 @@ def marks_bytes(
     unit: Unit | None = None, swap: bool = False,
 ) -> dict[str, bytes]:  # fmt: skip
     """Give what `write_any` writes, by what it puts before the suffix of the name."""
-    form, points = FORMATS[to], dict[str, Floats]()
+    mark_format, points = FORMATS[to], dict[str, Floats]()
     check_marks(marks, "The marks")
-    if unit is not None and not form.free_unit:
-        free = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
-        raise SizeError(f"A file for {form.title} has its own unit; only those for {free} are written in --out-unit.")
-    if form.unit is not None:
-        marks, points = _outgoing(marks, form, (moving, fixed), unit or form.unit, swap)
+    if unit is not None and not mark_format.free_unit:
+        titles = " and ".join(other.title for other in FORMATS.values() if other.free_unit)
+        raise SizeError(
+            f"A file for {mark_format.title} has its own unit; only those for {titles} are written in --out-unit."
+        )
+    if mark_format.unit is not None:
+        marks, points = _outgoing(marks, mark_format, (moving, fixed), unit or mark_format.unit, swap)
     return module_of(to).write(marks, points)
 
 
@@ -218,24 +220,26 @@ def _single_list(marks: xr.Dataset, name: str) -> PointList:
 
 
 def _outgoing(
-    marks: xr.Dataset, form: MarkFormat, facts: Sequence[LayerPixels], unit: Unit, swap: bool
+    marks: xr.Dataset, mark_format: MarkFormat, overrides: Sequence[LayerPixels], unit: Unit, swap: bool
 ) -> tuple[xr.Dataset, dict[str, Floats]]:
     """Give marks as another program expects them, and positions by role or by the name of the only layer."""
     names = layer_names(marks)
-    single = len(names) == 1 and form.single
+    single = len(names) == 1 and mark_format.single
     sides = names if single else list(model.pair_of_layers(marks, name="This set of marks"))
-    if form.pairs_only:
+    if mark_format.pairs_only:
         keep = model.used_of(marks) & model.in_layers(marks, sides)
         if not keep.any():
             raise MarkError(f"No mark is used and lies in {' and '.join(sides)}. Use at least one.")
         marks = marks.isel(mark=np.flatnonzero(keep))
     if single:
-        facts = [facts[0] if facts[0].pixel_um else facts[1]]
-    outgoing: list[Floats] = []
-    for layer, override, role in zip(sides, facts, ("moving", "fixed"), strict=False):
+        overrides = [overrides[0] if overrides[0].pixel_um else overrides[1]]
+    file_points: list[Floats] = []
+    for layer, override, role in zip(sides, overrides, ("moving", "fixed"), strict=False):
         about, points = about_layer(marks, layer), model.points_of(marks, layer)
         pixel, first = about.get("pixel_um"), about.get("origin_um", {"x": 0.0, "y": 0.0})
-        pixels = LayerPixels(override.pixel_um or (pixel and (pixel["y"], pixel["x"])), (first["x"], first["y"]))
-        origin, factor = pixels.frame(unit, points.shape[1], f"The file for {form.title}", role)
-        outgoing.append((points - origin) / factor)
-    return marks, dict(zip(names if single else ("moving", "fixed"), outgoing[::-1] if swap else outgoing, strict=True))
+        pixel_um = override.pixel_um or (pixel and (pixel["y"], pixel["x"]))
+        layer_pixels = LayerPixels(pixel_um, (first["x"], first["y"]))
+        origin, factor = layer_pixels.frame(unit, points.shape[1], f"The file for {mark_format.title}", role)
+        file_points.append((points - origin) / factor)
+    roles = names if single else ("moving", "fixed")
+    return marks, dict(zip(roles, file_points[::-1] if swap else file_points, strict=True))

@@ -41,8 +41,8 @@ def read(content: Content) -> xr.Dataset | list[PointList]:
     if not sides:
         return [read_points(content, ("x_um", "y_um"), stated=True, source="imported")]
     first = "volume" if "volume" in sides and "moving" not in sides else "moving"
-    moving, volume, fixed = map(", ".join, _SIDES.values())
-    advice = f"Needed: label, then {moving} or {volume}, then {fixed}, all in um."
+    moving_text, volume_text, fixed_text = map(", ".join, _SIDES.values())
+    advice = f"Needed: label, then {moving_text} or {volume_text}, then {fixed_text}, all in um."
     needed = (*_SIDES[first], *_SIDES["fixed"])
     table = parse_table(content.text, content.name, needed=needed, error=MarkError, advice=advice)
     if "moving" in sides and "volume" in sides:

@@ -47,11 +47,11 @@ def read(content: Content) -> list[PointList]:
     axes = len(lines[0])
     faults: list[str] = []
     points = [[finite(cell) for cell in cells] for cells in lines]
-    for k, (cells, numbers) in enumerate(zip(lines, points, strict=True), 1):
+    for k, (cells, coordinates) in enumerate(zip(lines, points, strict=True), 1):
         if axes not in (2, 3) or len(cells) != axes:
             faults.append(f"point {k} has {len(cells)} numbers")
-        elif None in numbers:
-            faults.append(f"point {k}: {cells[numbers.index(None)]!r} is no finite number")
+        elif None in coordinates:
+            faults.append(f"point {k}: {cells[coordinates.index(None)]!r} is no finite number")
     refuse(name, faults, f"elastix reads {_NEEDED}.")
     unit, stated = ("mm", False) if word == "point" else ("pixel", True)
     return [PointList(title=name, points=np.array(points, dtype=np.float64), unit=unit, stated=stated)]

@@ -87,8 +87,8 @@ def read(content: Content) -> xr.Dataset:
             f"{name} has version {version} of the format; this planish reads up to version {VERSION}. Update planish, "
             "or write the marks again with the older one."
         )
-    listed: object = entries.get("marks")
-    check_count(name, len(listed) if isinstance(listed, list) else 0)
+    mark_entries: object = entries.get("marks")
+    check_count(name, len(mark_entries) if isinstance(mark_entries, list) else 0)
     with naming_faults(name, _PAGE, error=MarkError):
         file = _File.model_validate(dict(entries))
     names = [layer.name for layer in file.layers]
@@ -111,8 +111,8 @@ def write(marks: xr.Dataset, _points: dict[str, Floats]) -> dict[str, bytes]:
     rows: list[dict[str, Any]] = []
     for k, (label, used) in enumerate(zip(model.labels_of(marks), model.used_of(marks).tolist(), strict=True)):
         positions = {layer: _place(p, k) for layer, p in places.items() if np.isfinite(p.um[k]).all()}
-        stated = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
-        results = {f"{key}_um": float(marks[key].values[k]) for key in stated}
+        result_names = [key for key in RESULTS if key in marks and np.isfinite(marks[key].values[k])]
+        results = {f"{key}_um": float(marks[key].values[k]) for key in result_names}
         rows.append({"label": label, "used": used, "at": positions} | results)
     head: dict[str, Any] = {"format": FORMAT, "version": VERSION, "units": "um", "axes": {"x": "right", "y": "down"}}
     head["layers"] = []
@@ -133,15 +133,15 @@ def _column(parts: Sequence[Part | None], key: str) -> Floats:
     return np.array([getattr(part, key, None) for part in parts], dtype=np.float64)
 
 
-def _places(parts: Sequence[_Place | None]) -> MarkPlaces:
-    um = np.stack([_column(parts, axis) for axis in "xyz"], axis=1)
+def _places(layer_places: Sequence[_Place | None]) -> MarkPlaces:
+    um = np.stack([_column(layer_places, axis) for axis in "xyz"], axis=1)
     unknown = [[np.nan, np.nan], [np.nan, np.nan]]
-    spread = np.array([(place and place.covariance_um2) or unknown for place in parts]).reshape(-1, 2, 2)
+    spread = np.array([(place and place.covariance_um2) or unknown for place in layer_places]).reshape(-1, 2, 2)
     return MarkPlaces(
         um=um if np.isfinite(um[:, 2]).any() else um[:, :2],
-        source=[place.source if place else "imported" for place in parts],
+        source=[place.source if place else "imported" for place in layer_places],
         extras={"cov_xx": spread[:, 0, 0], "cov_xy": spread[:, 0, 1], "cov_yy": spread[:, 1, 1]}
-        | {name: _column(parts, key) for name, key in _POSITION.items()},
+        | {name: _column(layer_places, key) for name, key in _POSITION.items()},
     )
 
 
@@ -155,21 +155,21 @@ def _place(places: MarkPlaces, k: int) -> dict[str, Any]:
     return row | {"source": places.source[k]}
 
 
-def _cross_field_faults(file: _File, names: list[str]) -> list[str]:
+def _cross_field_faults(file: _File, layers: list[str]) -> list[str]:
     """List the faults that the fields alone do not show."""
-    faults = [f"the layer {n} is there {names.count(n)} times" for n in sorted(set(names)) if names.count(n) > 1]
-    if RESIDUAL in names:
+    faults = [f"the layer {n} is there {layers.count(n)} times" for n in sorted(set(layers)) if layers.count(n) > 1]
+    if RESIDUAL in layers:
         faults.append(f"{RESIDUAL} cannot be the name of a layer")
-    has_z: dict[str, set[bool]] = {}
+    z_states: dict[str, set[bool]] = {}
     for k, mark in enumerate(file.marks):
         for layer, place in mark.at.items():
-            where = f"marks[{k}] ({mark.label}) at {layer}"
-            if layer not in names:
-                faults.append(f"{where}: there is no such layer")
-            has_z.setdefault(layer, set()).add(place.z is not None)
+            mark_text = f"marks[{k}] ({mark.label}) at {layer}"
+            if layer not in layers:
+                faults.append(f"{mark_text}: there is no such layer")
+            z_states.setdefault(layer, set()).add(place.z is not None)
             if place.covariance_um2 is not None and not _is_covariance(place.covariance_um2):
-                faults.append(f"{where}: the covariance is not [[xx, xy], [xy, yy]] of a spread")
-    faults += [f"some positions in {n} have z and some have none" for n, kinds in has_z.items() if len(kinds) > 1]
+                faults.append(f"{mark_text}: the covariance is not [[xx, xy], [xy, yy]] of a spread")
+    faults += [f"some positions in {n} have z and some have none" for n, states in z_states.items() if len(states) > 1]
     return faults
 
 

@@ -77,11 +77,11 @@ def json_text(content: object) -> str:
     return json.dumps(content, ensure_ascii=False, allow_nan=False)
 
 
-def json_file(head: Mapping[str, Any], name: str, brackets: str, rows: Sequence[str]) -> str:
+def json_file(header: Mapping[str, Any], name: str, brackets: str, entries: Sequence[str]) -> str:
     """Write a JSON object: a head, one key a line, and under a name a list or an object, one entry a line."""
-    top = "".join(f' "{key}": {json_text(content)},\n' for key, content in head.items())
-    listed = ",\n".join(f"  {row}" for row in rows)
-    return f'{{\n{top} "{name}": {brackets[0]}\n{listed}\n {brackets[1]}\n}}\n'
+    header_text = "".join(f' "{key}": {json_text(content)},\n' for key, content in header.items())
+    entries_text = ",\n".join(f"  {entry}" for entry in entries)
+    return f'{{\n{header_text} "{name}": {brackets[0]}\n{entries_text}\n {brackets[1]}\n}}\n'
 
 
 def read_object(text: str, name: str) -> Mapping[str, Any]:
@@ -97,10 +97,10 @@ def read_object(text: str, name: str) -> Mapping[str, Any]:
     return cast("dict[str, Any]", content)
 
 
-def _unique_keys(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
-    entries = dict(pairs)
-    if len(entries) < len(pairs):
-        key, count = Counter(key for key, _ in pairs).most_common(1)[0]
+def _unique_keys(key_values: list[tuple[str, Any]]) -> dict[str, Any]:
+    entries = dict(key_values)
+    if len(entries) < len(key_values):
+        key, count = Counter(key for key, _ in key_values).most_common(1)[0]
         raise ValueError(f"the key {key[:40]!r} stands {count} times in one object")
     return entries
 
@@ -219,8 +219,9 @@ def join_lists(
     first, last = lists[0], lists[-1]
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
-        title, other = (each.title.strip().lower() for each in lists)
-        if swap != (title in ("fixed", "to", "target", "image") and other in ("moving", "from", "source", "volume")):
+        first_title, last_title = (each.title.strip().lower() for each in lists)
+        is_reversed = first_title in ("fixed", "to", "target", "image")
+        if swap != (is_reversed and last_title in ("moving", "from", "source", "volume")):
             first, last = last, first
         a, b = first.names, last.names
         if len(a) != len(b):
@@ -238,15 +239,15 @@ def join_lists(
     places: dict[str, MarkPlaces] = {}
     about: dict[str, dict[str, Any]] = {}
     for side, (point_list, facts) in layers.items():
-        marks = _places(point_list, side, facts, unit, name)
-        has_z = marks.um.shape[1] == 3
+        mark_places = _places(point_list, side, facts, unit, name)
+        has_z = mark_places.um.shape[1] == 3
         if side == "fixed" and has_z:
             raise MarkError(
                 f"{name}: the points of the fixed side ({last.title}) differ in z. That side has to be a flat image; "
                 "where the volume was the fixed or target one, give --swap."
             )
         layer = "volume" if side == "moving" and has_z else side
-        places[layer], about[layer] = marks, dict(point_list.about) | facts.about()
+        places[layer], about[layer] = mark_places, dict(point_list.about) | facts.about()
     used = np.ones(len(first.points), bool)
     for point_list in (first, last):
         if point_list.used:

@@ -105,9 +105,9 @@ def make_marks(
         for name, (units, text) in EXTRAS.items():
             if name in places.extras and np.isfinite(places.extras[name]).any():
                 columns[name] = places.extras[name], units, f"{text}, {where}"
-        for name, (numbers, units, text) in columns.items():
-            column = np.ascontiguousarray(numbers, dtype=np.float64)
-            variables[f"{layer}_{name}"] = ("mark", column, {"units": units, "long_name": text})
+        for name, (column, units, text) in columns.items():
+            array = np.ascontiguousarray(column, dtype=np.float64)
+            variables[f"{layer}_{name}"] = ("mark", array, {"units": units, "long_name": text})
         source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(labels)).copy()
         variables[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
     for name, um in (results or {}).items():
@@ -137,9 +137,9 @@ def points_of(marks: xr.Dataset, layer: str) -> Floats:
 def places_of(marks: xr.Dataset, layer: str) -> MarkPlaces:
     """Return positions in one layer with all that is known of them."""
     extras = {name: marks[f"{layer}_{name}"].values for name in EXTRAS if f"{layer}_{name}" in marks}
-    um, sources = points_of(marks, layer), f"{layer}_source"
-    source = marks[sources].values.tolist() if sources in marks else ["imported"] * len(um)
-    return MarkPlaces(um=um, source=source, extras=extras)
+    points, source_name = points_of(marks, layer), f"{layer}_source"
+    source = marks[source_name].values.tolist() if source_name in marks else ["imported"] * len(points)
+    return MarkPlaces(um=points, source=source, extras=extras)
 
 
 def in_layers(marks: xr.Dataset, layers: Sequence[str]) -> Bools:
@@ -186,15 +186,16 @@ def join_holes(
 
     ``pairs`` (k, 2) are rows of the moving and of the fixed holes.
     """
-    rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
-    single = [np.setdiff1d(np.arange(h.sizes["mark"]), rows[:, k]) for k, h in enumerate((moving, fixed))]
+    paired_rows = np.empty((0, 2), dtype=np.intp) if pairs is None else pairs
+    unpaired_rows = [np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k]) for k, h in enumerate((moving, fixed))]
     names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
     for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
-        numbers = [rows[:, k], *(rest if j == k else np.full(rest.size, -1) for j, rest in enumerate(single))]
-        layers[side] = MarkPlaces.of_holes(holes, np.concatenate(numbers), holes.attrs.get("source", "detected"))
+        single = [rows if j == k else np.full(rows.size, -1) for j, rows in enumerate(unpaired_rows)]
+        hole_rows = np.concatenate([paired_rows[:, k], *single])
+        layers[side] = MarkPlaces.of_holes(holes, hole_rows, holes.attrs.get("source", "detected"))
         attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
-        about[side] = {key: word for key, word in attrs.items() if word is not None}
-        names += [f"{side} {number + 1}" for number in single[k]]
+        about[side] = {key: attribute for key, attribute in attrs.items() if attribute is not None}
+        names += [f"{side} {row + 1}" for row in unpaired_rows[k]]
     return make_marks(names, layers, about=about)
 
 
@@ -208,7 +209,7 @@ def holes_of(marks: xr.Dataset, layer: str) -> xr.Dataset:
     """
     _check_layer(marks, layer)
     names: dict[Hashable, str] = {f"{layer}_{name}": name for name in ("x", "y", "z", *EXTRAS)}
-    names = {name: short for name, short in names.items() if name in marks}
+    names = {name: hole_name for name, hole_name in names.items() if name in marks}
     return marks[[*names, "label"]].rename(names).isel(mark=np.flatnonzero(in_layers(marks, [layer])))
 
 
@@ -226,22 +227,23 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
         Diameter of a mark that lies in no hole.
     """
     holes = holes.isel(mark=np.flatnonzero(in_layers(holes, [layer])))
-    name, count = f"{layer}_diameter", holes.sizes["mark"]
+    name, hole_count = f"{layer}_diameter", holes.sizes["mark"]
     mark_um, hole_um = (m[name].values if name in m else np.full(m.sizes["mark"], np.nan) for m in (marks, holes))
     points = points_of(marks, layer)
-    distance = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
-    distance[~(distance < 0.5 * hole_um)] = np.inf
+    distances = np.linalg.norm(points[:, None] - points_of(holes, layer), axis=2)
+    distances[~(distances < 0.5 * hole_um)] = np.inf
     # The nearest hole; the number after the last one where a mark lies in none.
-    number = np.argmin(np.pad(distance, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1)
-    um = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, usual_um)[number])
-    um = np.where(np.isfinite(points[:, 0]), um, np.nan)
+    hole_rows = np.argmin(np.pad(distances, ((0, 0), (0, 1)), constant_values=np.finfo(np.float64).max), axis=1)
+    diameters = np.where(np.isfinite(mark_um), mark_um, np.append(hole_um, usual_um)[hole_rows])
+    diameters = np.where(np.isfinite(points[:, 0]), diameters, np.nan)
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
-    free = holes[columns].isel(mark=np.setdiff1d(np.arange(count), number))
-    parts = marks.assign({name: ("mark", um, {"units": "um"})}), free.assign(used=("mark", np.ones(free.sizes["mark"])))
-    joined = xr.concat(parts, dim="mark", data_vars="all", join="outer", combine_attrs="override")
-    typed: dict[Hashable, Any] = {"used": joined["used"].astype(bool), "label": joined["label"].astype(str)}
+    unmarked = holes[columns].isel(mark=np.setdiff1d(np.arange(hole_count), hole_rows))
+    measured = marks.assign({name: ("mark", diameters, {"units": "um"})})
+    unmarked = unmarked.assign(used=("mark", np.ones(unmarked.sizes["mark"])))
+    joined = xr.concat([measured, unmarked], dim="mark", data_vars="all", join="outer", combine_attrs="override")
+    retyped: dict[Hashable, Any] = {"used": joined["used"].astype(bool), "label": joined["label"].astype(str)}
     sources = [column for column in joined if str(column).endswith("_source")]
-    return joined.assign(typed | {column: joined[column].fillna("imported").astype(str) for column in sources})
+    return joined.assign(retyped | {column: joined[column].fillna("imported").astype(str) for column in sources})
 
 
 def used_pairs(
@@ -280,7 +282,7 @@ def used_pairs(
         )
     side = "volume" if f"{first}_z" in marks else "moving"
     names = [(first, side, axis) for axis in "xyz"] + [(second, "fixed", axis) for axis in "xy"]
-    places = {f"{new}_{axis}": pairs[f"{layer}_{axis}"] for layer, new, axis in names if f"{layer}_{axis}" in pairs}
+    places = {f"{role}_{axis}": pairs[f"{layer}_{axis}"] for layer, role, axis in names if f"{layer}_{axis}" in pairs}
     return xr.Dataset({"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))} | places)
 
 
@@ -289,8 +291,8 @@ def pair_of_layers(
 ) -> tuple[str, str]:
     """Return which layers are the moving and the fixed one."""
     names = layer_names(marks)
-    for wanted in filter(None, (moving, fixed)):
-        _check_layer(marks, wanted)
+    for layer in filter(None, (moving, fixed)):
+        _check_layer(marks, layer)
     if not moving and not fixed and "fixed" in names and {"moving", "volume"} & set(names):
         return "moving" if "moving" in names else "volume", "fixed"
     if len(names) < 2:
@@ -302,9 +304,9 @@ def pair_of_layers(
         raise MarkError(
             f"{name} holds {len(names)} layers: {', '.join(names)}. Name the two that belong together moving and fixed."
         )
-    unnamed = [n for n in names if n not in (moving, fixed)]
-    first = moving or unnamed.pop(0)
-    return first, fixed or unnamed.pop(0)
+    free_layers = [n for n in names if n not in (moving, fixed)]
+    first = moving or free_layers.pop(0)
+    return first, fixed or free_layers.pop(0)
 
 
 def _check_layer(marks: xr.Dataset, layer: str) -> None:
@@ -339,8 +341,9 @@ def check_plausible(marks: xr.Dataset, name: str) -> None:
     for layer in layer_names(marks):
         about = {"origin_um": {"x": 0.0, "y": 0.0}} | about_layer(marks, layer)
         points = points_of(marks, layer)[in_layers(marks, [layer]), :2]
-        if len(points) >= 3 and {"pixel_um", "size_px"} <= about.keys() and (misfit := _misfit(points, about, stated)):
-            raise MarkError(f"{name}: the marks in {layer} span {misfit}")
+        is_sized = len(points) >= 3 and {"pixel_um", "size_px"} <= about.keys()
+        if is_sized and (misfit_text := _misfit(points, about, stated)):
+            raise MarkError(f"{name}: the marks in {layer} span {misfit_text}")
 
 
 def _misfit(points: Floats, about: dict[str, Any], stated: bool) -> str:

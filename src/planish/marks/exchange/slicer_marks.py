@@ -85,33 +85,33 @@ def write(marks: xr.Dataset, points: dict[str, Floats]) -> dict[str, bytes]:
 
 def _point_list(markup: Mapping[str, Any], k: int, name: str) -> PointList:
     title = str(markup.get("name") or f"list {k + 1}")
-    system: object = markup.get("coordinateSystem", "LPS")
-    if system not in ("LPS", "RAS"):
-        raise MarkError(f"{name}: {title} is in {system!r}; LPS or RAS is needed. Save it so in Slicer.")
-    code: Any = markup.get("coordinateUnits", "mm")
-    unit = code[0] if isinstance(code, list) and code else code
+    coordinate_system: object = markup.get("coordinateSystem", "LPS")
+    if coordinate_system not in ("LPS", "RAS"):
+        raise MarkError(f"{name}: {title} is in {coordinate_system!r}; LPS or RAS is needed. Save it so in Slicer.")
+    unit_code: Any = markup.get("coordinateUnits", "mm")
+    unit = unit_code[0] if isinstance(unit_code, list) and unit_code else unit_code
     if unit not in ("mm", "um"):
         raise MarkError(f"{name}: {title} is in {unit!r}; mm or um is needed. Save it so in Slicer.")
-    listed: Any = markup["controlPoints"]
-    controls: list[Any] = listed if isinstance(listed, list) else [None]
+    entries: Any = markup["controlPoints"]
+    controls: list[Any] = entries if isinstance(entries, list) else [None]
     faults: list[str] = []
     points: list[list[float | None]] = []
     for number, control in enumerate(controls, 1):
         if not isinstance(control, Mapping):
             faults.append(f"point {number} of {title} is malformed")
             continue
-        state: Any = control.get("positionStatus", "defined")
+        status: Any = control.get("positionStatus", "defined")
         position: Any = control.get("position")
         is_valid = isinstance(position, list) and len(position) == 3
-        numbers = position if is_valid else [None]
-        point = [None if isinstance(number, str) else finite(number) for number in numbers]
-        if state not in ("defined", "undefined", "preview"):
-            faults.append(f"point {number} of {title} has the status {str(state)[:40]!r}")
-        if state == "defined" and None in point:
+        coordinates = position if is_valid else [None]
+        point = [None if isinstance(number, str) else finite(number) for number in coordinates]
+        if status not in ("defined", "undefined", "preview"):
+            faults.append(f"point {number} of {title} has the status {str(status)[:40]!r}")
+        if status == "defined" and None in point:
             faults.append(f"point {number} of {title} has the position {str(position)[:40]}, not three finite numbers")
-        points.append(point if state == "defined" else [None] * 3)
+        points.append(point if status == "defined" else [None] * 3)
     refuse(name, faults, "Save the list in Slicer again.")
-    signs = np.array([1.0, 1.0, 1.0] if system == "LPS" else [-1.0, -1.0, 1.0])
+    signs = np.array([1.0, 1.0, 1.0] if coordinate_system == "LPS" else [-1.0, -1.0, 1.0])
     return PointList(
         title=title,
         points=signs * np.array(points, dtype=np.float64),

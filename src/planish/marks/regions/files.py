@@ -61,25 +61,25 @@ def read_regions(path: str | Path) -> Regions:
     readers: list[tuple[str, Callable[[], Region]]] = []
     if is_imagej := content.startswith((ZIP, ROI)):
         remedy = _DRAW
-        for part, data in _unpacked(content, name) if content.startswith(ZIP) else [(name, content)]:
-            readers.append((repr(part[:80]), partial(_selection, data, PurePosixPath(part).stem)))
+        for part_name, data in _unpacked(content, name) if content.startswith(ZIP) else [(name, content)]:
+            readers.append((repr(part_name[:80]), partial(_selection, data, PurePosixPath(part_name).stem)))
     else:
         remedy = "Coordinates are [x, y] in um of the reference; docs/linking.md shows an example."
         for k, feature in enumerate(_features(content, name, faults), 1):
             readers.append((f"region {k}", partial(_region, feature, f"region {k}")))
     regions: list[Region] = []
-    for title, read in readers:
+    for title, read_region in readers:
         try:
-            regions.append(read())
+            regions.append(read_region())
         except (ValueError, struct.error) as error:
             faults.append(f"{title}: {'it ends early' if isinstance(error, struct.error) else error}")
     raise_faults(name, faults, remedy, error=FileError)
-    points = sum(len(ring) for region in regions for rings in region.polygons for ring in rings)
+    point_count = sum(len(ring) for region in regions for rings in region.polygons for ring in rings)
     if not regions:
         raise FileError(f"{name} holds no region. Draw one, or leave --regions out.")
-    if len(regions) > MOST_REGIONS or points > MOST_POINTS:
+    if len(regions) > MOST_REGIONS or point_count > MOST_POINTS:
         raise FileError(
-            f"{name} holds {len(regions)} regions with {points} points; {MOST_REGIONS} regions with {MOST_POINTS} "
+            f"{name} holds {len(regions)} regions with {point_count} points; {MOST_REGIONS} regions with {MOST_POINTS} "
             "points are the most. Simplify them, or join them to MultiPolygons."
         )
     return Regions(declared=tuple(regions), in_pixels=is_imagej)
@@ -89,8 +89,8 @@ def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
     """Names and bytes of an archive of selections."""
     if data.count(b"PK\1\2") > 2 * MOST_REGIONS:  # entries of its table of contents, before that is read
         raise FileError(f"{name} holds more than {MOST_REGIONS} entries. Give an archive of the ROI Manager of ImageJ.")
-    parts: list[tuple[str, bytes]] = []
-    most = _LARGEST_FILE
+    files: list[tuple[str, bytes]] = []
+    bytes_left = _LARGEST_FILE
     try:
         with zipfile.ZipFile(io.BytesIO(data)) as archive:
             for entry in archive.infolist():
@@ -98,58 +98,58 @@ def _unpacked(data: bytes, name: str) -> list[tuple[str, bytes]]:
                     continue
                 if entry.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
                     raise ValueError("packed in an unusual way")
-                with archive.open(entry) as file:  # what the archive says of its sizes need not be true
-                    parts.append((entry.filename, file.read(most + 1)))
-                most -= len(parts[-1][1])
-                if most < 0:
+                with archive.open(entry) as stream:  # what the archive says of its sizes need not be true
+                    files.append((entry.filename, stream.read(bytes_left + 1)))
+                bytes_left -= len(files[-1][1])
+                if bytes_left < 0:
                     raise FileError(f"{name} is too large when unpacked. Give an archive of the ROI Manager of ImageJ.")
     # One with a password is a RuntimeError.
     except (zipfile.BadZipFile, zlib.error, EOFError, OSError, RuntimeError, ValueError, struct.error) as error:
         raise FileError(f"{name} is a damaged archive ({error}). Save the selections again.") from error
-    if not parts:
+    if not files:
         raise FileError(f"{name} is an empty archive. {_DRAW}")
-    return parts
+    return files
 
 
 def _selection(data: bytes, default_name: str) -> Region:
     """Make a region of a selection; ValueError where it is none, struct.error where it ends early."""
     if not data.startswith(ROI):
         raise ValueError("it is no selection of ImageJ")
-    version, kind = struct.unpack_from(">hB", data, 4)
-    (composite,) = struct.unpack_from(">i", data, 36)
-    subtype, options, rounded, second_header = struct.unpack_from(">hh2xh4xi", data, 48)
-    if kind in _NO_AREA or subtype in _OVERLAYS:
-        raise ValueError(f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(kind)}, which covers no area")
-    subpixel_version = version if options & 128 else 0
-    if composite > 0:
-        polygons = nested([ring_of(ring) for ring in _composite_rings(data, composite)])
-    elif kind in (_RECTANGLE, _OVAL):
-        if kind == _RECTANGLE and rounded > 0:
+    version, selection_type = struct.unpack_from(">hB", data, 4)
+    (composite_size,) = struct.unpack_from(">i", data, 36)
+    subtype, option_flags, corner_diameter, header2_offset = struct.unpack_from(">hh2xh4xi", data, 48)
+    if selection_type in _NO_AREA or subtype in _OVERLAYS:
+        raise ValueError(f"it is {_OVERLAYS.get(subtype) or _NO_AREA.get(selection_type)}, which covers no area")
+    subpixel_version = version if option_flags & 128 else 0
+    if composite_size > 0:
+        polygons = nested([ring_of(ring) for ring in _composite_rings(data, composite_size)])
+    elif selection_type in (_RECTANGLE, _OVAL):
+        if selection_type == _RECTANGLE and corner_diameter > 0:
             raise ValueError("it is a rectangle with rounded corners")
-        polygons = ((ring_of(_box(data, kind, is_subpixel=subpixel_version >= 223)),),)
-    elif kind in _POLYGONS:
-        if options & 1:
+        polygons = ((ring_of(_box(data, selection_type, is_subpixel=subpixel_version >= 223)),),)
+    elif selection_type in _POLYGONS:
+        if option_flags & 1:
             raise ValueError("it is fitted with a spline; take points along it (Edit, Selection, Interpolate)")
         polygons = ((ring_of(_polygon(data, is_subpixel=subpixel_version >= 222)),),)
     else:
-        raise ValueError(f"it is of the unknown type {kind}")
+        raise ValueError(f"it is of the unknown type {selection_type}")
     texts = {"name": default_name}
-    if _HEAD <= second_header <= len(data) - 52:
-        texts["name"] = _text(data, second_header + 16) or default_name
-        for line in _text(data, second_header + 40).splitlines():
+    if _HEAD <= header2_offset <= len(data) - 52:
+        texts["name"] = _text(data, header2_offset + 16) or default_name
+        for line in _text(data, header2_offset + 40).splitlines():
             key, _, text = line.partition(":")
             if key.strip().lower() in _TEXTS[1:]:
                 texts[key.strip().lower()] = text
     return Region(polygons=polygons, **{key: text_of(text, key) for key, text in texts.items()})
 
 
-def _box(data: bytes, kind: int, *, is_subpixel: bool) -> Ring:
+def _box(data: bytes, selection_type: int, *, is_subpixel: bool) -> Ring:
     """Give the corners of a rectangle; or an oval, as a polygon with its points on it."""
     top, left, bottom, right = map(_short, struct.unpack_from(">4h", data, 8))
     x, y, w, h = struct.unpack_from(">4f", data, 18) if is_subpixel else (left, top, right - left, bottom - top)
     if not (0 < w <= 1e6 and 0 < h <= 1e6):
         raise ValueError(f"it is {w:g} x {h:g} pixels large")
-    if kind == _RECTANGLE:
+    if selection_type == _RECTANGLE:
         return np.array([[x, y], [x + w, y], [x + w, y + h], [x, y + h]])
     radius = max(0.5 * max(w, h), 1.0)
     # The polygon of an oval may lie a hundredth of a pixel inside it.
@@ -164,51 +164,51 @@ def _polygon(data: bytes, *, is_subpixel: bool) -> Ring:
         (count,) = struct.unpack_from(">i", data, 18)
     if not 3 <= count <= MOST_POINTS:
         raise ValueError(f"it has {count} points; 3 to {MOST_POINTS} are possible")
-    begin, kind = (_HEAD + 4 * count, "f") if is_subpixel else (_HEAD, "h")
-    numbers = struct.unpack_from(f">{2 * count}{kind}", data, begin)
-    places = np.array(numbers, dtype=np.float64).reshape(2, count).T
+    start, kind = (_HEAD + 4 * count, "f") if is_subpixel else (_HEAD, "h")
+    coordinates = struct.unpack_from(f">{2 * count}{kind}", data, start)
+    points = np.array(coordinates, dtype=np.float64).reshape(2, count).T
     if not is_subpixel:
-        places = np.maximum(np.where(places < -5000, places + 65536, places), 0)
-        places = places + np.array([_short(x0), _short(y0)])
-    return places + _NUDGE
+        points = np.maximum(np.where(points < -5000, points + 65536, points), 0)
+        points = points + np.array([_short(x0), _short(y0)])
+    return points + _NUDGE
 
 
-def _composite_rings(data: bytes, count: int) -> Iterator[Ring]:
+def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
     """Yield the borders of a composite selection: moves, lines and ends, each a code and its place."""
-    if count > 3 * MOST_POINTS:
-        raise ValueError(f"it has {count} numbers; {MOST_POINTS} points are possible")
-    numbers = np.array(struct.unpack_from(f">{count}f", data, _HEAD))
-    position, begins = 0, list[list[int]]()
-    while position < count:
-        code = numbers[position]
+    if float_count > 3 * MOST_POINTS:
+        raise ValueError(f"it has {float_count} numbers; {MOST_POINTS} points are possible")
+    codes = np.array(struct.unpack_from(f">{float_count}f", data, _HEAD))
+    offset, ring_starts = 0, list[list[int]]()
+    while offset < float_count:
+        code = codes[offset]
         if code in (_QUADRATIC, _CUBIC):
             raise ValueError("it is a composite selection with curves; split it (More, Split in the ROI Manager)")
-        if code not in (_MOVE, _LINE, _CLOSE) or (code == _LINE and not begins):
+        if code not in (_MOVE, _LINE, _CLOSE) or (code == _LINE and not ring_starts):
             raise ValueError("it is a composite selection of unknown parts; split it (More, Split in the ROI Manager)")
         if code == _MOVE:
-            begins.append([])
+            ring_starts.append([])
         if code != _CLOSE:
-            begins[-1].append(position + 1)
-        position += 1 if code == _CLOSE else 3
-    if position > count:
+            ring_starts[-1].append(offset + 1)
+        offset += 1 if code == _CLOSE else 3
+    if offset > float_count:
         raise ValueError("it ends early")
-    for places in map(np.array, begins):
-        ring = np.stack([numbers[places], numbers[places + 1]], axis=1)
+    for places in map(np.array, ring_starts):
+        ring = np.stack([codes[places], codes[places + 1]], axis=1)
         if len(np.unique(ring, axis=0)) > 2:  # ImageJ leaves places and lines behind, which cover no area
             yield ring + _NUDGE
 
 
-def _short(place: int) -> int:
+def _short(coordinate: int) -> int:
     """Undo the overflow of a place beyond 32767, as ImageJ does."""
-    return place + 65536 if place < -5000 else place
+    return coordinate + 65536 if coordinate < -5000 else coordinate
 
 
 def _text(data: bytes, offset: int) -> str:
     """Give the text whose place and length stand at an offset."""
-    begin, length = struct.unpack_from(">ii", data, offset)
-    if begin <= 0 or length <= 0:
+    start, length = struct.unpack_from(">ii", data, offset)
+    if start <= 0 or length <= 0:
         return ""
-    return struct.unpack_from(f"{2 * length}s", data, begin)[0].decode("utf-16-be", "replace")
+    return struct.unpack_from(f"{2 * length}s", data, start)[0].decode("utf-16-be", "replace")
 
 
 def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
@@ -223,14 +223,14 @@ def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
         raise FileError(f"{name} is nested too deeply for GeoJSON. Save the regions again.") from error
     except ValueError as error:
         raise FileError(f"{name} is neither GeoJSON nor a file of ImageJ: {error}. Save the regions again.") from error
-    top = _object(content)
-    kind, features = top.get("type"), top.get("features")
-    if top.get("units", "um") != "um":
+    root = _object(content)
+    kind, features = root.get("type"), root.get("features")
+    if root.get("units", "um") != "um":
         faults.append("its units are not um")
     if kind in ("Polygon", "MultiPolygon"):
-        return [{"geometry": top}]
+        return [{"geometry": root}]
     if kind == "Feature":
-        return [top]
+        return [root]
     if kind == "FeatureCollection" and isinstance(features, list):
         return cast("list[Any]", features)
     raise FileError(
@@ -241,27 +241,28 @@ def _features(data: bytes, name: str, faults: list[str]) -> list[Any]:
 
 def _region(feature: object, default_name: str) -> Region:
     geometry, properties = _object(_object(feature).get("geometry")), _object(feature).get("properties")
-    kind, places = geometry.get("type"), geometry.get("coordinates")
-    if kind not in ("Polygon", "MultiPolygon"):
-        described = repr(kind[:40]) if isinstance(kind, str) else "none"
-        raise ValueError(f"its geometry is {described}; a Polygon or MultiPolygon is needed")
+    geometry_type, coordinates = geometry.get("type"), geometry.get("coordinates")
+    if geometry_type not in ("Polygon", "MultiPolygon"):
+        type_text = repr(geometry_type[:40]) if isinstance(geometry_type, str) else "none"
+        raise ValueError(f"its geometry is {type_text}; a Polygon or MultiPolygon is needed")
     if not isinstance(properties, dict | None):
         raise ValueError("its properties are no object")
     texts = {key: text_of(_object(properties).get(key), key) for key in _TEXTS}
     texts["name"] = texts["name"] or default_name
-    polygons = _list(places, "coordinates") if kind == "MultiPolygon" else [places]
+    polygons = _list(coordinates, "coordinates") if geometry_type == "MultiPolygon" else [coordinates]
     borders = (map(_ring, _list(polygon, "a polygon")) for polygon in polygons)
     return Region(polygons=tuple(map(tuple, borders)), **texts)
 
 
 def _ring(points: object) -> Ring:
-    listed = _list(points, "a border")
+    positions = _list(points, "a border")
     # A third number, which the format allows, is a height.
-    for k, place in enumerate(listed, 1):
-        if not isinstance(place, list) or len(place) not in (2, 3) or any(type(v) not in (int, float) for v in place):
+    for k, position in enumerate(positions, 1):
+        is_pair = isinstance(position, list) and len(position) in (2, 3)
+        if not is_pair or any(type(v) not in (int, float) for v in position):
             raise ValueError(f"position {k} of a border is not [x, y]")
     try:
-        return ring_of(np.array([place[:2] for place in listed], dtype=np.float64))
+        return ring_of(np.array([position[:2] for position in positions], dtype=np.float64))
     except OverflowError as error:
         raise ValueError("a coordinate is beyond all numbers") from error
 
@@ -280,12 +281,13 @@ def _object(content: object) -> dict[str, Any]:
 def geojson_text(regions: Regions) -> str:
     """Write regions in um as a FeatureCollection, one feature a line; reading it gives the same numbers back."""
     assert not regions.in_pixels
-    rows: list[str] = []
+    feature_lines: list[str] = []
     for region in regions.declared:
         polygons = [[[*ring.tolist(), ring[0].tolist()] for ring in rings] for rings in region.polygons]
-        kind, places = ("Polygon", polygons[0]) if len(polygons) == 1 else ("MultiPolygon", polygons)
+        geometry_type, coordinates = ("Polygon", polygons[0]) if len(polygons) == 1 else ("MultiPolygon", polygons)
         texts = {key: text for key in _TEXTS if (text := getattr(region, key))}
-        feature = {"type": "Feature", "properties": texts, "geometry": {"type": kind, "coordinates": places}}
-        rows.append(f"  {json.dumps(feature, ensure_ascii=False)}")
-    features = ",\n".join(rows)
+        geometry = {"type": geometry_type, "coordinates": coordinates}
+        feature = {"type": "Feature", "properties": texts, "geometry": geometry}
+        feature_lines.append(f"  {json.dumps(feature, ensure_ascii=False)}")
+    features = ",\n".join(feature_lines)
     return f'{{\n "type": "FeatureCollection",\n "units": "um",\n "features": [\n{features}\n ]\n}}\n'

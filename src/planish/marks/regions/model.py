@@ -68,12 +68,12 @@ class Regions:
         if not self.in_pixels:
             return self
         down, across = grid.pixel_um
-        size, origin = np.array([across, down]), np.array(grid.origin_um)
-        in_um: list[Region] = []
+        pixel_um, origin = np.array([across, down]), np.array(grid.origin_um)
+        regions_um: list[Region] = []
         for region in self.declared:
-            polygons = (tuple((ring - 0.5) * size + origin for ring in rings) for rings in region.polygons)
-            in_um.append(replace(region, polygons=tuple(polygons)))
-        return Regions(declared=tuple(in_um))
+            polygons = (tuple((ring - 0.5) * pixel_um + origin for ring in rings) for rings in region.polygons)
+            regions_um.append(replace(region, polygons=tuple(polygons)))
+        return Regions(declared=tuple(regions_um))
 
     def inside(self, grid: Grid) -> Bools:
         """Return the pixels of a grid whose centre lies in a region."""
@@ -104,18 +104,18 @@ def nested(rings: Sequence[Ring]) -> tuple[tuple[Ring, ...], ...]:
     if not 0 < len(rings) <= MOST_REGIONS:
         raise ValueError(f"it has {len(rings)} borders; 1 to {MOST_REGIONS} are possible")
     lows, highs = np.array([(ring.min(axis=0), ring.max(axis=0)) for ring in rings]).swapaxes(0, 1)
-    around: list[list[int]] = []
+    enclosing: list[list[int]] = []
     for k, ring in enumerate(rings):
         # Borders may touch, so that single places of one may lie on another: most of a few decide.
         probes = (0.5 * (ring + np.roll(ring, -1, axis=0)))[:: max(1, len(ring) // 5)]
-        is_within = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
-        is_within[k] = False
-        candidates = np.flatnonzero(is_within).tolist()
-        around.append([j for j in candidates if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)])
-    polygons: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(around[k]) % 2 == 0}
+        encloses = ((lows <= lows[k]) & (highs >= highs[k])).all(axis=1)
+        encloses[k] = False
+        candidates = np.flatnonzero(encloses).tolist()
+        enclosing.append([j for j in candidates if 2 * sum(_inside(rings[j], place) for place in probes) > len(probes)])
+    polygons: dict[int, list[Ring]] = {k: [ring] for k, ring in enumerate(rings) if len(enclosing[k]) % 2 == 0}
     for k, ring in enumerate(rings):
         if k not in polygons:
-            polygons[max((j for j in around[k] if j in polygons), key=lambda j: len(around[j]))].append(ring)
+            polygons[max((j for j in enclosing[k] if j in polygons), key=lambda j: len(enclosing[j]))].append(ring)
     return tuple(map(tuple, polygons.values()))
 
 
