@@ -96,7 +96,7 @@ MUTANTS = [
     Mutant("register/result.py", "% 2 == 1", ">= 1", "register/test_chain.py"),
     Mutant("register/spline.py", "0.5 * squares * np.log(squares)", "squares * np.log(squares)", "register/test_thin_plate.py"),
     Mutant("register/field.py", "np.log(_AFFINE[1:, None])", "0.5 * np.log(_AFFINE[1:, None])", "register/test_averaged.py"),
-    Mutant("register/field.py", "form[6:, 6:] -= np.diag(known_variance)", "form[6:, 6:] += np.diag(known_variance)", "register/test_averaged.py"),
+    Mutant("register/field.py", "form[6:, 6:] -= np.diag(explained_variance)", "form[6:, 6:] += np.diag(explained_variance)", "register/test_averaged.py"),
     Mutant("register/fit.py", "is_right[removed[:wrong_count]] = False", "is_right[removed] = False", "register/test_robust.py"),
     # resample
     Mutant("resample/maps.py", "hand = -1.0 if similarity.mirrored else 1.0", "hand = 1.0", "resample/test_maps.py"),

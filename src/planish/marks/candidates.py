@@ -196,16 +196,18 @@ def _block_means(image: Image, factors: tuple[int, int]) -> tuple[Image, Image]:
 
 
 def peaks(
-    responses: dict[float, Raster], sign: float, faintest: LocalLevels, spreads: list[LocalLevels]
+    responses: dict[float, Raster], sign: float, faintest_levels: LocalLevels, spreads: list[LocalLevels]
 ) -> tuple[Floats, Floats, Floats, int]:
     """Return places that may be holes, the extremes over place and scale, strongest first.
 
-    They are stronger than ``faintest``, the response that the least contrast makes, or `WORTH_MEASURING` times that of
-    ``spreads``, the usual one of each radius. Returns ``x, y`` in um, (n, 2); the largest response in units of the
-    usual one; the weakest one searched here over ``faintest``; how many lie beyond the limit of their part.
+    They are stronger than ``faintest_levels``, the response that the least contrast makes, or `WORTH_MEASURING` times
+    that of ``spreads``, the usual one of each radius. Returns ``x, y`` in um, (n, 2); the largest response in units of
+    the usual one; the weakest one searched here over ``faintest_levels``; how many lie beyond the limit of their part.
     """
     pairs = zip(responses.items(), spreads, strict=True)
-    candidates = np.concatenate([_peaks_of_radius(*response, sign, faintest, spread) for response, spread in pairs])
+    candidates = np.concatenate(
+        [_peaks_of_radius(*response, sign, faintest_levels, spread) for response, spread in pairs]
+    )
     candidates = candidates[np.argsort(-candidates[:, 3], kind="stable")]
     # Of places that share a cell the strongest stays, with the largest height over the usual one.
     smallest_radius = min(responses)
@@ -222,12 +224,12 @@ def peaks(
 
 
 def _peaks_of_radius(
-    radius: float, response: Raster, sign: float, faintest: LocalLevels, spread: LocalLevels
+    radius: float, response: Raster, sign: float, faintest_levels: LocalLevels, spread: LocalLevels
 ) -> Floats:
     """Find the peaks of one response: ``x, y`` (um), height over the usual one, height, share of the least contrast."""
     signed = response.image if sign > 0 else -response.image
     reach = [max(1, round(0.5 * radius / size)) for size in response.pixel_um]
-    lowest_threshold = max(0.0, min(float(faintest.values.min()), WORTH_MEASURING * float(spread.values.min())))
+    lowest_threshold = max(0.0, min(float(faintest_levels.values.min()), WORTH_MEASURING * float(spread.values.min())))
     # What is above the weakest and nowhere surpassed within reach; the nearest first: they leave few for the others.
     rows, cols = np.nonzero(signed > lowest_threshold)
     padded = np.pad(signed, [(n, n) for n in reach], constant_values=-np.inf)
@@ -237,7 +239,7 @@ def _peaks_of_radius(
         rows, cols = rows[is_top], cols[is_top]
     points = np.stack([cols * response.pixel_um[1], rows * response.pixel_um[0]], axis=1) + response.origin_um
     heights = signed[rows, cols].astype(np.float64)
-    noise_sd, faintest_heights = spread.at_points(points), faintest.at_points(points)
+    noise_sd, faintest_heights = spread.at_points(points), faintest_levels.at_points(points)
     thresholds = np.minimum(faintest_heights, WORTH_MEASURING * noise_sd)
     threshold_shares = np.where(faintest_heights > 0, thresholds / np.maximum(faintest_heights, 1e-30), 1.0)
     candidates = np.column_stack([points, heights / np.maximum(noise_sd, 1e-30), heights, threshold_shares])

@@ -165,14 +165,14 @@ def _detect(raster: Raster, radius_range: Pair, signs: tuple[float, ...]) -> lis
     # The response at the centre of a disc at its own radius.
     radius_ratio = list(responses)[1] / min(responses)
     disc_response = criteria.LEAST_CONTRAST * float(np.exp(-1 / radius_ratio) - np.exp(-radius_ratio))
-    faintest = quiet_texture._replace(values=0.67 * disc_response * quiet_texture.values)
+    faintest_levels = quiet_texture._replace(values=0.67 * disc_response * quiet_texture.values)
     # Where a screen is printed the texture is large, and yet a hole is what no dot of the screen is.
     # Nowhere less than a quarter of that of the whole image: there, blots would stand out from nothing.
     spreads = [candidates.local_spread(response, candidates.SQUARE * diameter, 0.5) for response in responses.values()]
     spreads = [s._replace(values=np.maximum(s.values, 0.25 * float(np.median(s.values)))) for s in spreads]
     detections: list[_Detection] = []
     for sign in signs:
-        coarse_points, peak_ratios, shares, dropped_count = candidates.peaks(responses, sign, faintest, spreads)
+        coarse_points, peak_ratios, shares, dropped_count = candidates.peaks(responses, sign, faintest_levels, spreads)
         # Before a rim is measured its place may be some pixels off, and faint marks are counted: less contrast will do.
         thresholds = (
             0.6 * shares * criteria.LEAST_CONTRAST * quiet_texture.at_points(coarse_points),

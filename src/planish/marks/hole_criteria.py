@@ -94,18 +94,13 @@ def best_rims(marks: Floats) -> list[int]:
 
 
 def overlaps_any(marks: Floats, holes: Floats) -> Bools:
-    """Return which circles overlap any of the holes; marks without a circle do not."""
-    is_overlapping = np.zeros(len(marks), bool)
-    circle_rows = np.flatnonzero(np.isfinite(marks[:, k.RADIUS]))
-    is_overlapping[circle_rows[_overlapping(marks[circle_rows], holes)[:, 0]]] = True
-    return is_overlapping
+    """Return which circles overlap any of the holes."""
+    return np.isin(np.arange(len(marks)), _overlapping(marks, holes)[:, 0])
 
 
 def neighbour_pairs(points: Floats, max_distance: float) -> Ints:
     """Pair points (n, 2) that are within ``max_distance`` of each other, both ways round."""
-    pairs = np.empty((0, 2), np.intp)
-    if len(points):
-        pairs = KDTree(points).query_pairs(max_distance, output_type="ndarray")
+    pairs = KDTree(points).query_pairs(max_distance, output_type="ndarray")
     return np.concatenate([pairs, pairs[:, ::-1]])
 
 

@@ -108,9 +108,9 @@ def holes_from_json(content: Mapping[str, Any], name: str = "The JSON") -> xr.Da
         file = _File.model_validate(dict(content))
     for key, variable in file.variables.items():
         with naming_faults(name, _REMEDY, error=MarkError, where=("variables", key, "values")):
-            checked = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
+            checked_values = TypeAdapter(_COLUMN_TYPES[variable.type]).validate_python(variable.values)
         dtype = np.str_ if variable.type == "str" else variable.type
-        column = np.array(_missing_as_nan(checked), dtype=dtype)
+        column = np.array(_missing_as_nan(checked_values), dtype=dtype)
         variables[key] = ("mark", column, _missing_as_nan(variable.attributes))
     counts = sorted({len(variable.values) for variable in file.variables.values()})
     faults = [f"no {key}" for key in "xy" if key not in variables]

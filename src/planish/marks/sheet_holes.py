@@ -173,13 +173,9 @@ def _offset_statistics(offsets: Floats, maps: xr.Dataset, side: Side) -> tuple[d
     if is_significant and maps.attrs.get("layer_to_face"):
         face_share = float(maps.attrs["layer_to_face"])
         to_face_um = (-face_share if side == "top" else face_share) * offset_um
-    statistics = {
-        "offset_count": len(measured),
-        "offset_um": offset_um.tolist(),
-        "offset_spread_um": spread_um.tolist(),
-        "offset_error_um": error_um.tolist(),
-        "to_face_um": to_face_um.tolist(),
-    }
+    arrays = {"offset_um": offset_um, "offset_spread_um": spread_um, "offset_error_um": error_um}
+    arrays["to_face_um"] = to_face_um
+    statistics = {"offset_count": len(measured)} | {name: pair.tolist() for name, pair in arrays.items()}
     if (thickness_um := maps.attrs.get("layers_apart_um")) is not None:
         statistics["tilt_deg"] = np.rad2deg(np.arctan2(offset_um, thickness_um)).tolist()
     return statistics, to_face_um

@@ -195,8 +195,8 @@ class DeviationField:
             mean_rows = np.sqrt(probabilities)[..., None] * means
             stacked_rows = np.concatenate([k.reshape(-1, 6 + 2 * n) for k in (spread_rows, mean_rows)])
             form = stacked_rows.T @ stacked_rows
-            known_variance = np.einsum("ag,g,gk->k", probabilities * variances, _FIELD**2, kernel_fit.shrinkage)
-            form[6:, 6:] -= np.diag(known_variance)
+            explained_variance = np.einsum("ag,g,gk->k", probabilities * variances, _FIELD**2, kernel_fit.shrinkage)
+            form[6:, 6:] -= np.diag(explained_variance)
             basis_change = block_diag(plane_basis, unwhitening @ kernel_fit.eigenvectors)
             form = basis_change @ form @ basis_change.T
             form = form[0::2, 0::2] + form[1::2, 1::2]
@@ -223,8 +223,8 @@ class DeviationField:
             squares_um2 = np.sum(deviations**2, axis=1)
             for k, (form, mean, constant) in self._square_forms.items():
                 row = np.concatenate([plane, covariance(KERNELS[k], squares)], axis=1)
-                cross = np.sum(deviations * (row @ mean), axis=1)
-                squares_um2 += np.sum(row * (row @ form), axis=1) + constant - 2.0 * cross
+                cross_terms = np.sum(deviations * (row @ mean), axis=1)
+                squares_um2 += np.sum(row * (row @ form), axis=1) + constant - 2.0 * cross_terms
             out[part] = np.maximum(squares_um2, 0.0)
         return out
 

@@ -167,12 +167,11 @@ def match_marks(
 def _no_match(choice: BestMatch, smaller_count: int, mirror: bool) -> str:
     if smaller_count == 3:
         return f"with three marks on a side a match may be chance. Add a fourth, or {_HINT}."
-    needed_text = f"more than the {smaller_count} of the smaller side"
-    if choice.needed_count <= smaller_count:
-        needed_text = f"about {choice.needed_count}"
+    needed = choice.needed_count
+    needed_text = f"about {needed}" if needed <= smaller_count else f"more than the {smaller_count} of the smaller side"
     mirror_text = "" if mirror else "; if the slices are numbered against the usual sense, pass --mirror"
     return (
-        f"no match found: {_agreeing_count(choice)} agree at best, and {needed_text} have to, closer than chance "
+        f"no match found: {max(2, len(choice.pairs))} agree at best, and {needed_text} have to, closer than chance "
         "brings them. Printed dots as large as holes count as marks: give --printed, and raise the lower end of "
         "--hole-um above them. Check the pixel and voxel sizes (if uncertain, allow more with --scale-tolerance), "
         f"--top and --image-side{mirror_text}; find more of the marks, or {_HINT}."
@@ -300,7 +299,7 @@ def _fit_on_design(
     sides_text, count = f"{len(points)} marks of the {name} and {len(holes)} designed holes", len(choice.pairs)
     if count < choice.needed_count:
         raise CannotRegister(
-            f"{sides_text}: the design does not match the marks: {_agreeing_count(choice)} agree at best, and about "
+            f"{sides_text}: the design does not match the marks: {max(2, len(choice.pairs))} agree at best, and about "
             f"{choice.needed_count} have to, closer than chance brings them. Check that it is the design of this "
             f"sheet, its unit (um), the pixel and voxel sizes; find more of the marks, or {_PAIRS_HINT}."
         )
@@ -309,11 +308,6 @@ def _fit_on_design(
     )
     match_text = f"{count} match (residual {rms:.1f} um rms); the second-best match has {choice.second_best_count}."
     return transform, f"{sides_text}: {match_text}"
-
-
-def _agreeing_count(choice: BestMatch) -> int:
-    """Count the marks that agree; any two do."""
-    return max(2, len(choice.pairs))
 
 
 def _similarity_text(transform: Similarity) -> str:

@@ -75,10 +75,10 @@ def choose(
     rows = np.flatnonzero(squares <= float(min(tolerance_um, 5.0 * scatter + 0.1 * tolerance_um)) ** 2)
     pairs = np.stack([rows, arrangements.partner[best][rows].astype(np.intp)], axis=1)
     pairs = pairs[:, ::-1] if is_swapped else pairs
-    landed = arrangements.landed[best]
+    moved_points = arrangements.landed[best]
     # Of the marks of the smaller side that lie in the field of the other, 35 % have to agree.
-    in_common_field = np.count_nonzero(_inside(landed, b, 0.05))
-    needed_count = 3 if len(a) == 3 else max(4, int(np.ceil(0.35 * in_common_field)))
+    common_count = np.count_nonzero(_inside(moved_points, b, 0.05))
+    needed_count = 3 if len(a) == 3 else max(4, int(np.ceil(0.35 * common_count)))
     if len(pairs) < needed_count or arrangements.log_chance[best] > ACCEPTED:
         chance_count = marks_needed(len(a), b, int(arrangements.tests[0]), tolerance_um)
         needed_count = max(needed_count, chance_count, len(pairs) + 1)
@@ -92,7 +92,7 @@ def choose(
         second_best_count=rival_count,
         stretch=2.0 * abs(arrangements.gamma[best]) / abs(arrangements.alpha[best]),
         is_swapped=is_swapped,
-        small_points=landed,
+        small_points=moved_points,
         large_points=b,
     )
 
@@ -173,8 +173,10 @@ def self_likeness(points: Complexes, alone_counts: tuple[int, int], *, tolerance
     motion_text = "turned over" if symmetries.mirrored[worst] else f"turned by {turn_deg:.0f} deg"
     if not symmetries.mirrored[worst] and turn_deg < 5.0:
         middle = points.mean()
-        landed = symmetries.alpha[worst] * middle + symmetries.gamma[worst] * np.conj(middle) + symmetries.beta[worst]
-        motion_text = f"shifted by {abs(landed - middle):.0f} um"
+        moved_point = (
+            symmetries.alpha[worst] * middle + symmetries.gamma[worst] * np.conj(middle) + symmetries.beta[worst]
+        )
+        motion_text = f"shifted by {abs(moved_point - middle):.0f} um"
     return f"of the {count} marks in all, {n_met[worst]} coincide with a mark again when the pattern is {motion_text}"
 
 

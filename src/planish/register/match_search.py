@@ -117,8 +117,8 @@ def _arrangements(
 def extents(b: Complexes) -> Pair:
     """Long and short side of the field of the marks along its own axes, in um."""
     centred = np.stack([b.real - b.real.mean(), b.imag - b.imag.mean()], axis=1)
-    short, long = sorted(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0).tolist())
-    return long, short
+    short_um, long_um = sorted(np.ptp(centred @ np.linalg.eigh(centred.T @ centred)[1], axis=0).tolist())
+    return long_um, short_um
 
 
 def share_within(radius: Floats, b: Complexes, tolerance_um: float) -> Floats:
@@ -131,10 +131,10 @@ def share_within(radius: Floats, b: Complexes, tolerance_um: float) -> Floats:
 
 def marks_needed(n: int, b: Complexes, tests: int, tolerance_um: float) -> int:
     """Smallest number of ``n`` marks whose close agreement chance would not offer; ``n + 1`` where none is enough."""
-    share = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
+    share_near = float(share_within(np.array([0.3 * tolerance_um]), b, tolerance_um)[0])
     for k in range(3 if n == 3 else 4, n + 1):
         log_tests = log10(max(tests, 1) * max(n - 2, 1)) + _log10_choose(n - 2, k - 2)
-        if log_tests + (k - 2) * log10(share) <= ACCEPTED:
+        if log_tests + (k - 2) * log10(share_near) <= ACCEPTED:
             return k
     return n + 1
 

@@ -119,17 +119,17 @@ def check_pairs(moving: ArrayLike, fixed: ArrayLike, weights: ArrayLike | None) 
             x, y = points[used[0]]
             raise MarkError(f"All {used.size} {name} marks lie at ({x:g}, {y:g}) um; at least two places are needed.")
     repeated_rows: set[int] = set()
-    for (name, points), (other, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
+    for (name, points), (other_name, partners) in zip(sides.items(), reversed(sides.items()), strict=True):
         for a, b in sorted(KDTree(points[used]).query_pairs(coincidence_um[name])):
-            first, second = used[a], used[b]
-            distance = float(np.linalg.norm(partners[first] - partners[second]))
-            if distance > coincidence_um[other]:
-                x, y = points[first]
+            first_row, second_row = used[a], used[b]
+            distance = float(np.linalg.norm(partners[first_row] - partners[second_row]))
+            if distance > coincidence_um[other_name]:
+                x, y = points[first_row]
                 raise MarkError(
-                    f"Marks {first} and {second} lie at one place on the {name} side, ({x:g}, {y:g}) um, and "
+                    f"Marks {first_row} and {second_row} lie at one place on the {name} side, ({x:g}, {y:g}) um, and "
                     f"{distance:.4g} um apart on the other. One of them is wrong: correct or remove it."
                 )
-            repeated_rows.add(int(second))
+            repeated_rows.add(int(second_row))
     repeated = np.array(sorted(repeated_rows), dtype=np.intp)
     pairs.information[repeated] = 0.0
     return pairs, repeated

@@ -241,9 +241,9 @@ def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
     with np.errstate(divide="ignore", invalid="ignore"):
         ratios = np.where((expected_um == 0) & (moved_um == 0), 0.0, moved_um / expected_um)
     faults: list[str] = []
-    worst = int(np.argmin(areas))
-    if not areas[worst] > 0:
-        x, y = points[worst]
+    worst_point = int(np.argmin(areas))
+    if not areas[worst_point] > 0:
+        x, y = points[worst_point]
         faults.append(
             f"The refinement folds the map near ({x:.5g}, {y:.5g}) um. Take a coarser mesh or the affine model, or "
             "keep the marks only."
@@ -253,12 +253,12 @@ def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
             "The error of the marks is unknown, so nothing bounds a refinement. Add marks, or keep the marks only."
         )
     elif ratios.max() > options.most:
-        worst = int(np.argmax(ratios))
-        x, y = points[worst]
+        worst_point = int(np.argmax(ratios))
+        x, y = points[worst_point]
         faults.append(
-            f"The refinement moves the map by {moved_um[worst]:.1f} um near ({x:.5g}, {y:.5g}) um, where the marks are "
-            f"expected to be right to {expected_um[worst]:.1f} um; up to {options.most:g} times that is accepted. "
-            "Either marks are wrong or the maps mislead. Check the marks, or keep them only."
+            f"The refinement moves the map by {moved_um[worst_point]:.1f} um near ({x:.5g}, {y:.5g}) um, where the "
+            f"marks are expected to be right to {expected_um[worst_point]:.1f} um; up to {options.most:g} times that "
+            "is accepted. Either marks are wrong or the maps mislead. Check the marks, or keep them only."
         )
     if faults and options.bounded:
         raise CannotRegister(faults[0])
@@ -269,7 +269,7 @@ def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
             "lags of tiles before you believe it."
         )
     rms, largest = float(np.sqrt(np.mean(moved_um**2))), float(moved_um.max())
-    words = {"affine": "affine", "bspline": "B-spline"}[options.model]
+    model_words = {"affine": "affine", "bspline": "B-spline"}[options.model]
     return Refined(
         transform=transform,
         model=options.model,
@@ -279,8 +279,8 @@ def _assess(transform: Affine | FreeForm, points: Floats, fit: FittedTransform, 
         area=(float(areas.min()), float(areas.max())),
         strain=strain,
         warnings=tuple(faults),
-        sentence=f"Refined on the maps ({words}, {options.metric}): points moved by {rms:.1f} um rms, {largest:.1f} um "
-        f"at most, strain up to {100 * strain:.2f} %.",
+        sentence=f"Refined on the maps ({model_words}, {options.metric}): points moved by {rms:.1f} um rms, "
+        f"{largest:.1f} um at most, strain up to {100 * strain:.2f} %.",
     )
 
 
@@ -324,10 +324,10 @@ def _search(
     try:
         search.Execute(images[0], images[1])
     except RuntimeError as fault:
-        why = str(fault).strip().rsplit("\n", 1)[-1]
+        reason_text = str(fault).strip().rsplit("\n", 1)[-1]
         raise CannotRegister(
-            f"The maps could not be refined ({why}). Check that both show texture at the same places, or keep the "
-            "marks only."
+            f"The maps could not be refined ({reason_text}). Check that both show texture at the same places, or keep "
+            "the marks only."
         ) from fault
     return _transform_um(itk, transform, unit_um, first_um)
 
@@ -360,7 +360,7 @@ def _prepare(
     is_allowed = True if valid is None else valid
     maps = [np.where(np.isfinite(m) & is_allowed, m, np.nan).astype(np.float64) for m in (linked, image)]
     factor = math.ceil(math.sqrt(linked.size / 60_000))
-    first = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
+    first_um = (0.5 * (factor - 1) * pixel_um[1], 0.5 * (factor - 1) * pixel_um[0])
     if factor > 1:
         maps = [area_mean(m, (factor, factor)) for m in maps]
     masks = [np.isfinite(m) for m in maps]
@@ -370,4 +370,4 @@ def _prepare(
     if any(float(m[k].std()) == 0 for m, k in zip(maps, masks, strict=True)):
         raise CannotRegister("One of the maps is constant: nothing can be refined on it. Keep the marks only.")
     filled = [np.where(k, (m - m[k].mean()) / m[k].std(), 0.0) for m, k in zip(maps, masks, strict=True)]
-    return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first
+    return filled, masks, (factor * pixel_um[0], factor * pixel_um[1]), first_um

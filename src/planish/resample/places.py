@@ -286,7 +286,7 @@ def resample_dataset(
         attrs = {k: variable.attrs[k] for k in ("units", "long_name", "role", "support_um") if k in variable.attrs}
         if np.issubdtype(variable.dtype, np.floating):
             variables[str(name)] = xr.Variable(dims, resample(variable.values, places), attrs)
-    return xr.Dataset(variables, coords={k: (k, um, {"units": "um"}) for k, um in coords.items()})
+    return xr.Dataset(variables, coords={k: (k, v, {"units": "um"}) for k, v in coords.items()})
 
 
 def _sampled(field: NDArray[Any], places: Places, share: Floats) -> Floats:

@@ -214,12 +214,12 @@ def join_lists(
                 "file."
             )
     if len(lists) > 2:
-        titles = ", ".join(f"{each.title} ({len(each.points)})" for each in lists[:8])
+        titles = ", ".join(f"{p.title} ({len(p.points)})" for p in lists[:8])
         raise MarkError(f"{name} holds {len(lists)} lists of points: {titles}. Two are needed; save those two alone.")
     first, last = lists[0], lists[-1]
     layers = {"marks": (first, moving if moving.pixel_um or moving.origin_um else fixed)}
     if len(lists) == 2:
-        first_title, last_title = (each.title.strip().lower() for each in lists)
+        first_title, last_title = (p.title.strip().lower() for p in lists)
         is_reversed = first_title in ("fixed", "to", "target", "image")
         if swap != (is_reversed and last_title in ("moving", "from", "source", "volume")):
             first, last = last, first

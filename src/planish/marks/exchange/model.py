@@ -101,7 +101,7 @@ def make_marks(
         if not NAME.fullmatch(layer) or layer == RESIDUAL:
             raise MarkError(f"{layer!r} is no name of a layer: use small letters, digits and underscores, such as map.")
         where = _TITLES.get(layer, f"in {layer}")
-        columns = {axis: (um, "um", f"Mark {where}, {axis}") for axis, um in zip("xyz", places.um.T, strict=False)}
+        columns = {axis: (v, "um", f"Mark {where}, {axis}") for axis, v in zip("xyz", places.um.T, strict=False)}
         for name, (units, text) in EXTRAS.items():
             if name in places.extras and np.isfinite(places.extras[name]).any():
                 columns[name] = places.extras[name], units, f"{text}, {where}"
@@ -110,8 +110,8 @@ def make_marks(
             variables[f"{layer}_{name}"] = ("mark", array, {"units": units, "long_name": text})
         source = np.broadcast_to(np.array(places.source, dtype=np.str_), len(labels)).copy()
         variables[f"{layer}_source"] = ("mark", source, {"long_name": f"Found how, {where}"})
-    for name, um in (results or {}).items():
-        variables[name] = ("mark", np.asarray(um, dtype=np.float64), {"units": "um", "long_name": RESULTS[name]})
+    for name, errors in (results or {}).items():
+        variables[name] = ("mark", np.asarray(errors, dtype=np.float64), {"units": "um", "long_name": RESULTS[name]})
     return xr.Dataset(variables, attrs={"layers": {layer: dict((about or {}).get(layer, {})) for layer in layers}})
 
 
@@ -190,8 +190,8 @@ def join_holes(
     unpaired_rows = [np.setdiff1d(np.arange(h.sizes["mark"]), paired_rows[:, k]) for k, h in enumerate((moving, fixed))]
     names, layers, about = [*labels], dict[str, MarkPlaces](), dict[str, dict[str, Any]]()
     for k, (side, holes) in enumerate((("moving", moving), ("fixed", fixed))):
-        single = [rows if j == k else np.full(rows.size, -1) for j, rows in enumerate(unpaired_rows)]
-        hole_rows = np.concatenate([paired_rows[:, k], *single])
+        padded_rows = [rows if j == k else np.full(rows.size, -1) for j, rows in enumerate(unpaired_rows)]
+        hole_rows = np.concatenate([paired_rows[:, k], *padded_rows])
         layers[side] = MarkPlaces.of_holes(holes, hole_rows, holes.attrs.get("source", "detected"))
         attrs = {"title": holes.attrs.get("layer"), "side": holes.attrs.get("seen_from")}
         about[side] = {key: attribute for key, attribute in attrs.items() if attribute is not None}
@@ -238,9 +238,9 @@ def with_holes(marks: xr.Dataset, holes: xr.Dataset, layer: str, *, usual_um: fl
     diameters = np.where(np.isfinite(points[:, 0]), diameters, np.nan)
     columns = ["label", *(column for column in holes if str(column).startswith(f"{layer}_"))]
     unmarked = holes[columns].isel(mark=np.setdiff1d(np.arange(hole_count), hole_rows))
-    measured = marks.assign({name: ("mark", diameters, {"units": "um"})})
+    with_diameters = marks.assign({name: ("mark", diameters, {"units": "um"})})
     unmarked = unmarked.assign(used=("mark", np.ones(unmarked.sizes["mark"])))
-    joined = xr.concat([measured, unmarked], dim="mark", data_vars="all", join="outer", combine_attrs="override")
+    joined = xr.concat([with_diameters, unmarked], dim="mark", data_vars="all", join="outer", combine_attrs="override")
     retyped: dict[Hashable, Any] = {"used": joined["used"].astype(bool), "label": joined["label"].astype(str)}
     sources = [column for column in joined if str(column).endswith("_source")]
     return joined.assign(retyped | {column: joined[column].fillna("imported").astype(str) for column in sources})

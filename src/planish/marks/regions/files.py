@@ -177,10 +177,10 @@ def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
     """Yield the borders of a composite selection: moves, lines and ends, each a code and its place."""
     if float_count > 3 * MOST_POINTS:
         raise ValueError(f"it has {float_count} numbers; {MOST_POINTS} points are possible")
-    codes = np.array(struct.unpack_from(f">{float_count}f", data, _HEAD))
+    floats = np.array(struct.unpack_from(f">{float_count}f", data, _HEAD))
     offset, ring_starts = 0, list[list[int]]()
     while offset < float_count:
-        code = codes[offset]
+        code = floats[offset]
         if code in (_QUADRATIC, _CUBIC):
             raise ValueError("it is a composite selection with curves; split it (More, Split in the ROI Manager)")
         if code not in (_MOVE, _LINE, _CLOSE) or (code == _LINE and not ring_starts):
@@ -192,8 +192,8 @@ def _composite_rings(data: bytes, float_count: int) -> Iterator[Ring]:
         offset += 1 if code == _CLOSE else 3
     if offset > float_count:
         raise ValueError("it ends early")
-    for places in map(np.array, ring_starts):
-        ring = np.stack([codes[places], codes[places + 1]], axis=1)
+    for vertex_offsets in map(np.array, ring_starts):
+        ring = np.stack([floats[vertex_offsets], floats[vertex_offsets + 1]], axis=1)
         if len(np.unique(ring, axis=0)) > 2:  # ImageJ leaves places and lines behind, which cover no area
             yield ring + _NUDGE
 
