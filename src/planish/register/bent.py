@@ -155,15 +155,15 @@ class _Inverse:
             is_better = np.zeros(active.size, dtype=np.bool_)
             # Where the whole step does not help, a quarter of it may.
             for step_share in (1.0, 0.25):
-                retried = np.flatnonzero(~is_better & ((start_errors > tolerance) | (step_share == 1.0)))
-                if not retried.size:
+                retried_rows = np.flatnonzero(~is_better & ((start_errors > tolerance) | (step_share == 1.0)))
+                if not retried_rows.size:
                     continue
-                trial = active_sources[retried] - step_share * step[retried]
-                trial_error = bent(trial) - targets[active[retried]]
-                is_improved = np.linalg.norm(trial_error, axis=1) < start_errors[retried]
-                improved = active[retried[is_improved]]
-                sources[improved], error[improved] = trial[is_improved], trial_error[is_improved]
-                is_better[retried[is_improved]] = True
+                trial = active_sources[retried_rows] - step_share * step[retried_rows]
+                trial_error = bent(trial) - targets[active[retried_rows]]
+                is_improved = np.linalg.norm(trial_error, axis=1) < start_errors[retried_rows]
+                improved_rows = active[retried_rows[is_improved]]
+                sources[improved_rows], error[improved_rows] = trial[is_improved], trial_error[is_improved]
+                is_better[retried_rows[is_improved]] = True
             active = active[is_better & (np.linalg.norm(error[active], axis=1) > tolerance)]
             if not active.size:
                 break
@@ -207,9 +207,9 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     CannotRegister
         Where the map folds, or changes its handedness against what was declared.
     """
-    largest_at = marks.mean(axis=0)
+    worst_place = marks.mean(axis=0)
     if isinstance(transform, Similarity):
-        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(largest_at[0]), float(largest_at[1])))
+        return LocalStrain(area=(1.0, 1.0), stretch=(0.0, 0.0), at_um=(float(worst_place[0]), float(worst_place[1])))
     points = marks[:1] if isinstance(transform, Affine) else inside(marks)
     jacobians = transform.jacobian(points)
     areas = (-1.0 if mirrored else 1.0) * (
@@ -230,11 +230,11 @@ def strain_of(transform: Transform, marks: Floats, mirrored: bool) -> LocalStrai
     mean = float(np.mean(areas))
     stretches = np.linalg.svd(jacobians, compute_uv=False) / np.sqrt(mean) - 1.0
     if len(points) > 1:
-        largest_at = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
+        worst_place = points[int(np.argmax(np.abs(stretches).max(axis=1)))]
     return LocalStrain(
         area=(float(areas.min() / mean), float(areas.max() / mean)),
         stretch=(float(stretches.min()), float(stretches.max())),
-        at_um=(float(largest_at[0]), float(largest_at[1])),
+        at_um=(float(worst_place[0]), float(worst_place[1])),
     )
 
 

@@ -149,7 +149,7 @@ class DeviationField:
 
     def mean(self) -> tuple[Floats, tuple[tuple[str, float], ...], Floats]:
         """Affine part (3, 2) in um, and coefficients (kernels, n, 2) in um of the likely kernels at the nodes."""
-        plane_coefficients, coefficients = np.zeros(6), dict[int, Floats]()
+        plane_coefficients, kernel_coefficients = np.zeros(6), dict[int, Floats]()
         for k, kernel_fit in self._kernel_fits.items():
             probabilities = self.mixture[k]
             plane_coefficients += np.einsum("ag,agp->p", probabilities, kernel_fit.coefficients)
@@ -157,12 +157,12 @@ class DeviationField:
             dual = kernel_fit.eigenvectors @ np.einsum(
                 "ag,g,agk->k", probabilities, _FIELD, self._scaled_residuals(kernel_fit)
             )
-            coefficients[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[..., 0]
+            kernel_coefficients[k] = (self._whitening.swapaxes(1, 2) @ dual.reshape(-1, 2, 1))[..., 0]
         # Coefficients of `_columns` as those of ``(1, x, y)``.
         corners = self._columns(np.array([[0.0, 0], [1, 0], [0, 1]]))
         plane = np.einsum("kcp,p->kc", corners, plane_coefficients + self._first)
         plane[1:] -= plane[:1]
-        return plane, tuple(KERNELS[k] for k in coefficients), np.array(list(coefficients.values()))
+        return plane, tuple(KERNELS[k] for k in kernel_coefficients), np.array(list(kernel_coefficients.values()))
 
     def _scaled_residuals(self, kernel_fit: _KernelFit) -> Floats:
         """Residuals of the six coefficients over their variance: (a, g, 2n)."""

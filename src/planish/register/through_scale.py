@@ -113,14 +113,14 @@ def find_through_scale(scales: Floats, places: Floats, pairs: Pairs, *, mirrored
     t_factor = float(np.sqrt(limit) / special.ndtri(1 - CHANCE / 2))
     source = (spline(1.0) - spline(1.0).mean(axis=0)) / spread
     (affine_parameters,), (affine_misfit,) = _solved(affine_columns(source)[None], target, marks_precision)
-    _, (largest, smallest), right_vectors = np.linalg.svd(affine_parameters[2:].reshape(2, 2))
+    _, (most_stretch, least_stretch), right_vectors = np.linalg.svd(affine_parameters[2:].reshape(2, 2))
     return ThroughScale(
         scale=float(fine_scales[best]),
         error=t_factor * _toward_one(fine_scales, misfit, best, one_index),
         limit=limit,
         evidence=float(misfit[one_index] - misfit[best]),
         without_any=_without_any(designs, target, precision, one_index),
-        stretch=float(largest / smallest - 1),
+        stretch=float(most_stretch / least_stretch - 1),
         stretch_deg=float(np.degrees(np.arctan2(right_vectors[0, 1], right_vectors[0, 0]))) % 180,
         over_stretch=float(affine_misfit + np.log(2 * rows.size) - misfit[best]),
         marks=int(rows.size),
@@ -133,8 +133,8 @@ def _without_any(designs: Floats, target: Floats, precision: Floats, one_index: 
     mark_rows = np.arange(len(target))
     evidences: list[float] = []
     for k in mark_rows if len(target) > _LEAST else ():
-        axes = np.flatnonzero(np.repeat(mark_rows != k, 2))
-        reduced_precision = np.linalg.inv(covariance[np.ix_(axes, axes)])
+        equation_rows = np.flatnonzero(np.repeat(mark_rows != k, 2))
+        reduced_precision = np.linalg.inv(covariance[np.ix_(equation_rows, equation_rows)])
         misfit = _solved(designs[:, mark_rows != k], target[mark_rows != k], reduced_precision)[1]
         evidences.append(float(misfit[one_index] - misfit.min()))
     return min(evidences, default=0.0)
@@ -170,19 +170,19 @@ def _precisions(designs: Floats, target: Floats, pairs: Pairs, spread: float) ->
     shears = np.stack([target * [1, -1], target[:, ::-1]], axis=-1).reshape(2 * n, 2) * 0.0005
     squares = np.sum((target[:, None] - target) ** 2, axis=-1) / spread**2
     # Smooth displacements: their reach over the spread of the marks, and their variance over that of a mark.
-    settings = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))
-    covariances = [ratio * np.exp(-squares / (2 * length**2)) for length, ratio in settings]
+    lengths_ratios = product((0.5, 1.0), (1.0, 10.0, 100.0, 1000.0))
+    field_covariances = [ratio * np.exp(-squares / (2 * length**2)) for length, ratio in lengths_ratios]
     rows = free.reshape(2 * n, -1)
     log_weights: list[float] = []
     precision_pairs: list[Floats] = []
-    for covariance, square in product(
-        [0.0 * squares, *covariances], max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
+    for field_covariance, square in product(
+        [0.0 * squares, *field_covariances], max(misfit / (2 * n - 5), 1e-6) * np.geomspace(1e-3, 10, 16)
     ):
-        marks_only = square * (noise + np.kron(covariance, np.eye(2)))
-        precisions = np.linalg.inv(np.stack([marks_only, marks_only + shears @ shears.T]))
+        marks_covariance = square * (noise + np.kron(field_covariance, np.eye(2)))
+        precisions = np.linalg.inv(np.stack([marks_covariance, marks_covariance + shears @ shears.T]))
         misfit_left = float(_solved(free[None], target, precisions[1])[1][0])
         determinants = np.linalg.slogdet(rows.T @ precisions[1] @ rows)[1] - np.linalg.slogdet(precisions[1])[1]
-        weight = 1 / len(covariances) if covariance.any() else 1.0
+        weight = 1 / len(field_covariances) if field_covariance.any() else 1.0
         log_weights.append(np.log(weight) - 0.5 * float(misfit_left + determinants))
         precision_pairs.append(precisions)
     probabilities = np.exp(np.array(log_weights) - max(log_weights))

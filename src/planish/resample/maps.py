@@ -117,8 +117,8 @@ def _as_stored(
     for name in errors:
         maps[name] = maps[name].copy(data=_mean_se(maps[name].values, surfaces[name].attrs, pixel_um))
     # Geometry stays double.
-    stored = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
-    return maps.assign({name: maps[name].astype(np.float32) for name in stored if name in maps})
+    float32_names = [name for name in [*properties, *errors] if "support_um" not in surfaces[name].attrs] + layers
+    return maps.assign({name: maps[name].astype(np.float32) for name in float32_names if name in maps})
 
 
 def resample_image(

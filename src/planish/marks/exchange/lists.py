@@ -77,11 +77,11 @@ def json_text(content: object) -> str:
     return json.dumps(content, ensure_ascii=False, allow_nan=False)
 
 
-def json_file(header: Mapping[str, Any], name: str, brackets: str, entries: Sequence[str]) -> str:
+def json_file(header: Mapping[str, Any], list_name: str, brackets: str, entries: Sequence[str]) -> str:
     """Write a JSON object: a head, one key a line, and under a name a list or an object, one entry a line."""
     header_text = "".join(f' "{key}": {json_text(content)},\n' for key, content in header.items())
     entries_text = ",\n".join(f"  {entry}" for entry in entries)
-    return f'{{\n{header_text} "{name}": {brackets[0]}\n{entries_text}\n {brackets[1]}\n}}\n'
+    return f'{{\n{header_text} "{list_name}": {brackets[0]}\n{entries_text}\n {brackets[1]}\n}}\n'
 
 
 def read_object(text: str, name: str) -> Mapping[str, Any]:

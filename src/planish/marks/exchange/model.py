@@ -281,8 +281,8 @@ def used_pairs(
             f"{second}. At least {least} are needed, far apart: add marks, or use those that are switched off."
         )
     side = "volume" if f"{first}_z" in marks else "moving"
-    names = [(first, side, axis) for axis in "xyz"] + [(second, "fixed", axis) for axis in "xy"]
-    places = {f"{role}_{axis}": pairs[f"{layer}_{axis}"] for layer, role, axis in names if f"{layer}_{axis}" in pairs}
+    columns = [(first, side, axis) for axis in "xyz"] + [(second, "fixed", axis) for axis in "xy"]
+    places = {f"{role}_{axis}": pairs[f"{layer}_{axis}"] for layer, role, axis in columns if f"{layer}_{axis}" in pairs}
     return xr.Dataset({"label": ("mark", np.array(labels_of(pairs), dtype=np.str_))} | places)
 
 
