@@ -40,13 +40,13 @@ def a_lag(**values: Any) -> LagNumbers:
     ],
 )
 def test_a_check_is_green_amber_or_grey_but_never_red(values: dict[str, Any], state: str, meaning: str) -> None:
-    check = summary.lag_verdict(a_lag(**values), first="coating thickness", second="the image")
+    check = summary.lag_verdict(a_lag(**values), moving_text="coating thickness", reference_text="the image")
     assert check is not None
     assert check.state == state
     assert meaning in check.meaning
     assert check.sentence.endswith(".")
     assert " um" not in check.sentence
-    assert summary.lag_verdict(None, first="a", second="b") is None
+    assert summary.lag_verdict(None, moving_text="a", reference_text="b") is None
 
 
 def test_words_units_and_levels_are_the_same_everywhere() -> None:
@@ -70,35 +70,37 @@ def test_the_axis_given_for_the_image_comes_first() -> None:
 
 def test_lags_lie_where_their_pixels_do_and_are_drawn_if_distinct() -> None:
     # Pixels of 8 um are means of 2 x 2 pixels of 4 um: the middle of the first is 2 um from that of the small one.
-    ground = registration.blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), of="image")
+    ground = registration.blank_ground(np.array([[0.0, 0.0], [1000.0, 600.0]]), layer="image")
     ground = replace(ground, y=4.0 * np.arange(200.0), x=10 + 4.0 * np.arange(300.0))
     at, lag, silent = registration.lag_places(a_lag(), ground)
     np.testing.assert_allclose(at, [[112.0, 202.0]])
     np.testing.assert_allclose(lag, [[1.0, 2.0]])
     np.testing.assert_allclose(silent, [[312.0, 202.0]])
-    ground = registration.blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), of="image")
+    ground = registration.blank_ground(np.array([[0.0, 0.0], [400.0, 400.0]]), layer="image")
     silent = a_lag().model_copy(update={"tiles": a_lag().tiles[1:]})
     for none in (None, silent, a_lag(tiles=[], tile_um=None)):
-        assert registration.draw_lags(none, ground, first="a", second="b") is None
+        assert registration.draw_lags(none, ground, moving_text="a", reference_text="b") is None
 
 
 def test_expected_error_states_its_range_and_needs_values() -> None:
     y, x = 5.0 * np.arange(40), 5.0 * np.arange(60)
     error = xr.DataArray(np.tile(np.linspace(1.0, 3.0, 60), (40, 1)), {"y": y, "x": x}, ("y", "x"))
-    drawn = registration.draw_expected_error(error, None, hole_um=200.0, width=draw.FULL, of="image", shown="volume")
+    drawn = registration.draw_expected_error(
+        error, None, hole_um=200.0, width=draw.FULL, reference="image", layer="volume"
+    )
     assert drawn is not None
     assert f"1.0{MICRO} to 3.0{MICRO}, median 2.0{MICRO}" in drawn.caption
     assert f"Contour lines every 0.2{MICRO}" in drawn.caption
     # The line of 2 um stands upright in the middle.
     assert re.search(r">2</text>", drawn.svg)
     even = registration.draw_expected_error(
-        error * 0 + 1.5, None, hole_um=200.0, width=draw.HALF, of="image", shown="volume"
+        error * 0 + 1.5, None, hole_um=200.0, width=draw.HALF, reference="image", layer="volume"
     )
     assert even is not None
     assert "Contour" not in even.caption
     assert (
         registration.draw_expected_error(
-            error * np.nan, None, hole_um=200.0, width=draw.HALF, of="image", shown="volume"
+            error * np.nan, None, hole_um=200.0, width=draw.HALF, reference="image", layer="volume"
         )
         is None
     )

@@ -45,9 +45,9 @@ class Scale:
 
     def shades(self, values: ArrayLike) -> NDArray[np.uint8]:
         """Return the index of each value's colour; the last one is for missing values."""
-        share = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
-        shades = np.rint(np.clip(np.where(np.isfinite(share), share, 0.0), 0.0, 1.0) * (_SHADES - 1))
-        return np.where(np.isfinite(share), shades, _SHADES).astype(np.uint8)
+        fraction = (np.asarray(values, dtype=np.float64) - self.low) / (self.high - self.low)
+        shade_indices = np.rint(np.clip(np.where(np.isfinite(fraction), fraction, 0.0), 0.0, 1.0) * (_SHADES - 1))
+        return np.where(np.isfinite(fraction), shade_indices, _SHADES).astype(np.uint8)
 
 
 def limits(
@@ -73,19 +73,19 @@ def limits(
     return Scale(bottom if low is None else low, max(top, low + 1e-12) if low is not None else top, colours)
 
 
-def colours_of(data: xr.DataArray, values: Array) -> Scale:
+def colours_of(data: xr.DataArray, limit_values: Array) -> Scale:
     """Return the colours of a map."""
     # An angle of fibres begins again at 180 degrees, and so must its colours.
     if str(data.attrs.get("units")) == "deg" and str(data.name).endswith("angle"):
         return Scale(0.0, 180.0, CYCLIC)
-    return limits(values, GREYS if data.name == "image" else PROPERTY)
+    return limits(limit_values, GREYS if data.name == "image" else PROPERTY)
 
 
-def partner_of(name: str, names: Sequence[str]) -> str | None:
+def partner_of(name: str, map_names: Sequence[str]) -> str | None:
     """Return the map of the other side of the sheet: the two share their colours."""
-    for side, other in (("_top", "_bottom"), ("_bottom", "_top")):
-        if name.endswith(side) and (partner := name.removesuffix(side) + other) in names:
-            return partner
+    for side, opposite_side in (("_top", "_bottom"), ("_bottom", "_top")):
+        if name.endswith(side) and (partner_name := name.removesuffix(side) + opposite_side) in map_names:
+            return partner_name
     return None
 
 
@@ -110,6 +110,6 @@ def image_uri(values: ArrayLike, scale: Scale, *, missing: str = MISSING) -> str
 def colours_in_steps(colours: str) -> NDArray[np.uint8]:
     """Return the colours of all shades: (255, 3)."""
     anchors = np.array([list(bytes.fromhex(code)) for code in _ANCHORS[colours].split()], dtype=np.float64)
-    shares, places = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
-    table = np.stack([np.interp(shares, places, anchors[:, k]) for k in range(3)], axis=1)
-    return np.rint(table).astype(np.uint8)
+    fractions, anchor_fractions = np.linspace(0, 1, _SHADES), np.linspace(0, 1, len(anchors))
+    rgb = np.stack([np.interp(fractions, anchor_fractions, anchors[:, k]) for k in range(3)], axis=1)
+    return np.rint(rgb).astype(np.uint8)

@@ -24,11 +24,11 @@ _LEFT, _RIGHT = 85.0, 635.0
 _ROOM = 1.08
 
 
-def draw_scale(evidence: EvidenceFacts, *, names: tuple[str, str], without: str = HOLES) -> Picture:
+def draw_scale(evidence: EvidenceFacts, *, names: tuple[str, str], excluded_text: str = HOLES) -> Picture:
     """Draw r against the size of points with the band that holds the whole curve, and coherence by octaves."""
     canvas = Canvas(FULL, 360)
-    _size_curve(canvas, evidence)
-    _octaves(canvas, evidence)
+    _draw_size_curve(canvas, evidence)
+    _draw_octaves(canvas, evidence)
     n = evidence.sizes[0].n if evidence.sizes else 0
     return canvas.picture(
         title=f"At which scale {names[0]} and {names[1]} go together",
@@ -38,107 +38,107 @@ def draw_scale(evidence: EvidenceFacts, *, names: tuple[str, str], without: str 
             "right for chance, with a full dot where it is certain among all octaves (p below 0.05 after Šidák); gain, "
             "change of the second map per change of the first in the octave. Larger points average noise away, so r "
             "may rise although nothing more is explained; coherence is of each octave alone. "
-            f"n = {count(n)} at the smallest size. Mask: measured, without {without}. "
+            f"n = {count(n)} at the smallest size. Mask: measured, without {excluded_text}. "
             f"{capital(REGISTERED)}."
         ),
-        data=_tables(evidence),
+        data=_scale_tables(evidence),
     )
 
 
-def _tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
+def _scale_tables(evidence: EvidenceFacts) -> Mapping[str, Table]:
     """Return the curve of sizes and the octaves as columns; what is not known is empty."""
-    single = {"size of a point / µm": "point_um", "n": "n", "independent": "n_eff", "r": "r"}
-    sizes = dict(columns(evidence.sizes, single))
-    for name, title in (("interval", "95 % limit"), ("band", "end of the band")):
-        for k, end in enumerate(("lower", "upper")):
-            sizes[f"{end} {title}"] = or_blank(getattr(row, name)[k] for row in evidence.sizes)
-    octaves = columns(evidence.bands, {
+    fields = {"size of a point / µm": "point_um", "n": "n", "independent": "n_eff", "r": "r"}
+    size_columns = dict(columns(evidence.sizes, fields))
+    for field_name, column_title in (("interval", "95 % limit"), ("band", "end of the band")):
+        for k, bound in enumerate(("lower", "upper")):
+            size_columns[f"{bound} {column_title}"] = or_blank(getattr(row, field_name)[k] for row in evidence.sizes)
+    octave_columns = columns(evidence.bands, {
         "shortest wave / µm": "shortest_um", "longest wave / µm": "longest_um", "squared coherence": "coherence",
         "p of all octaves": "p_of_bands", "phase / °": "phase_deg", "gain": "gain", "independent waves": "modes",
     })  # fmt: skip
-    return ({"sizes": sizes} if evidence.sizes else {}) | ({"octaves": octaves} if evidence.bands else {})
+    return ({"sizes": size_columns} if evidence.sizes else {}) | ({"octaves": octave_columns} if evidence.bands else {})
 
 
-def _size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
-    rows = [row for row in evidence.sizes if is_known(row.r)]
-    if not rows:
+def _draw_size_curve(canvas: Canvas, evidence: EvidenceFacts) -> None:
+    size_rows = [row for row in evidence.sizes if is_known(row.r)]
+    if not size_rows:
         return
-    ends = [v for row in rows for v in (*(row.band if is_known(row.band) else ()), row.r)]
-    low, high = min(0.0, *ends), max(0.0, *ends)
-    room = 0.06 * (high - low) or 0.1
-    sizes = [math.log10(row.point_um) for row in rows]
-    extent = sizes[0] - 0.05, sizes[-1] + 0.05, low - room, high + room
+    plotted_r = [v for row in size_rows for v in (*(row.band if is_known(row.band) else ()), row.r)]
+    r_min, r_max = min(0.0, *plotted_r), max(0.0, *plotted_r)
+    margin = 0.06 * (r_max - r_min) or 0.1
+    log_sizes = [math.log10(row.point_um) for row in size_rows]
+    extent = log_sizes[0] - 0.05, log_sizes[-1] + 0.05, r_min - margin, r_max + margin
     axes = canvas.axes(_LEFT, _TOP, _WIDE, _SCALE_HIGH, extent)
     axes.across(0.0)
-    _draw_band(axes, sizes, [row.band for row in rows])
-    for size, row in zip(sizes, rows, strict=True):
+    _draw_band(axes, log_sizes, [row.band for row in size_rows])
+    for log_size, row in zip(log_sizes, size_rows, strict=True):
         if is_known(row.interval):
-            axes.curve((size, size), row.interval, colour=POINT, width=1.4)
-    axes.curve(sizes, [row.r for row in rows], colour=ACCENT, width=2.2, dots=5)
-    _powers(canvas, axes, "size of a point / µm", "r")
+            axes.curve((log_size, log_size), row.interval, colour=POINT, width=1.4)
+    axes.curve(log_sizes, [row.r for row in size_rows], colour=ACCENT, width=2.2, dot_px=5)
+    _draw_log_axes(canvas, axes, "size of a point / µm", "r")
 
 
-def _octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
+def _draw_octaves(canvas: Canvas, evidence: EvidenceFacts) -> None:
     if not evidence.bands:
         return
-    edges = [math.log10(v) for band in evidence.bands for v in (band.shortest_um, band.longest_um)]
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, (min(edges) - 0.03, max(edges) + 0.03, -0.05, 1.02))
+    log_edges = [math.log10(v) for band in evidence.bands for v in (band.shortest_um, band.longest_um)]
+    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _SCALE_HIGH, (min(log_edges) - 0.03, max(log_edges) + 0.03, -0.05, 1.02))
     axes.across(0.0)
     for band in evidence.bands:
         if not is_known(band.coherence):
             continue
-        shortest, longest = math.log10(band.shortest_um), math.log10(band.longest_um)
-        axes.curve((shortest, longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2)
-        middle = (shortest + longest) / 2, band.coherence
-        axes.dots([middle], colour=ACCENT, size=8)
+        log_shortest, log_longest = math.log10(band.shortest_um), math.log10(band.longest_um)
+        axes.curve((log_shortest, log_longest), (band.coherence, band.coherence), colour=ACCENT, width=2.2)
+        centre = (log_shortest + log_longest) / 2, band.coherence
+        axes.dots([centre], colour=ACCENT, size=8)
         if not band.p_of_bands < 0.05:
-            axes.dots([middle], colour="white", size=5)
+            axes.dots([centre], colour="white", size=5)
         if is_known(band.gain):
-            axes.text(*middle, f"gain {number(band.gain)}", anchor="middle", shift=(0, -9), size=11)
-    _powers(canvas, axes, "wavelength / µm", "squared coherence")
+            axes.text(*centre, f"gain {number(band.gain)}", anchor="middle", shift=(0, -9), size=11)
+    _draw_log_axes(canvas, axes, "wavelength / µm", "squared coherence")
 
 
-def _draw_band(axes: Axes, x: Sequence[float], ends: Sequence[tuple[float, float]]) -> None:
+def _draw_band(axes: Axes, x: Sequence[float], intervals: Sequence[tuple[float, float]]) -> None:
     """Shade what lies between both ends, where they are known."""
-    shaded = [(v, low, high) for v, (low, high) in zip(x, ends, strict=True) if is_known((low, high))]
-    if len(shaded) > 1:
-        border = [(v, low) for v, low, _ in shaded] + [(v, high) for v, _, high in shaded[::-1]]
-        axes.area(border, colour=POINT, opacity=0.2)
+    band_limits = [(v, low, high) for v, (low, high) in zip(x, intervals, strict=True) if is_known((low, high))]
+    if len(band_limits) > 1:
+        outline = [(v, low) for v, low, _ in band_limits] + [(v, high) for v, _, high in band_limits[::-1]]
+        axes.area(outline, colour=POINT, opacity=0.2)
 
 
-def _powers(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
+def _draw_log_axes(canvas: Canvas, axes: Axes, x_label: str, y_label: str) -> None:
     """Draw axes whose x holds powers of ten, with round lengths at the ticks."""
-    x0, x1 = axes.extent[:2]
-    rounds = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
-    places = [(math.log10(v), f"{v:g}") for v in rounds if x0 <= math.log10(v) <= x1]
-    canvas.ticks(axes, x_label, y_label, across=places)
+    x_min, x_max = axes.extent[:2]
+    lengths_um = [m * 10**k for k in range(-1, 6) for m in (1, 2, 5)]
+    x_ticks = [(math.log10(v), f"{v:g}") for v in lengths_um if x_min <= math.log10(v) <= x_max]
+    canvas.ticks(axes, x_label, y_label, x_ticks=x_ticks)
 
 
-def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], without: str = HOLES) -> Picture:
+def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], excluded_text: str = HOLES) -> Picture:
     """Draw the variogram of each of the two maps, with its sill and range; ``titles`` are those of the maps."""
     canvas = Canvas(FULL, 345)
-    for x0, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
-        high = _ROOM * max(*curve.values, curve.sill, 1e-12)
-        axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (0.0, curve.distances_um[-1], 0.0, high))
+    for left_px, curve, title in zip((_LEFT, _RIGHT), evidence.variograms, titles, strict=False):
+        y_max = _ROOM * max(*curve.values, curve.sill, 1e-12)
+        axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (0.0, curve.distances_um[-1], 0.0, y_max))
         axes.across(curve.sill, width=1.2, dash="6 4")
         if is_known(curve.range_um):
             axes.upright(curve.range_um, width=1.2, dash="2 3")
         axes.curve((0.0, *curve.distances_um), (curve.nugget, *curve.values), colour=ACCENT, width=2.0)
         axes.dots([(0.0, curve.nugget)], colour=ACCENT, size=6)
         canvas.ticks(axes, "distance / µm", f"half mean square difference / {squared_unit(curve, title)}")
-        canvas.text(x0, 22, title, bold=True)
-    same = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
+        canvas.text(left_px, 22, title, bold=True)
+    is_same_map = len({curve.map for curve in evidence.variograms}) < len(evidence.variograms)
     return canvas.picture(
         title=f"How {' and '.join(in_words(title) for title in titles)} vary with distance",
         caption=(
             "Half of the mean square difference of two places of a map, by their distance (variogram). It begins at "
             "what neighbours do not share (nugget: noise, and texture finer than a cell) and rises to the variance of "
             "the map (sill, dashed). Dotted: the range, at which the covariance has fallen to 1/e; over shorter "
-            f"distances neighbours resemble each other. Means over {_cell(evidence.variograms[0].cell_um)} µm, in both "
-            f"maps where both are valid: without {without}."
+            f"distances neighbours resemble each other. Means over {_cell_text(evidence.variograms[0].cell_um)} µm, in "
+            f"both maps where both are valid: without {excluded_text}."
         ),
         data={
-            (f"{curve.layer}-" if same else "") + curve.map.replace("_", "-"): {
+            (f"{curve.layer}-" if is_same_map else "") + curve.map.replace("_", "-"): {
                 "distance / µm": list(curve.distances_um),
                 f"half mean square difference / {squared_unit(curve, title)}": list(curve.values),
             } for curve, title in zip(evidence.variograms, titles, strict=True)
@@ -146,39 +146,39 @@ def draw_variograms(evidence: EvidenceFacts, *, titles: Sequence[str], without: 
     )  # fmt: skip
 
 
-def _cell(sides: Iterable[float]) -> str:
+def _cell_text(sides_um: Iterable[float]) -> str:
     """Write the sides of a cell, once where they are equal."""
-    return " × ".join(f"{v:g}" for v in dict.fromkeys(round(v, 3) for v in sides))
+    return " × ".join(f"{v:g}" for v in dict.fromkeys(round(v, 3) for v in sides_um))
 
 
-def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], without: str = HOLES) -> Picture:
+def draw_correlogram(profiles: CorrelogramProfiles, *, names: tuple[str, str], excluded_text: str = HOLES) -> Picture:
     """Draw r of both maps, one moved along x and along y, with what unrelated maps reach."""
     canvas = Canvas(FULL, 345)
-    for x0, axis, profile in ((_LEFT, "x", profiles.along_x), (_RIGHT, "y", profiles.along_y)):
-        _profile(canvas, x0, axis, profile)
+    for left_px, axis, profile in ((_LEFT, "x", profiles.along_x), (_RIGHT, "y", profiles.along_y)):
+        _draw_profile(canvas, left_px, axis, profile)
     return canvas.picture(
         title=f"{capital(names[0])} moved against {names[1]}",
         caption=(
             "Correlation of both maps where the second is moved along x (left) and along y (right). Shaded: what "
             "unrelated maps of these textures exceed at a given lag with 1 %; dashed: what they exceed at any of all "
             "lags with 1 %. Each lag has the pairs and means of its own overlap; a profile is one line through all "
-            f"lags, whose largest r may lie beside it. Means over {_cell(profiles.cell_um)} µm, where both are valid: "
-            f"without {without}."
+            f"lags, whose largest r may lie beside it. Means over {_cell_text(profiles.cell_um)} µm, where both are "
+            f"valid: without {excluded_text}."
         ),
-        data={"along-x": _lags("x", profiles.along_x), "along-y": _lags("y", profiles.along_y)},
+        data={"along-x": _lag_table("x", profiles.along_x), "along-y": _lag_table("y", profiles.along_y)},
     )
 
 
-def _lags(axis: str, profile: LagProfile) -> Table:
+def _lag_table(axis: str, profile: LagProfile) -> Table:
     headings = f"lag along {axis} / µm", "r", "|r| that 1 % exceed at this lag", "|r| that 1 % exceed at any lag"
-    columns = profile.lags_um, profile.r, profile.limit, profile.limit_of_any
-    return dict(zip(headings, map(or_blank, columns), strict=True))
+    column_values = profile.lags_um, profile.r, profile.limit, profile.limit_of_any
+    return dict(zip(headings, map(or_blank, column_values), strict=True))
 
 
-def _profile(canvas: Canvas, x0: float, axis: str, profile: LagProfile) -> None:
-    ends = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
-    high = min(_ROOM * max(ends, default=1.0), 1.0)
-    axes = canvas.axes(x0, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -high, high))
+def _draw_profile(canvas: Canvas, left_px: float, axis: str, profile: LagProfile) -> None:
+    magnitudes = [abs(v) for row in (profile.r, profile.limit_of_any, profile.limit) for v in row if is_known(v)]
+    r_max = min(_ROOM * max(magnitudes, default=1.0), 1.0)
+    axes = canvas.axes(left_px, _TOP, _WIDE, _HIGH, (profile.lags_um[0], profile.lags_um[-1], -r_max, r_max))
     _draw_band(axes, profile.lags_um, [(v, -v) for v in profile.limit])
     axes.across(0.0)
     axes.upright(0.0)
@@ -188,30 +188,30 @@ def _profile(canvas: Canvas, x0: float, axis: str, profile: LagProfile) -> None:
     canvas.ticks(axes, f"lag along {axis} / µm", "r")
 
 
-def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str = HOLES) -> Picture:
+def draw_rings(agreement: Twice, *, name: str, layers: tuple[str, str], excluded_text: str = HOLES) -> Picture:
     """Draw how far two measurements of one map agree, against wavelength."""
     canvas = Canvas(FULL, 345)
-    waves = [math.log10(ring.wavelength_um) for ring in twice.rings]
-    low = min(0.0, *(ring.correlation for ring in twice.rings))
-    extent = min(waves) - 0.03, max(waves) + 0.03, low - 0.05, 1.04
+    log_wavelengths = [math.log10(ring.wavelength_um) for ring in agreement.rings]
+    r_min = min(0.0, *(ring.correlation for ring in agreement.rings))
+    extent = min(log_wavelengths) - 0.03, max(log_wavelengths) + 0.03, r_min - 0.05, 1.04
     axes = canvas.axes(_LEFT, _TOP, FULL - _LEFT - 30, _HIGH, extent)
     axes.across(0.0)
-    axes.curve(waves, [ring.threshold for ring in twice.rings], colour=SOFT, width=1.4, dash="6 4")
-    if twice.resolution_um:
-        axes.upright(math.log10(twice.resolution_um), width=1.2, dash="2 3")
-    axes.curve(waves, [ring.correlation for ring in twice.rings], colour=ACCENT, width=2.0, dots=4)
-    _powers(canvas, axes, "wavelength / µm", "correlation of both measurements")
+    axes.curve(log_wavelengths, [ring.threshold for ring in agreement.rings], colour=SOFT, width=1.4, dash="6 4")
+    if agreement.resolution_um:
+        axes.upright(math.log10(agreement.resolution_um), width=1.2, dash="2 3")
+    axes.curve(log_wavelengths, [ring.correlation for ring in agreement.rings], colour=ACCENT, width=2.0, dot_px=4)
+    _draw_log_axes(canvas, axes, "wavelength / µm", "correlation of both measurements")
     return canvas.picture(
         title=f"Down to which wavelength {layers[0]} and {layers[1]} show the same {name}",
         caption=(
             "Correlation of both measurements in rings of wavelength (Fourier ring correlation). Dashed: where the "
             "mean of both holds half a bit of information a wave (van Heel and Schatz 2005); dotted: where the curve "
             "first falls below it. Errors that both share count as what they show, and an error of the registration "
-            f"counts as disagreement. Mask: measured in both, without {without}."
+            f"counts as disagreement. Mask: measured in both, without {excluded_text}."
         ),
         data={
             "rings": columns(
-                twice.rings,
+                agreement.rings,
                 {
                     "wavelength / µm": "wavelength_um",
                     "correlation": "correlation",
@@ -225,25 +225,25 @@ def draw_rings(twice: Twice, *, name: str, layers: tuple[str, str], without: str
 
 def draw_kubelka_munk(
     evidence: EvidenceFacts, curve: KubelkaMunk, points: Points, row: CorrelationRow, *, titles: tuple[str, str],
-    without: str = HOLES,
+    excluded_text: str = HOLES,
 ) -> Picture:  # fmt: skip
     """Draw the larger points with the straight line, and the curve with what its interval leaves open."""
     unit_x = "g/m²" if evidence.a_map.startswith("coat_weight") else "µm"
     density = evidence.density_g_cm3 if curve.weight else None
-    points, (row,), _, labels = as_drawn(points, (row,), titles, (unit_x, ""), density)
+    points, (row,), _, axis_labels = as_drawn(points, (row,), titles, (unit_x, ""), density)
     canvas = Canvas(FULL, 385)
     axes = draw_dots(canvas, points, (_LEFT, 30.0, FULL - 130.0, 300.0))
     x = np.linspace(max(axes.extent[0], 0.0), axes.extent[1], 100)
     if is_known(curve.scattering_interval) and is_known(curve.backing_at_ends):
-        sides = zip(curve.scattering_interval, curve.backing_at_ends, strict=True)
-        ends = [curve.reflectance(x, scattering, backing) for scattering, backing in sides]
-        border = np.concatenate([np.stack([x, ends[0]], axis=1), np.stack([x, ends[1]], axis=1)[::-1]])
-        axes.area(border, colour=POINT, opacity=0.2)
+        limit_params = zip(curve.scattering_interval, curve.backing_at_ends, strict=True)
+        limit_curves = [curve.reflectance(x, scattering, backing) for scattering, backing in limit_params]
+        outline = np.concatenate([np.stack([x, limit_curves[0]], axis=1), np.stack([x, limit_curves[1]], axis=1)[::-1]])
+        axes.area(outline, colour=POINT, opacity=0.2)
     if is_known(row.slope):
         draw_fit(axes, np.array([(v, row.intercept + row.slope * v) for v in axes.extent[:2]]))
     reflectance = curve(x)
     draw_fit(axes, np.stack([x, reflectance], axis=1), dash="7 4")
-    canvas.ticks(axes, *labels)
+    canvas.ticks(axes, *axis_labels)
     return canvas.picture(
         title=f"{capital(in_words(titles[1]))} over {in_words(titles[0])}: straight line, Kubelka and Munk's curve",
         caption=(
@@ -251,11 +251,11 @@ def draw_kubelka_munk(
             "independent. Solid: least squares; dashed: reflectance of a scattering layer over a backing (Kubelka "
             f"1948) with K/S = {curve.ratio:g}; shaded: the curves at both ends of the 95 % interval of S, each with "
             "the backing that fits it best. The curve stands beside the line and is not chosen over it: over the range "
-            f"of one field the two differ little. Mask: measured, without {without}. {capital(REGISTERED)}."
+            f"of one field the two differ little. Mask: measured, without {excluded_text}. {capital(REGISTERED)}."
         ),
         data={
-            "curve": {labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()},
-            "points": points_table(points, labels),
+            "curve": {axis_labels[0]: x.tolist(), "Kubelka and Munk": reflectance.tolist()},
+            "points": points_table(points, axis_labels),
         },
     )
 

@@ -20,6 +20,7 @@ from planish.core.numbers import count, fixed, length, plain, round_step
 from planish.report.colours import MISSING, Array, Scale, image_uri
 
 Box = tuple[float, float, float, float]  # left edge, upper edge, width and height in CSS pixels
+Ticks = Sequence[tuple[float, str]]  # values at which an axis is numbered, and their texts
 Extent = tuple[float, float, float, float]  # left, right, bottom and top in um, or in the units of a plot
 
 FULL, HALF, THIRD = 1040.0, 510.0, 333.0  # CSS pixels: the page's column, half and a third of it
@@ -89,14 +90,14 @@ class Axes:
     def __init__(self, x: float, y: float, width: float, height: float, extent: Extent) -> None:
         self.x, self.y, self.width, self.height, self.extent = x, y, width, height, extent
         self.shown = ShownMap(np.empty((0, 0)), extent)
-        self._parts: list[str | Axes] = []
+        self._elements: list[str | Axes] = []
 
-    def svg(self, more: str = "") -> str:
+    def svg(self, attributes: str = "") -> str:
         """Return all that was drawn."""
         size = f'width="{_n(self.width)}" height="{_n(self.height)}"'
-        place = more or f'x="{_n(self.x)}" y="{_n(self.y)}"'
-        parts = "".join(part if isinstance(part, str) else part.svg() for part in self._parts)
-        return f"<svg {place} {size}>{parts}</svg>"
+        position = attributes or f'x="{_n(self.x)}" y="{_n(self.y)}"'
+        parts = "".join(part if isinstance(part, str) else part.svg() for part in self._elements)
+        return f"<svg {position} {size}>{parts}</svg>"
 
     def place(self, points: ArrayLike) -> Array:
         """Return points (n, 2) in pixels of the axes."""
@@ -108,21 +109,21 @@ class Axes:
         """Draw a map within a thin frame; what is missing is neutral grey. The scale bar says how large things are."""
         self.shown, (left, right, bottom, top) = shown, shown.extent
         (x0, y0), (x1, y1) = self.place([(left, top), (right, bottom)])
-        self._parts.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
-        self._parts.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
+        self._elements.append(_image((x0, y0, x1 - x0, y1 - y0), shown.values, scale, missing))
+        self._elements.append(f'<rect width="100%" height="100%" fill="none" stroke="{FAINT}"/>')
 
     def line(self, points: ArrayLike, *, colour: str, width: float = 1.2, dash: str = "", opacity: float = 1.0) -> None:
         """Draw a line through points (n, 2); NaN interrupts it."""
         self._stroke(_path(self.place(points)), colour, width, dash=dash, opacity=opacity)
 
     def curve(
-        self, x: Sequence[float], y: Sequence[float], *, colour: str, width: float, dash: str = "", dots: float = 0.0
+        self, x: Sequence[float], y: Sequence[float], *, colour: str, width: float, dash: str = "", dot_px: float = 0.0
     ) -> None:  # fmt: skip
-        """Draw a line through points x, y, and ``dots`` of some pixels on them."""
+        """Draw a line through points x, y, and dots of ``dot_px`` on them."""
         points = np.stack([x, y], axis=1)
         self.line(points, colour=colour, width=width, dash=dash)
-        if dots:
-            self.dots(points, colour=colour, size=dots)
+        if dot_px:
+            self.dots(points, colour=colour, size=dot_px)
 
     def across(self, y: float, *, colour: str = SOFT, width: float = 0.8, dash: str = "") -> None:
         """Draw a line over the whole width."""
@@ -134,7 +135,7 @@ class Axes:
 
     def area(self, points: ArrayLike, *, colour: str, opacity: float = 1.0) -> None:
         """Fill the area within points (n, 2)."""
-        self._parts.append(f'<path d="{_path(self.place(points))}z" fill="{colour}" opacity="{opacity:g}"/>')
+        self._elements.append(f'<path d="{_path(self.place(points))}z" fill="{colour}" opacity="{opacity:g}"/>')
 
     def dots(self, points: ArrayLike, *, colour: str, size: float, opacity: float = 1.0, halo: str = "") -> None:
         """Draw round dots."""
@@ -149,13 +150,13 @@ class Axes:
         shift: tuple[float, float] = (0, 0), size: float = BIG, colour: str = INK, halo: str = "", bold: bool = False,
     ) -> None:  # fmt: skip
         """Write a text whose base line begins, ends or has its middle at a place, moved by some pixels."""
-        across, down = (_n(v) for v in self.place((x, y))[0] + shift)
-        more = ' font-weight="600"' if bold else ""
-        more += f' text-anchor="{anchor}"' if anchor != "start" else ""
-        more += f' transform="rotate(-90 {across} {down})"' if upwards else ""
-        more += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
-        self._parts.append(
-            f'<text x="{across}" y="{down}" font-size="{size:g}" fill="{colour}"{more}>{escape(text)}</text>'
+        x_px, y_px = (_n(v) for v in self.place((x, y))[0] + shift)
+        attributes = ' font-weight="600"' if bold else ""
+        attributes += f' text-anchor="{anchor}"' if anchor != "start" else ""
+        attributes += f' transform="rotate(-90 {x_px} {y_px})"' if upwards else ""
+        attributes += f' stroke="{halo}" stroke-width="3" paint-order="stroke" stroke-linejoin="round"' if halo else ""
+        self._elements.append(
+            f'<text x="{x_px}" y="{y_px}" font-size="{size:g}" fill="{colour}"{attributes}>{escape(text)}</text>'
         )
 
     def arrows(self, points: ArrayLike, vectors: ArrayLike, *, colour: str, width: float, halo: str = "white") -> None:
@@ -163,42 +164,42 @@ class Axes:
         shafts, heads = "", ""
         ends = self.place(np.asarray(points) + np.asarray(vectors))
         for (x, y), (u, v) in zip(self.place(points), ends, strict=True):
-            far = math.hypot(u - x, v - y)
-            if not far > 0.3:
+            length_px = math.hypot(u - x, v - y)
+            if not length_px > 0.3:
                 continue
-            head = min(4.5 * width, 0.6 * far)
-            c, s = (u - x) / far * head, (v - y) / far * head
+            head = min(4.5 * width, 0.6 * length_px)
+            c, s = (u - x) / length_px * head, (v - y) / length_px * head
             shafts += f"M{_n(x)} {_n(y)}L{_n(u - 0.8 * c)} {_n(v - 0.8 * s)}"
             wings = [f"L{_n(u - c - k * s)} {_n(v - s + k * c)}" for k in (0.45, -0.45)]
             heads += f"M{_n(u)} {_n(v)}{''.join(wings)}z"
-        for ink, extra in ((halo, 2.4), (colour, 0.0)):
+        for ink, halo_px in ((halo, 2.4), (colour, 0.0)):
             if ink and shafts:
-                self._stroke(shafts, ink, width + extra)
-                self._parts.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(extra)}"/>')
+                self._stroke(shafts, ink, width + halo_px)
+                self._elements.append(f'<path d="{heads}" fill="{ink}" stroke="{ink}" stroke-width="{_n(halo_px)}"/>')
 
-    def contours(self, levels: Array, *, labels: bool = False, avoid: ArrayLike = ()) -> None:
+    def contours(self, levels: Array, *, labels: bool = False, avoided: ArrayLike = ()) -> None:
         """Draw contour lines of the map in white, with their values on request, away from some places."""
         from contourpy import LineType, contour_generator
 
         shown, (left, right, bottom, top) = self.shown, self.shown.extent
-        (rows, cols), heights = shown.values.shape, shown.values[np.isfinite(shown.values)]
-        if min(rows, cols) < 2 or heights.size == 0:
+        (rows, cols), finite_values = shown.values.shape, shown.values[np.isfinite(shown.values)]
+        if min(rows, cols) < 2 or finite_values.size == 0:
             return
-        across = left + (np.arange(cols) + 0.5) * (right - left) / cols
-        down = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
-        generator = contour_generator(across, down, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
-        occupied = self.place(avoid)
-        for level in levels[(levels > heights.min()) & (levels < heights.max())]:
+        x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
+        y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
+        generator = contour_generator(x_um, y_um, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
+        label_pixels = self.place(avoided)
+        for level in levels[(levels > finite_values.min()) & (levels < finite_values.max())]:
             lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
-            data = "".join(_path(self.place(line)) for line in lines)
-            self._stroke(data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7)
+            path_data = "".join(_path(self.place(line)) for line in lines)
+            self._stroke(path_data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7)
             if labels and lines:  # where the line is farthest from the border and from other labels
                 line = max(lines, key=len)
-                pixels = self.place(line)
-                room = np.min([pixels, np.array([self.width, self.height]) - pixels], axis=(0, 2))
-                room = np.min([room, *(np.hypot(*(pixels - other).T) for other in occupied)], axis=0)
-                k = int(np.argmax(room))
-                occupied = np.vstack([occupied, pixels[k]])
+                line_pixels = self.place(line)
+                border_px = np.min([line_pixels, np.array([self.width, self.height]) - line_pixels], axis=(0, 2))
+                labels_px = [np.hypot(*(line_pixels - label).T) for label in label_pixels]
+                k = int(np.argmax(np.min([border_px, *labels_px], axis=0)))
+                label_pixels = np.vstack([label_pixels, line_pixels[k]])
                 x, y = (float(v) for v in line[k])
                 self.text(x, y, f"{level:g}", shift=(0, 4), size=SMALL, anchor="middle", colour="white", halo=INK)
 
@@ -210,16 +211,16 @@ class Axes:
             (line, start), stop = np.nonzero(ends == 1), np.nonzero(ends == -1)[1]
             runs.append(np.stack([start, line, stop, line], axis=1).reshape(-1, 2)[:, order])
         corners = (np.concatenate(runs) - 0.5) * (pitch(x), pitch(y)) + (x[0], y[0])
-        data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4))
-        if data:
-            self._stroke(data, colour, width, cap="square")
+        path_data = "".join(f"M{_n(a)} {_n(b)}L{_n(c)} {_n(d)}" for a, b, c, d in self.place(corners).reshape(-1, 4))
+        if path_data:
+            self._stroke(path_data, colour, width, cap="square")
 
     def _stroke(
-        self, data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt"
+        self, path_data: str, colour: str, width: float, *, dash: str = "", opacity: float = 1.0, cap: str = "butt"
     ) -> None:
-        more = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
-        ink = f'stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"'
-        self._parts.append(f'<path d="{data}" fill="none" {ink}{more}/>')
+        optional = (f' stroke-dasharray="{dash}"' if dash else "") + (f' opacity="{opacity:g}"' if opacity < 1 else "")
+        stroke = f'stroke="{colour}" stroke-width="{_n(width)}" stroke-linecap="{cap}"'
+        self._elements.append(f'<path d="{path_data}" fill="none" {stroke}{optional}/>')
 
 
 class Canvas(Axes):
@@ -231,30 +232,30 @@ class Canvas(Axes):
     def axes(self, x: float, y: float, width: float, height: float, extent: Extent) -> Axes:
         """Add axes over (left, right, bottom, top) in the units of the data."""
         axes = Axes(x, y, width, height, extent)
-        self._parts.append(axes)
+        self._elements.append(axes)
         return axes
 
     def box(self, x: float, y: float, width: float, height: float, *, fill: str) -> None:
         """Fill a rectangle."""
         box = f'x="{_n(x)}" y="{_n(y)}" width="{_n(width)}" height="{_n(height)}"'
-        self._parts.append(f'<rect {box} fill="{fill}"/>')
+        self._elements.append(f'<rect {box} fill="{fill}"/>')
 
     def scale_bar(
-        self, x: float, y: float, *, width: float, um: float, most: float = 0.3, colour: str = INK,
+        self, x: float, y: float, *, width: float, um: float, max_share: float = 0.3, colour: str = INK,
         label: str = "{}",
     ) -> None:  # fmt: skip
         """Draw a round length below axes that show ``um`` on so many pixels."""
-        bar = round_step(most * um)
-        across = bar / um * width
-        self.line([(x, y + 10), (x + across, y + 10)], colour=colour, width=3)
-        self.text(x + across + 7, y + 14, label.format(plain(bar)), size=SMALL)
+        bar_um = round_step(max_share * um)
+        bar_px = bar_um / um * width
+        self.line([(x, y + 10), (x + bar_px, y + 10)], colour=colour, width=3)
+        self.text(x + bar_px + 7, y + 14, label.format(plain(bar_um)), size=SMALL)
 
     def colour_bar(self, x: float, y: float, width: float, height: float, scale: Scale, *, log: bool = False) -> None:
         """Draw the colours of a scale with their values, upwards, or to the right where it is wider than high."""
         across, low, high = width > height, scale.low, scale.high
         shades = np.linspace(low, high, 128)[None] if across else np.linspace(high, low, 128)[:, None]
-        self._parts.append(_image((x, y, width, height), shades, scale))
-        for value, text in _ticks(low, high, most=width / 58 if across else height / 42, log=log):
+        self._elements.append(_image((x, y, width, height), shades, scale))
+        for value, text in _ticks(low, high, max_count=width / 58 if across else height / 42, log=log):
             share = (value - low) / (high - low)
             if across:
                 self._tick(x + share * width, y + height, 0, 1, text)
@@ -263,27 +264,27 @@ class Canvas(Axes):
 
     def ticks(
         self, axes: Axes, x_label: str, y_label: str, *, log: bool = False,
-        across: Sequence[tuple[float, str]] | None = None,
+        x_ticks: Ticks | None = None,
     ) -> None:  # fmt: skip
         """Draw the left and the lower axis with round numbers and labels.
 
-        ``log``: y holds powers of ten; ``across``: places and texts of the ticks along x.
+        ``log``: y holds powers of ten; ``x_ticks``: places and texts of the ticks along x.
         """
         x, bottom, (x0, x1, y0, y1) = axes.x, axes.y + axes.height, axes.extent
         self.line([(x, axes.y), (x, bottom), (x + axes.width, bottom)], colour=SOFT, width=0.8)
-        rows = _ticks(y0, y1, most=axes.height / 44, log=log)
-        self.number_axes(axes, _ticks(x0, x1, most=axes.width / 62) if across is None else across, rows)
+        y_ticks = _ticks(y0, y1, max_count=axes.height / 44, log=log)
+        self.number_axes(axes, _ticks(x0, x1, max_count=axes.width / 62) if x_ticks is None else x_ticks, y_ticks)
         self.text(x + axes.width / 2, bottom + 36, x_label, anchor="middle")
-        widest = max((len(text) for _, text in rows), default=0)
-        self.text(x - 18 - 6.4 * widest, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
+        label_length = max((len(text) for _, text in y_ticks), default=0)
+        self.text(x - 18 - 6.4 * label_length, axes.y + axes.height / 2, y_label, anchor="middle", upwards=True)
 
-    def number_axes(self, axes: Axes, across: Sequence[tuple[float, str]], rows: Sequence[tuple[float, str]]) -> None:
+    def number_axes(self, axes: Axes, x_ticks: Ticks, y_ticks: Ticks) -> None:
         """Draw ticks with their numbers below axes and to the left of them."""
-        x0, _, y0, _ = axes.extent
-        for value, text in across:
-            self._tick(axes.x + axes.place((value, y0))[0, 0], axes.y + axes.height, 0, 1, text)
-        for value, text in rows:
-            self._tick(axes.x, axes.y + axes.place((x0, value))[0, 1], -1, 0, text)
+        x_min, _, y_min, _ = axes.extent
+        for value, label in x_ticks:
+            self._tick(axes.x + axes.place((value, y_min))[0, 0], axes.y + axes.height, 0, 1, label)
+        for value, label in y_ticks:
+            self._tick(axes.x, axes.y + axes.place((x_min, value))[0, 1], -1, 0, label)
 
     def _tick(self, x: float, y: float, right: int, down: int, text: str) -> None:
         """Draw a tick to the right, to the left (-1) or downwards, and its number."""
@@ -292,31 +293,31 @@ class Canvas(Axes):
         self.text(x + 6 * right, y + 4 + 12 * down, text, size=SMALL, anchor=anchor)
 
     def map_axes(
-        self, x: float, y: float, box: tuple[float, float], shown: ShownMap, scale: Scale, *, rows: bool = True
+        self, x: float, y: float, box: tuple[float, float], shown: ShownMap, scale: Scale, *, has_y_ticks: bool = True
     ) -> Axes:
         """Draw a map with its axes in um below and, on request, to the left, where ``MARGIN`` is needed for them."""
         axes = self.axes(x, y, *box, shown.extent)
         axes.image(shown, scale)
         x0, x1, bottom, upper = shown.extent
-        heights = _ticks(*sorted((bottom, upper)), most=box[1] / 44) if rows else []
-        self.number_axes(axes, _ticks(x0, x1, most=box[0] / 62), heights)
+        y_ticks = _ticks(*sorted((bottom, upper)), max_count=box[1] / 44) if has_y_ticks else []
+        self.number_axes(axes, _ticks(x0, x1, max_count=box[0] / 62), y_ticks)
         return axes
 
-    def row_below(self, axes: Axes, drop: float, names: str = "x, y", *, most: float = 0.3) -> None:
+    def draw_scale_row(self, axes: Axes, gap_px: float, axis_names: str = "x, y", *, max_share: float = 0.3) -> None:
         """Draw a round length below a map and the numbers of its axis, and name both axes."""
-        y = axes.y + axes.height + BELOW + drop
-        self.scale_bar(axes.x, y, width=axes.width, um=axes.shown.width, most=most)
-        self.axes_names(axes.x + axes.width, y, names)
+        y = axes.y + axes.height + BELOW + gap_px
+        self.scale_bar(axes.x, y, width=axes.width, um=axes.shown.width, max_share=max_share)
+        self.draw_axis_names(axes.x + axes.width, y, axis_names)
 
-    def axes_names(self, right: float, top: float, names: str = "x, y") -> None:
+    def draw_axis_names(self, right: float, top: float, axis_names: str = "x, y") -> None:
         """Name the axes of a map at the end of the row of its scale bar."""
-        self.text(right, top + 14, f"{names} / µm", size=SMALL, colour=SOFT, anchor="end")
+        self.text(right, top + 14, f"{axis_names} / µm", size=SMALL, colour=SOFT, anchor="end")
 
     def panel(self, x: float, y: float, shown: ShownMap, box: tuple[float, float], *, scale: Scale, label: str) -> Axes:
         """Put a map with its axes and scale bar, and a colour bar where there is a label, somewhere on the canvas."""
         x, y = x + MARGIN, y + _TOP
         axes = self.map_axes(x, y, box, shown, scale)
-        self.row_below(axes, 3)
+        self.draw_scale_row(axes, 3)
         if label:
             high = max(box[1], _LOWEST_BAR)
             self.colour_bar(x + box[0] + 11, y, 12, high, scale)
@@ -325,10 +326,9 @@ class Canvas(Axes):
 
     def picture(self, *, title: str, caption: str, data: Mapping[str, Table] | None = None) -> Picture:
         """Return the finished figure; ``data`` are tables of the numbers that it shows, by what they are."""
-        view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}" role="img" aria-label="{escape(title)}" {_FONTS}'
-        return Picture(
-            svg=self.svg(view), width=self.width, height=self.height, title=title, caption=caption, data=data or {}
-        )
+        view = f'viewBox="0 0 {_n(self.width)} {_n(self.height)}"'
+        svg = self.svg(f'{view} role="img" aria-label="{escape(title)}" {_FONTS}')
+        return Picture(svg=svg, width=self.width, height=self.height, title=title, caption=caption, data=data or {})
 
 
 def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> ShownMap:
@@ -338,8 +338,8 @@ def reduced(values: ArrayLike, rows: Array, cols: Array, *, width: float) -> Sho
     """
     data = np.asarray(values, dtype=np.float64)
     steps = (pitch(rows), pitch(cols))
-    finest = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)  # pixels of an image in one CSS pixel
-    factor = (max(1.0, finest / abs(steps[0])), max(1.0, finest / steps[1]))
+    pixel_um = max(data.shape[1] * steps[1] / (width * 1.35), 1e-12)  # pixels of an image in one CSS pixel
+    factor = (max(1.0, pixel_um / abs(steps[0])), max(1.0, pixel_um / steps[1]))
     if max(factor) > 1:
         data = area_mean(data, factor)
     down, across = (n * f * s for n, f, s in zip(data.shape, factor, steps, strict=True))
@@ -407,14 +407,14 @@ def levels_between(low: float, high: float, *, steps: int) -> tuple[Array, float
     return multiples(low, high, step), step
 
 
-def _ticks(low: float, high: float, *, most: float, log: bool = False) -> list[tuple[float, str]]:
+def _ticks(low: float, high: float, *, max_count: float, log: bool = False) -> Ticks:
     """Return the places of ticks and what is written there; ``log``: the places are powers of ten."""
     if log:
         powers = np.arange(math.ceil(low - 1e-9), math.floor(high + 1e-9) + 1.0)
         return [(float(k), f"{10.0**k:g}") for k in powers[:: max(1, math.ceil(len(powers) / 6))]]
-    step = round_step((high - low) / max(int(most), 2), above=True)
-    places = max(0, -math.floor(math.log10(step) + 1e-9))
-    return [(float(value), fixed(float(value), places)) for value in multiples(low, high, step)]
+    step = round_step((high - low) / max(int(max_count), 2), above=True)
+    decimals = max(0, -math.floor(math.log10(step) + 1e-9))
+    return [(float(value), fixed(float(value), decimals)) for value in multiples(low, high, step)]
 
 
 def _n(value: float) -> str:
@@ -425,16 +425,16 @@ def _n(value: float) -> str:
 def _path(points: Array) -> str:
     """Return a line through points in pixels as path data; NaN interrupts it."""
     tenths = np.rint(10 * points)
-    finite, data = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1]), ""
-    for run in np.split(np.arange(finite.size), np.flatnonzero(finite[1:] != finite[:-1]) + 1):
-        if len(run) > 1 and finite[run[0]]:
+    is_finite, path_data = np.isfinite(tenths[:, 0]) & np.isfinite(tenths[:, 1]), ""
+    for run in np.split(np.arange(is_finite.size), np.flatnonzero(is_finite[1:] != is_finite[:-1]) + 1):
+        if len(run) > 1 and is_finite[run[0]]:
             steps = np.diff(tenths[run], axis=0)
             steps = steps[np.any(steps != 0, axis=1)]
             if not len(steps):  # shorter than a tenth of a pixel
                 continue
             x, y = tenths[run[0]] / 10
-            data += f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()])
-    return data
+            path_data += f"M{x:g} {y:g}l" + " ".join([f"{v:g}" for v in (steps / 10).ravel()])
+    return path_data
 
 
 def _image(box: Box, values: Array, scale: Scale, missing: str = MISSING) -> str:

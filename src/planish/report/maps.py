@@ -26,7 +26,7 @@ _SMALLEST = 12  # pixels of a region that is outlined
 
 
 @dataclass(frozen=True)
-class Groups:
+class RunMaps:
     """Results of a run with its maps."""
 
     results: Results
@@ -35,9 +35,9 @@ class Groups:
 
     def part(self, layer: LayerFacts, name: str) -> xr.Dataset | None:
         """Return what was measured of a sheet: ``surfaces``, ``flat``, ``strain``, ``maps``, ``slices``."""
-        only = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
-        part = self.data.get(f"layers/{layer.name}/{name}")
-        return self.data.get(name) if part is None and only else part
+        is_only_sheet = layer.sheet is not None and sum(other.sheet is not None for other in self.results.layers) == 1
+        sheet_data = self.data.get(f"layers/{layer.name}/{name}")
+        return self.data.get(name) if sheet_data is None and is_only_sheet else sheet_data
 
     @cached_property
     def linked(self) -> dict[str, xr.Dataset]:
@@ -49,15 +49,15 @@ class Groups:
         """The same for figures: of large maps a smaller copy of at most 4 million pixels, where the run has one."""
         return self._by_layer(self._smaller)
 
-    def _by_layer(self, group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
-        out: dict[str, xr.Dataset] = {}
+    def _by_layer(self, read_group: Callable[[str], xr.Dataset | None]) -> dict[str, xr.Dataset]:
+        maps_by_layer: dict[str, xr.Dataset] = {}
         for layer in self.results.layers if self.results.is_link else ():
-            data = group(f"layers/{layer.name}")
-            if data is None and (maps := group("linked")) is not None:
-                data = maps[["image", "valid"]] if layer.kind == "image" else maps.drop_vars("image")
+            data = read_group(f"layers/{layer.name}")
+            if data is None and (linked_maps := read_group("linked")) is not None:
+                data = linked_maps[["image", "valid"]] if layer.kind == "image" else linked_maps.drop_vars("image")
             if data is not None:
-                out[layer.name] = data
-        return out
+                maps_by_layer[layer.name] = data
+        return maps_by_layer
 
     def _smaller(self, name: str) -> xr.Dataset | None:
         """A group, or the finest of its smaller copies that is small enough to be drawn."""
@@ -71,18 +71,19 @@ class Groups:
         return maps
 
     @property
-    def without(self) -> str:
+    def excluded_text(self) -> str:
         """What the mask of valid pixels leaves out, in words."""
         return left_out(self.results.regions)
 
     @cached_property
     def titles(self) -> dict[tuple[str, str], str]:
         """Titles of all maps, by layer and name."""
-        out: dict[tuple[str, str], str] = {}
-        for layer in self.results.layers:
-            for data in (self.part(layer, "maps"), self.linked.get(layer.name)):
-                out |= {} if data is None else {(layer.name, str(k)): title_of(v) for k, v in data.data_vars.items()}
-        return out
+        return {
+            (layer.name, str(name)): title_of(data)
+            for layer in self.results.layers
+            for maps in (self.part(layer, "maps"), self.linked.get(layer.name))
+            for name, data in (maps.data_vars.items() if maps is not None else ())
+        }
 
 
 def draw_maps(
@@ -97,133 +98,137 @@ def draw_maps(
     names.sort(key=lambda name: name != headline)
     widths = [2 * draw.THIRD] if lead_only else [draw.FULL, *[draw.HALF] * len(names)]
     return [
-        _draw(maps, name, facts[name], width=width, rim_um=rim_um, shared=partner_of(name, names))
+        _draw_property(maps, name, facts[name], width=width, rim_um=rim_um, partner=partner_of(name, names))
         for name, width in zip(names, widths, strict=False)
     ]
 
 
-def _draw(
-    maps: xr.Dataset, name: str, facts: PropertyFacts, *, width: float, rim_um: float, shared: str | None
+def _draw_property(
+    maps: xr.Dataset, name: str, facts: PropertyFacts, *, width: float, rim_um: float, partner: str | None
 ) -> draw.Picture:
-    data, room = maps[name], width - draw.MARGIN - _BESIDE
+    data, map_px = maps[name], width - draw.MARGIN - _BESIDE
     values = data.values.astype(np.float64)
-    shown = draw.reduced(values, data["v"].values, data["u"].values, width=room)
-    box = shown.fit(room, 480.0 if width < draw.FULL else 640.0)
-    scale = colours_of(data, np.concatenate([maps[key].values.ravel() for key in sorted({name, shared or name})]))
-    high = draw.panel_height(box, "colours")
-    canvas = draw.Canvas(width, high + draw.BELOW + 38)
+    shown = draw.reduced(values, data["v"].values, data["u"].values, width=map_px)
+    box = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
+    scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in sorted({name, partner or name})]))
+    bar_height = draw.panel_height(box, "colours")
+    canvas = draw.Canvas(width, bar_height + draw.BELOW + 38)
     axes = canvas.map_axes(draw.MARGIN, 8, box, shown, scale)
-    x0 = draw.MARGIN + box[0] + 12
-    canvas.colour_bar(x0, 8, 13, high, scale)
-    canvas.text(draw.MARGIN + box[0] + _BESIDE - 10, 8 + high / 2, label_of(data), anchor="middle", upwards=True)
-    counted = _distribution(canvas, (x0 + 58, 8, 62, high), values, scale, facts)
-    canvas.row_below(axes, 2, "u, v")
-    stated = ""
+    bar_left = draw.MARGIN + box[0] + 12
+    canvas.colour_bar(bar_left, 8, 13, bar_height, scale)
+    canvas.text(draw.MARGIN + box[0] + _BESIDE - 10, 8 + bar_height / 2, label_of(data), anchor="middle", upwards=True)
+    histogram = _draw_histogram(canvas, (bar_left + 58, 8, 62, bar_height), values, scale, facts)
+    canvas.draw_scale_row(axes, 2, "u, v")
+    mean_text = ""
     if facts.mean is not None and facts.sd is not None:
         mean = 0.0 if abs(facts.mean) < 1e-6 * facts.sd else facts.mean
-        stated = (
+        mean_text = (
             f"{number(mean)} ± {number(facts.sd)} {unit_of(data)} (mean ± standard deviation of n = {count(facts.n)} "
             "columns). "
         )
-    of_both = f" of this map and {in_words(title_of(maps[shared]))} together" if shared is not None else ""
+    partner_text = f" of this map and {in_words(title_of(maps[partner]))} together" if partner is not None else ""
     return canvas.picture(
         title=title_of(data),
         caption=(
-            f"{stated}Drawn: n = {draw.n_of(values)} map pixels of {draw.pixel_of(data['v'].values)}; mask: columns "
+            f"{mean_text}Drawn: n = {draw.n_of(values)} map pixels of {draw.pixel_of(data['v'].values)}; mask: columns "
             f"with both faces found, without holes and a rim of {plain(rim_um)} around them (grey). Colours span the "
-            f"1st to the 99th percentile{of_both}."
+            f"1st to the 99th percentile{partner_text}."
         ),
-        data={"histogram": counted},
+        data={"histogram": histogram},
     )
 
 
 def draw_side_by_side(
-    maps: tuple[xr.DataArray, xr.DataArray], *, names: tuple[str, str], shared: bool, without: str = HOLES
+    maps: tuple[xr.DataArray, xr.DataArray], layers: tuple[str, str], *, same_scale: bool, excluded_text: str = HOLES
 ) -> draw.Picture:
     """Draw two maps (y, x) on one grid side by side, NaN where not valid.
 
-    ``shared``: they have one colour scale; ``without`` says in words what the mask of valid pixels leaves out.
+    ``same_scale``: they have one colour scale; ``excluded_text`` says what the mask of valid pixels leaves out.
     """
-    y, x, room = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
-    fields = [draw.reduced(data.values, y, x, width=room) for data in maps]
-    box = fields[0].fit(room, 480.0)
+    y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
+    shown_maps = [draw.reduced(data.values, y, x, width=map_px) for data in maps]
+    box = shown_maps[0].fit(map_px, 480.0)
     canvas = draw.Canvas(draw.FULL, draw.panel_height(box, "colours") + draw.BELOW + 64)
-    for k, (data, drawn, name) in enumerate(zip(maps, fields, names, strict=True)):
-        x0 = k * (draw.FULL - draw.HALF)
-        canvas.text(x0 + draw.MARGIN, 18, name, bold=True, size=13)
-        coloured = np.concatenate([m.values.ravel() for m in maps]) if shared else data.values
-        canvas.panel(x0, 24, drawn, box, scale=colours_of(data, coloured), label=label_of(data))
+    for k, (data, shown, layer) in enumerate(zip(maps, shown_maps, layers, strict=True)):
+        left_px = k * (draw.FULL - draw.HALF)
+        canvas.text(left_px + draw.MARGIN, 18, layer, bold=True, size=13)
+        colour_values = np.concatenate([m.values.ravel() for m in maps]) if same_scale else data.values
+        canvas.panel(left_px, 24, shown, box, scale=colours_of(data, colour_values), label=label_of(data))
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
     return canvas.picture(
-        title=f"{names[0]} on the pixels of {names[1]}",
+        title=f"{layers[0]} on the pixels of {layers[1]}",
         caption=(
-            f"Left, {titles[0]} of {names[0]}; right, {titles[1]} of {names[1]}, at the same places. "
-            f"{'Both have the same colour scale' if shared else 'Each has its own colour scale'}, from the 1st to the "
-            f"99th percentile. n = {' and '.join(draw.n_of(m.values) for m in maps)} pixels of {draw.pixel_of(x)}; "
-            f"units: {' and '.join(units)}; mask: measured, without {without}."
+            f"Left, {titles[0]} of {layers[0]}; right, {titles[1]} of {layers[1]}, at the same places. "
+            f"{'Both have the same colour scale' if same_scale else 'Each has its own colour scale'}, from the "
+            f"1st to the 99th percentile. n = {' and '.join(draw.n_of(m.values) for m in maps)} pixels of "
+            f"{draw.pixel_of(x)}; units: {' and '.join(units)}; mask: measured, without {excluded_text}."
         ),
     )
 
 
-def _distribution(canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts) -> draw.Table:
+def _draw_histogram(
+    canvas: draw.Canvas, box: draw.Box, values: Array, scale: Scale, facts: PropertyFacts
+) -> draw.Table:
     """Draw the histogram along the colour bar, with mean and standard deviation, and return it."""
     low, high = scale.low, scale.high
     counts, edges = np.histogram(values, bins=80, range=(low, high))
-    most = max(int(counts.max()), 1)
-    axes = canvas.axes(*box, (0, 1.25 * most, low, high))
+    max_count = max(int(counts.max()), 1)
+    axes = canvas.axes(*box, (0, 1.25 * max_count, low, high))
     outline = np.stack([np.repeat([0, *counts, 0], 2)[1:-1], np.repeat(edges, 2)], axis=1)
     axes.area(outline, colour="#b9c0c7")
     axes.upright(0, width=1.6)
-    x, mean, sd = 1.14 * most, facts.mean, facts.sd
+    x, mean, sd = 1.14 * max_count, facts.mean, facts.sd
     if mean is not None and sd is not None:
         axes.line([(x, max(mean - sd, low)), (x, min(mean + sd, high))], colour=draw.ACCENT, width=1.6)
         axes.dots([(x, min(max(mean, low), high))], colour=draw.ACCENT, size=5)
     return {"from": edges[:-1].tolist(), "to": edges[1:].tolist(), "map pixels": counts.tolist()}
 
 
-def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, without: str = HOLES) -> list[draw.Picture]:
+def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_text: str = HOLES) -> list[draw.Picture]:
     """Draw property and image side by side, and the image with thin regions outlined (Hirn et al. 2009, Fig. 6).
 
-    ``without`` says in words what the mask of valid pixels leaves out.
+    ``excluded_text`` says in words what the mask of valid pixels leaves out.
     """
     y, x, valid = linked["y"].values, linked["x"].values, linked["valid"].values.astype(bool)
-    ground = ground_of(linked["image"], of="image", valid=valid)
+    ground = ground_of(linked["image"], layer="image", valid=valid)
     values = np.where(valid, linked[name].values.astype(np.float64), np.nan)
-    title = title_of(linked[name])
-    tail = f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without {without}."
-    left, _ = draw.draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
-    right, _ = draw.draw_map(ground.values, y, x, scale=ground.scale, label="")
+    title, unit = title_of(linked[name]), unit_of(linked[name])
+    n_text = f"n = {draw.n_of(values)} pixels of {draw.pixel_of(x)}; mask: measured, without {excluded_text}."
+    map_canvas, _ = draw.draw_map(values, y, x, scale=limits(values), label=label_of(linked[name]))
+    image_canvas, _ = draw.draw_map(ground.values, y, x, scale=ground.scale, label="")
     canvas, axes = ground.draw(draw.FULL)
-    share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
-    limit, note = thin_um, f"Outlined: {in_words(title)} below {plain(thin_um)}, {percent(share)} of the valid pixels."
-    if share < 1e-3:  # the outlines would show next to nothing
-        limit = float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
-        few = "No valid pixel is" if share == 0 else f"Only {percent(share)} of the valid pixels are"
-        note = (
-            f"{few} below {plain(thin_um)}; too few to outline. Outlined instead: the thinnest "
-            f"{_THINNEST:g} %, {in_words(title)} below {length(limit)}."
+    thin_share = float(np.count_nonzero(values < thin_um)) / max(int(np.isfinite(values).sum()), 1)
+    below, limit_um = f"{in_words(title)} below", thin_um
+    note_text = f"Outlined: {below} {plain(thin_um)}, {percent(thin_share)} of the valid pixels."
+    if thin_share < 1e-3:  # the outlines would show next to nothing
+        limit_um = float(np.nanpercentile(values, _THINNEST)) if np.isfinite(values).any() else thin_um
+        too_few_text = "No valid pixel is" if thin_share == 0 else f"Only {percent(thin_share)} of the valid pixels are"
+        note_text = (
+            f"{too_few_text} below {plain(thin_um)}; too few to outline. Outlined instead: the thinnest "
+            f"{_THINNEST:g} %, {below} {length(limit_um)}."
         )
-        if share > 0:
+        if thin_share > 0:
             axes.outline(values < thin_um, y, x, colour=EDGE, width=1.6)
-            note = f"{note} In blue, what is below {plain(thin_um)}."
-    labels, _ = ndimage.label(values < limit, structure=np.ones((3, 3)))
-    drawn = (labels > 0) & (np.bincount(labels.ravel())[labels] >= _SMALLEST)
-    axes.outline(drawn, y, x, colour=ARROW, width=1.7)
-    note = f"{note} Regions under {_SMALLEST} pixels are not drawn. {_darkness(ground.values, drawn, valid)}"
+            note_text = f"{note_text} In blue, what is below {plain(thin_um)}."
+    labels, _ = ndimage.label(values < limit_um, structure=np.ones((3, 3)))
+    is_outlined = (labels > 0) & (np.bincount(labels.ravel())[labels] >= _SMALLEST)
+    axes.outline(is_outlined, y, x, colour=ARROW, width=1.7)
+    darkness = _darkness_sentence(ground.values, is_outlined, valid)
+    note_text = f"{note_text} Regions under {_SMALLEST} pixels are not drawn. {darkness}"
     return [
-        left.picture(title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit_of(linked[name])}. {tail}"),
-        right.picture(
+        map_canvas.picture(title=f"(a) {title}, on the image's pixels", caption=f"Unit {unit}. {n_text}"),
+        image_canvas.picture(
             title="(b) The image, same region",
             caption=f"{title_of(linked['image'])} between limits set by the valid pixels; n = "
             f"{draw.n_of(ground.values)} pixels of {draw.pixel_of(x)}, no mask.",
         ),
-        canvas.picture(title="(c) Thin regions on the image", caption=f"{note}{tail}"),
+        canvas.picture(title="(c) Thin regions on the image", caption=f"{note_text}{n_text}"),
     ]
 
 
-def _darkness(image: Array, drawn: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
+def _darkness_sentence(image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
     """Compare the grey value inside the outlines with the rest."""
-    inside, outside = image[drawn & valid], image[valid & ~drawn]
+    inside, outside = image[is_outlined & valid], image[valid & ~is_outlined]
     if inside.size == 0 or outside.size == 0 or (spread := float(np.std(image[valid]))) == 0:
         return ""
     shift = float(inside.mean() - outside.mean()) / spread

@@ -11,7 +11,7 @@ import xarray as xr
 from planish.core.numbers import number, typeset
 from planish.report.colours import colours_of, image_uri
 from planish.report.draw import pitch
-from planish.report.maps import Groups
+from planish.report.maps import RunMaps
 from planish.report.summary import check_summary, summarise
 from planish.report.text import label_of
 from planish.results import Results
@@ -35,13 +35,13 @@ def results_html(results: Results, titles: Mapping[tuple[str, str], str] | None 
         f'{escape(t.unit)}</td><td style="text-align:left;{_FAINT}">{escape(t.note)}</td></tr>'
         for t in tiles
     )
-    spoken = "".join(
+    check_items = "".join(
         f"<li><b>{check.state}</b> {escape(check.name)}: {escape(typeset(f'{check.sentence} {check.advice}'))}</li>"
         for check in results.checks_in("fail", "look", "unknown")
     )
     return (
         f'<div style="max-width:72ch"><p>{escape(sentence)}</p><table>{rows}</table>'
-        f"<p>{escape(check_summary(results))}</p>{f'<ul>{spoken}</ul>' if spoken else ''}</div>"
+        f"<p>{escape(check_summary(results))}</p>{f'<ul>{check_items}</ul>' if check_items else ''}</div>"
     )
 
 
@@ -52,17 +52,17 @@ def run_html(results: Results, groups: Mapping[str, xr.Dataset]) -> str:
     ----------
     results : Results
     groups : mapping of name to Dataset
-        Groups of the run, as :func:`planish.report.write_report` takes them.
+        RunMaps of the run, as :func:`planish.report.write_report` takes them.
     """
-    data = Groups(results, groups)
-    shown: list[str] = []
+    run_maps = RunMaps(results, groups)
+    map_parts: list[str] = []
     for layer in results.layers:
-        maps = data.drawn.get(layer.name) if results.is_link else data.part(layer, "maps")
+        maps = run_maps.drawn.get(layer.name) if results.is_link else run_maps.part(layer, "maps")
         if maps is not None and layer.headline in maps:
-            shown.append(map_html(maps[layer.headline], title=layer.name if results.is_link else ""))
+            map_parts.append(map_html(maps[layer.headline], title=layer.name if results.is_link else ""))
     names = " · ".join(layer.source.name for layer in results.layers)
-    maps_row = f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(shown)}</div>' if shown else ""
-    return f"<div><b>planish</b> {escape(names)}{results_html(results, data.titles)}{maps_row}</div>"
+    maps_row = f'<div style="display:flex;flex-wrap:wrap;gap:12px">{"".join(map_parts)}</div>' if map_parts else ""
+    return f"<div><b>planish</b> {escape(names)}{results_html(results, run_maps.titles)}{maps_row}</div>"
 
 
 def map_html(data: xr.DataArray, *, title: str = "") -> str:
@@ -77,16 +77,15 @@ def map_html(data: xr.DataArray, *, title: str = "") -> str:
     """
     rows, cols = (data[dim].values for dim in data.dims)
     values = data.values.astype(np.float64)
-    every = max(1, int(values.shape[1] / (1.5 * _WIDE)), int(values.shape[0] / (1.5 * _HIGH)))
+    stride = max(1, int(values.shape[1] / (1.5 * _WIDE)), int(values.shape[0] / (1.5 * _HIGH)))
     scale = colours_of(data, values[np.isfinite(values)])
-    wide, high = values.shape[1] * pitch(cols), values.shape[0] * pitch(rows)
-    zoom = min(_WIDE / wide, _HIGH / high)
-    words = f"{title}: {label_of(data)}" if title else label_of(data)
-    image = f'src="{image_uri(values[::every, ::every], scale)}" alt="{escape(words)}"'
-    size = f'width="{round(zoom * wide)}" height="{round(zoom * high)}"'
-    caption = (
-        f"{words}, colours from {number(scale.low)} to {number(scale.high)}; {wide / 1000:.3g} × {high / 1000:.3g} mm"
-    )
+    width_um, height_um = values.shape[1] * pitch(cols), values.shape[0] * pitch(rows)
+    px_per_um = min(_WIDE / width_um, _HIGH / height_um)
+    title_text = f"{title}: {label_of(data)}" if title else label_of(data)
+    image = f'src="{image_uri(values[::stride, ::stride], scale)}" alt="{escape(title_text)}"'
+    size = f'width="{round(px_per_um * width_um)}" height="{round(px_per_um * height_um)}"'
+    field = f"{width_um / 1000:.3g} × {height_um / 1000:.3g} mm"
+    caption = f"{title_text}, colours from {number(scale.low)} to {number(scale.high)}; {field}"
     return (
         f'<figure style="margin:0"><img {image} {size}><figcaption style="{_FAINT}">{escape(caption)}</figcaption>'
         "</figure>"

@@ -43,166 +43,174 @@ class Ground:
         box = shown.fit(width - draw.MARGIN - 12, 700.0 if width == draw.FULL else 480.0)
         canvas = draw.Canvas(width, box[1] + draw.BELOW + 36)
         axes = canvas.map_axes((width - box[0] + draw.MARGIN - 12) / 2, 4, box, shown, self.scale)
-        canvas.row_below(axes, 2, most=0.2)
+        canvas.draw_scale_row(axes, 2, max_share=0.2)
         return canvas, axes
 
 
 def ground_of(
-    data: xr.DataArray, *, of: str, valid: NDArray[np.bool_] | None = None, edge: NDArray[np.bool_] | None = None,
-    edge_of: str = "",
+    data: xr.DataArray, *, layer: str, valid: NDArray[np.bool_] | None = None, edge: NDArray[np.bool_] | None = None,
+    edge_layer: str = "",
 ) -> Ground:  # fmt: skip
-    """Return a map or image (y, x) of the layer ``of`` as ground, in grey.
+    """Return a map or image (y, x) of the layer ``layer`` as ground, in grey.
 
-    ``valid`` pixels set the grey window; ``edge`` is where the layer ``edge_of`` lies.
+    ``valid`` pixels set the grey window; ``edge`` is where the layer ``edge_layer`` lies.
     """
     values, y, x = data.values.astype(np.float64), data["y"].values, data["x"].values
-    window = values[valid] if valid is not None and valid.any() else values
-    pixels = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
-    name, caption = "the image", f"{title_of(data)} of {pixels}, no mask."
+    window_values = values[valid] if valid is not None and valid.any() else values
+    pixels_text = f"{draw.n_of(values)} pixels of {draw.pixel_of(x)}"
+    name, caption = "the image", f"{title_of(data)} of {pixels_text}, no mask."
     if data.name != "image":
-        name = f"the layer {of}"
-        caption = f"In grey, {in_words(title_of(data))} of {of}: {pixels}; mask: where it is known."
-    return Ground(values, y, x, limits(window, GREYS, percent=0.2), name, caption, edge, edge_of)
+        name = f"the layer {layer}"
+        caption = f"In grey, {in_words(title_of(data))} of {layer}: {pixels_text}; mask: where it is known."
+    return Ground(values, y, x, limits(window_values, GREYS, percent=0.2), name, caption, edge, edge_layer)
 
 
-def blank_ground(points: Array, *, of: str) -> Ground:
+def blank_ground(points: Array, *, layer: str) -> Ground:
     """Return an empty ground around points (x, y), for places in coordinates of which no map is at hand."""
     points = points[np.isfinite(points).all(axis=1)]
     low, high = (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
-    room = 0.2 * max(float((high - low).max()), 1.0)
-    x, y = (np.linspace(low[k] - room, high[k] + room, _BLANK) for k in (0, 1))
-    caption = f"Places are in the coordinates of {of}, which is not resampled to this grid; no map is shown, no mask."
-    return Ground(np.full((_BLANK, _BLANK), np.nan), y, x, Scale(0.0, 1.0, GREYS), f"the layer {of}", caption)
+    margin = 0.2 * max(float((high - low).max()), 1.0)
+    x, y = (np.linspace(low[k] - margin, high[k] + margin, _BLANK) for k in (0, 1))
+    caption = (
+        f"Places are in the coordinates of {layer}, which is not resampled to this grid; no map is shown, no mask."
+    )
+    return Ground(np.full((_BLANK, _BLANK), np.nan), y, x, Scale(0.0, 1.0, GREYS), f"the layer {layer}", caption)
 
 
-def _arrows(
-    canvas: draw.Canvas, axes: draw.Axes, places: Array, vectors: Array, *, share: float, most: float, label: str,
-    width: float,
+def _draw_arrows(
+    canvas: draw.Canvas, axes: draw.Axes, starts: Array, vectors: Array, *, width_share: float, max_share: float,
+    label: str, width: float,
 ) -> draw.Magnified:  # fmt: skip
     """Draw vectors, the longest over a share of the width, with a scale bar of their own beside that of the ground."""
-    factor = draw.magnified(vectors, share * axes.shown.width)
-    axes.arrows(places, factor.times * vectors, colour=ARROW, width=width)
-    if factor.longest > 1e-9:
+    magnification = draw.magnified(vectors, width_share * axes.shown.width)
+    axes.arrows(starts, magnification.times * vectors, colour=ARROW, width=width)
+    if magnification.longest > 1e-9:
         canvas.scale_bar(
             axes.x + 0.4 * axes.width, axes.height + draw.BELOW + 6, width=axes.width,
-            um=axes.shown.width / factor.times, most=most, colour=ARROW, label=label,
+            um=axes.shown.width / magnification.times, max_share=max_share, colour=ARROW, label=label,
         )  # fmt: skip
-    return factor
+    return magnification
 
 
 def draw_registration(
-    r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, source: str, width: float
+    r: RegistrationFacts, ground: Ground, marks: xr.Dataset, *, hole_um: float, moving_layer: str, width: float
 ) -> draw.Picture:
     """Draw a ground with its marks (``fixed_*``), numbered, and the residual of each as an arrow.
 
-    ``hole_um`` is the diameter at which marks are drawn, ``source`` the layer of their partners.
+    ``hole_um`` is the diameter at which marks are drawn, ``moving_layer`` the layer of their partners.
     """
     canvas, axes = ground.draw(width)
     if ground.edge is not None:
         axes.outline(ground.edge, ground.y, ground.x, colour=EDGE, width=1.6)
-    fixed = points_of(marks, "fixed")
-    _draw_marks(axes, fixed, hole_um=hole_um, size=14 if width == draw.FULL else 11)
+    fixed_xy = points_of(marks, "fixed")
+    _draw_marks(axes, fixed_xy, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
     # A residual is the mark in the image minus the mark that was carried over: the arrow shows where that one falls.
-    factor = _arrows(
-        canvas, axes, fixed, -points_of(marks, "residual"), share=0.09, most=0.12, label="{} of residual",
+    magnification = _draw_arrows(
+        canvas, axes, fixed_xy, -points_of(marks, "residual"), width_share=0.09, max_share=0.12, label="{} of residual",
         width=3.0 if width == draw.FULL else 2.2,
     )  # fmt: skip
-    words = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
-    if (axis := machine_direction(r, source)) is not None:
-        _draw_axis(canvas, axes, axis[0], fixed)
-        words += f"MD: machine direction, {axis[0] % 180:.0f}° from x clockwise ({axis[1]}). "
-    table: dict[str, list[object]] = {"mark": list(range(1, marks.sizes["mark"] + 1))}
+    note_text = f"Blue: edge of {with_article(ground.edge_of)}. " if ground.edge is not None else ""
+    if (direction := machine_direction(r, moving_layer)) is not None:
+        _draw_direction(canvas, axes, direction[0], fixed_xy)
+        note_text += f"MD: machine direction, {direction[0] % 180:.0f}° from x clockwise ({direction[1]}). "
+    mark_table: dict[str, list[object]] = {"mark": list(range(1, marks.sizes["mark"] + 1))}
     if "label" in marks:
-        table["label"] = [str(label) for label in marks["label"].values]
+        mark_table["label"] = [str(label) for label in marks["label"].values]
     for name, column in marks.data_vars.items():
         if column.dims == ("mark",) and name != "label":
-            table[f"{name} / µm"] = column.values.astype(np.float64).tolist()
+            mark_table[f"{name} / µm"] = column.values.astype(np.float64).tolist()
     return canvas.picture(
         title=f"Marks in {with_article(r.to)} and their residuals",
         caption=(
-            f"{capital(ground.name)} with n = {len(fixed)} marks (orange circles of {plain(hole_um)}). Red arrows "
-            f"point from each mark to its transformed partner in {with_article(source)}, {factor.words}. {words}"
-            f"{ground.caption}"
+            f"{capital(ground.name)} with n = {len(fixed_xy)} marks (orange circles of {plain(hole_um)}). Red arrows "
+            f"point from each mark to its transformed partner in {with_article(moving_layer)}, {magnification.words}. "
+            f"{note_text}{ground.caption}"
         ),
-        data={"marks": table},
+        data={"marks": mark_table},
     )
 
 
-def _draw_marks(axes: draw.Axes, fixed: Array, *, hole_um: float, size: float) -> None:
+def _draw_marks(axes: draw.Axes, marks_xy: Array, *, hole_um: float, font_size: float) -> None:
     """Draw marks as circles with their numbers."""
-    turn = np.linspace(0, 2 * np.pi, 49)
-    ring = hole_um / 2 * np.stack([np.cos(turn), np.sin(turn)], axis=1)
-    for k, (x, y) in enumerate(fixed, 1):
-        axes.line(ring + np.array([x, y]), colour=_MARK, width=1.9)
-        axes.text(x, y, "+", shift=(0, 0.32 * size), size=size, anchor="middle", colour=_MARK)
-        corner = x - 0.42 * hole_um, y - 0.42 * hole_um
-        axes.text(*corner, str(k), shift=(-2, -2), size=size, anchor="end", colour=_MARK, halo=draw.INK, bold=True)
+    angles = np.linspace(0, 2 * np.pi, 49)
+    circle = hole_um / 2 * np.stack([np.cos(angles), np.sin(angles)], axis=1)
+    for k, (x, y) in enumerate(marks_xy, 1):
+        axes.line(circle + np.array([x, y]), colour=_MARK, width=1.9)
+        axes.text(x, y, "+", shift=(0, 0.32 * font_size), size=font_size, anchor="middle", colour=_MARK)
+        label_xy = x - 0.42 * hole_um, y - 0.42 * hole_um
+        axes.text(
+            *label_xy, str(k), shift=(-2, -2), size=font_size, anchor="end", colour=_MARK, halo=draw.INK, bold=True
+        )
 
 
 def draw_expected_error(
-    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, of: str, shown: str
+    error: xr.DataArray, marks: xr.Dataset | None, *, hole_um: float, width: float, reference: str, layer: str
 ) -> draw.Picture | None:
     """Draw the expected error of each place, with contour lines and the marks; None where nothing is known.
 
-    ``of`` is the layer whose pixels they are, ``shown`` the one that was brought to them.
+    ``reference`` is the layer whose pixels they are, ``layer`` the one that was brought to them.
     """
     y, x = error["y"].values, error["x"].values
-    errors = error.values[np.isfinite(error.values)].astype(np.float64)
-    if errors.size == 0:
+    finite_errors = error.values[np.isfinite(error.values)].astype(np.float64)
+    if finite_errors.size == 0:
         return None
-    least, mean, most = float(errors.min()), float(errors.mean()), float(errors.max())
-    scale = limits(errors, GEOMETRY, percent=0.1)
+    least, mean, most = float(finite_errors.min()), float(finite_errors.mean()), float(finite_errors.max())
+    scale = limits(finite_errors, GEOMETRY, percent=0.1)
     levels, step = draw.levels_between(least, most, steps=5)
     if not most - least > 0.02 * abs(mean):  # colours would show differences that nobody can use
         scale, levels = Scale(0.0, 2 * mean or 1.0, GEOMETRY), np.empty(0)
     canvas, axes = draw.draw_map(error.values, y, x, scale=scale, label="expected error / µm", width=width)
-    places = points_of(marks, "fixed") if marks is not None else np.empty((0, 2))
-    axes.contours(levels, labels=True, avoid=places)
-    _draw_marks(axes, places, hole_um=hole_um, size=14 if width == draw.FULL else 11)
-    lines = f"Contour lines every {length(step, 1)}. " if levels.size else ""
-    numbered = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
+    marks_xy = points_of(marks, "fixed") if marks is not None else np.empty((0, 2))
+    axes.contours(levels, labels=True, avoided=marks_xy)
+    _draw_marks(axes, marks_xy, hole_um=hole_um, font_size=14 if width == draw.FULL else 11)
+    contour_text = f"Contour lines every {length(step, 1)}. " if levels.size else ""
+    marks_text = "Orange: the marks, numbered as in the figure of their residuals. " if marks is not None else ""
     return canvas.picture(
         title="Expected error",
         caption=(
-            f"Expected error of the position in {with_article(of)} (rms, from the scatter of the marks): "
-            f"{length(least, 2)} to {length(most, 2)}, median {length(float(np.median(errors)), 2)}. {lines}{numbered}"
-            f"It grows away from the marks; an error that all marks share is not included. n = {draw.n_of(errors)} "
-            f"pixels of {draw.pixel_of(x)}; unit µm; mask: where {with_article(shown)} is shown."
+            f"Expected error of the position in {with_article(reference)} (rms, from the scatter of the marks): "
+            f"{length(least, 2)} to {length(most, 2)}, median {length(float(np.median(finite_errors)), 2)}. "
+            f"{contour_text}{marks_text}It grows away from the marks; an error that all marks share is not included. n "
+            f"= {draw.n_of(finite_errors)} pixels of {draw.pixel_of(x)}; unit µm; mask: where {with_article(layer)} is "
+            "shown."
         ),
     )
 
 
-def draw_lags(lag: LagNumbers | None, ground: Ground, *, first: str, second: str) -> draw.Picture | None:
+def draw_lags(lag: LagNumbers | None, ground: Ground, *, moving_text: str, reference_text: str) -> draw.Picture | None:
     """Draw the lags of the tiles of two maps, named in words, that have a distinct one; None where there are none."""
     if lag is None:
         return None
-    places, lags, silent = lag_places(lag, ground)
-    if not len(places):
+    distinct_xy, lags, silent_xy = lag_places(lag, ground)
+    if not len(distinct_xy):
         return None
     canvas, axes = ground.draw(draw.HALF)
-    axes.dots(silent, size=4, colour=_SILENT, halo="white")
-    axes.dots(places, size=4, colour=ARROW, halo="white")
-    factor = _arrows(canvas, axes, places, lags, share=0.11, most=0.16, label="{} of lag", width=2.2)
-    doubt = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
-    side = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
+    axes.dots(silent_xy, size=4, colour=_SILENT, halo="white")
+    axes.dots(distinct_xy, size=4, colour=ARROW, halo="white")
+    magnification = _draw_arrows(
+        canvas, axes, distinct_xy, lags, width_share=0.11, max_share=0.16, label="{} of lag", width=2.2
+    )
+    doubt_text = " The check as a whole is inconclusive: read the arrows with caution." if lag.silence else ""
+    size_text = f" of {plain(lag.tile_um)}" if is_known(lag.tile_um) else ""
     return canvas.picture(
         title="Image-based check, tile by tile",
         caption=(
-            f"Arrows point from where the registration puts a piece of {first} to where {second} shows it, "
-            f"{factor.words}. Parallel arrows are a shift; arrows that turn or diverge are a rotation or a stretch; "
-            f"disordered arrows are chance. n = {count(len(places))} of {count(len(places) + len(silent))} overlapping "
-            f"tiles{side} with a distinct lag, grey dots the others.{doubt} {ground.caption}"
+            f"Arrows point from where the registration puts a piece of {moving_text} to where {reference_text} shows "
+            f"it, {magnification.words}. Parallel arrows are a shift; arrows that turn or diverge are a rotation or a "
+            f"stretch; disordered arrows are chance. n = {count(len(distinct_xy))} of "
+            f"{count(len(distinct_xy) + len(silent_xy))} overlapping tiles{size_text} with a distinct lag, grey dots "
+            f"the others.{doubt_text} {ground.caption}"
         ),
     )
 
 
-def machine_direction(r: RegistrationFacts, moving: str) -> tuple[float, str] | None:
+def machine_direction(r: RegistrationFacts, moving_layer: str) -> tuple[float, str] | None:
     """Return the machine direction in degrees from x, clockwise on screen, and its source; None where it is unknown."""
     o = r.orientation
     if o.md_deg_fixed is not None:
         return o.md_deg_fixed, f"given for {with_article(r.to)}"
-    carried = o.md_deg_fixed_from_moving
-    return None if carried is None else (carried, f"carried over from {with_article(moving)}")
+    carried_deg = o.md_deg_fixed_from_moving
+    return None if carried_deg is None else (carried_deg, f"carried over from {with_article(moving_layer)}")
 
 
 def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
@@ -211,22 +219,26 @@ def lag_places(lag: LagNumbers, ground: Ground) -> tuple[Array, Array, Array]:
     Tiles count from the middle of the first pixel that was compared, which may be the mean of several.
     """
     y0, x0 = (float(c[0]) + (p - draw.pitch(c)) / 2 for c, p in zip((ground.y, ground.x), lag.pixel_um, strict=True))
-    rows = np.array([(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64).reshape(-1, 4)
-    distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
-    return rows[distinct, :2], rows[distinct, 2:], rows[~distinct, :2]
+    tile_rows = np.array([(t.x + x0, t.y + y0, *t.lag_um) for t in lag.tiles], dtype=np.float64).reshape(-1, 4)
+    is_distinct = np.array([t.distinct and is_known(t.lag_um) for t in lag.tiles], dtype=bool)
+    return tile_rows[is_distinct, :2], tile_rows[is_distinct, 2:], tile_rows[~is_distinct, :2]
 
 
-def _draw_axis(canvas: draw.Canvas, axes: draw.Axes, degrees: float, fixed: Array) -> None:
+def _draw_direction(canvas: draw.Canvas, axes: draw.Axes, angle_deg: float, marks_xy: Array) -> None:
     """Draw an axis with a head at both ends in the corner that is farthest from all marks."""
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
-    marks = axes.place(fixed[np.isfinite(fixed).all(axis=1)])
-    gaps = np.hypot(*(corners[:, None] - marks[None]).transpose(2, 0, 1)).min(axis=1) if marks.size else np.zeros(4)
-    x, y = corners[int(np.argmax(gaps))]
-    x0 = axes.x + (8 if x == 0 else axes.width - _AXIS - 8)
-    y0 = axes.y + (8 if y == 0 else axes.height - _AXIS - 8)
-    canvas.box(x0, y0, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
-    corner = canvas.axes(x0, y0, _AXIS, _AXIS, (-1, 1, 1, -1))
-    along = np.array([math.cos(math.radians(degrees)), math.sin(math.radians(degrees))])
-    side = np.array([-along[1], along[0]])
-    corner.arrows([-0.22 * side] * 2, [0.92 * along, -0.92 * along], colour=draw.INK, width=2.0, halo="")
-    corner.text(0.36 * side[0], 0.36 * side[1], "MD", shift=(0, 4), anchor="middle", bold=True)
+    mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
+    distances_px = (
+        np.hypot(*(corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)).min(axis=1)
+        if mark_pixels.size
+        else np.zeros(4)
+    )
+    x, y = corners[int(np.argmax(distances_px))]
+    left_px = axes.x + (8 if x == 0 else axes.width - _AXIS - 8)
+    top_px = axes.y + (8 if y == 0 else axes.height - _AXIS - 8)
+    canvas.box(left_px, top_px, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")
+    corner_axes = canvas.axes(left_px, top_px, _AXIS, _AXIS, (-1, 1, 1, -1))
+    direction = np.array([math.cos(math.radians(angle_deg)), math.sin(math.radians(angle_deg))])
+    normal = np.array([-direction[1], direction[0]])
+    corner_axes.arrows([-0.22 * normal] * 2, [0.92 * direction, -0.92 * direction], colour=draw.INK, width=2.0, halo="")
+    corner_axes.text(0.36 * normal[0], 0.36 * normal[1], "MD", shift=(0, 4), anchor="middle", bold=True)

@@ -79,45 +79,45 @@ def block_means(a: xr.DataArray, b: xr.DataArray, *, point_um: float, valid: Seq
     return first[is_valid], second[is_valid]
 
 
-def draw_pair(pair: MapPair, *, names: tuple[str, str], without: str = HOLES) -> Picture:
+def draw_pair(pair: MapPair, *, names: tuple[str, str], excluded_text: str = HOLES) -> Picture:
     """Draw map b over map a: density of the pixels, and beside it larger points or the difference of the two.
 
-    ``without`` says in words what the masks leave out. The difference of two maps of the same quantity is drawn over
-    their mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
+    ``excluded_text`` says what the masks leave out. The difference of two maps of the same quantity is drawn over their
+    mean, with its mean and the limits that hold 95 % of normal differences (Bland and Altman 1986).
     """
-    every, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
+    stride, (p, q, *masks) = thinned(pair.a, pair.b, *pair.valid)
     is_valid, density = valid_in_all((p, q), masks), pair.density
     units, ends = (unit_of(pair.a), unit_of(pair.b)), (pair.rows[0], pair.coarse)
     points, (fine, coarse), units, labels = as_drawn(pair.points, ends, names, units, density)
-    pixels = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)
+    pixel_values = (p if density is None else p * density)[is_valid].astype(np.float64), q[is_valid].astype(np.float64)
     canvas = Canvas(FULL, 475)
-    axes = _density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixels, counted="pixels")
-    drawn, second = [(axes, fine)], "right, area means over the valid pixels of each larger point. "
+    axes = _draw_density(canvas, (_LEFT, _TOP, _WIDE, _HIGH), pixel_values, counted_text="pixels")
+    panels, right_text = [(axes, fine)], "right, area means over the valid pixels of each larger point. "
     if coarse.same_quantity:
         ends = min(axes.extent), max(axes.extent)
         axes.line([(v, v) for v in ends], colour=SOFT, width=1.3, dash="6 4")
-        _differences(canvas, *points, coarse, units[0])
-        second = (
+        _draw_differences(canvas, *points, coarse, units[0])
+        right_text = (
             "right, the difference (upward map minus the map across) of points of "
             f"{plain(round(coarse.point_um, 4))} over the mean of the two, with its mean and the limits of 95 % of "
             "normal differences. Dashed, left: both equal. "
         )
     else:
-        drawn.append((draw_dots(canvas, points, (_RIGHT, _TOP, _WIDE, _HIGH), bar=70), coarse))
-    for axes, row in drawn:
+        panels.append((draw_dots(canvas, points, (_RIGHT, _TOP, _WIDE, _HIGH), bar_px=70), coarse))
+    for axes, row in panels:
         _draw_lines(axes, row)
         canvas.ticks(axes, *labels)
-        _heading(canvas, axes.x, f"Points of {plain(round(row.point_um, 4))}", _numbers(row, units))
-    shown = f", one in {every} of each row and column" if every > 1 else ""
+        _draw_heading(canvas, axes.x, f"Points of {plain(round(row.point_um, 4))}", _correlation_text(row, units))
+    stride_text = f", one in {stride} of each row and column" if stride > 1 else ""
     return canvas.picture(
         title=f"{capital(in_words(names[1]))} over {in_words(names[0])}",
         caption=(
-            f"Left, number of pixels{shown} (logarithmic colours); {second}A point counts when half of its area is "
-            "valid in both maps. Lines are least squares: solid, of the upward map on the map across, dashed, the "
-            "other way round; a perfect relation without errors would lie between them. The left axes span the "
+            f"Left, number of pixels{stride_text} (logarithmic colours); {right_text}A point counts when half of its "
+            "area is valid in both maps. Lines are least squares: solid, of the upward map on the map across, dashed, "
+            "the other way round; a perfect relation without errors would lie between them. The left axes span the "
             "0.05th to the 99.95th percentile of the pixels, the right ones the points. Mask: measured, without "
-            f"{without}. n counts points, which resemble their neighbours; the interval rests on independent ones. "
-            f"{capital(REGISTERED)}."
+            f"{excluded_text}. n counts points, which resemble their neighbours; the interval rests on independent "
+            f"ones. {capital(REGISTERED)}."
         ),
         data={"points": points_table(points, labels)},
     )
@@ -127,27 +127,27 @@ def draw_points(pair: MapPair, *, names: tuple[str, str], height: float) -> Pict
     """Draw the larger points of two maps on a third of the page, with both lines of least squares."""
     units = unit_of(pair.a), unit_of(pair.b)
     points, (row,), _, labels = as_drawn(pair.points, (pair.coarse,), names, units, pair.density)
-    canvas, size = Canvas(THIRD, max(height, 300.0)), plain(round(row.point_um, 4))
-    axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar=55)
+    canvas, size_text = Canvas(THIRD, max(height, 300.0)), plain(round(row.point_um, 4))
+    axes = draw_dots(canvas, points, (76.0, 42.0, THIRD - 82, canvas.height - 92), bar_px=55)
     _draw_lines(axes, row)
     canvas.ticks(axes, *labels)
     canvas.text(axes.x, 18, r_sentence(row) if is_known(row.r) else "no correlation", bold=True)
-    canvas.text(axes.x, 34, f"n = {count(row.n)} points of {size}", size=SMALL, colour=SOFT)
-    n_eff = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
-    doubt = " Doubtful: see the checks." if row.trust == "doubtful" else ""
+    canvas.text(axes.x, 34, f"n = {count(row.n)} points of {size_text}", size=SMALL, colour=SOFT)
+    n_eff_text = f", {count(round(row.n_eff))} of them independent" if is_known(row.n_eff) else ""
+    doubt_text = " Doubtful: see the checks." if row.trust == "doubtful" else ""
     return canvas.picture(
-        title=f"Points of {size}",
+        title=f"Points of {size_text}",
         caption=(
-            f"n = {count(row.n)} squares of {size}{n_eff}; mask: at least half valid in both maps. Lines of least "
-            f"squares: solid, of the upward map on the map across; dashed, the other way round. {capital(REGISTERED)}."
-            f"{doubt}"
+            f"n = {count(row.n)} squares of {size_text}{n_eff_text}; mask: at least half valid in both maps. Lines of "
+            "least squares: solid, of the upward map on the map across; dashed, the other way round. "
+            f"{capital(REGISTERED)}.{doubt_text}"
         ),
         data={"points": points_table(points, labels)},
     )
 
 
 def as_drawn(
-    points: Points, rows: Sequence[CorrelationRow], names: tuple[str, str], units: tuple[str, str],
+    points: Points, rows: Sequence[CorrelationRow], titles: tuple[str, str], units: tuple[str, str],
     density: float | None,
 ) -> tuple[Points, list[CorrelationRow], tuple[str, str], list[str]]:  # fmt: skip
     """Return points, correlations and units as the axes of a figure have them, and the labels of its axes.
@@ -157,30 +157,30 @@ def as_drawn(
     """
     if density is not None:
         points = points[0] * density, points[1]
-        names = f"{names[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³", names[1]
-        units, weights = ("g/m²", units[1]), list[CorrelationRow]()
+        titles = f"{titles[0].replace('Coating thickness', 'Coating')}, at {density:.3g} g/cm³", titles[1]
+        units, weight_rows = ("g/m²", units[1]), list[CorrelationRow]()
         for row in rows:
-            slopes = {"slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density}
-            weights.append(row.model_copy(update=slopes | {"mean_a": row.mean_a * density}))
-        rows = weights
-    return points, [*rows], units, [*map(axis_label, names, units)]
+            weight_slopes = {"slope": row.slope / density, "slope_x_on_y": row.slope_x_on_y * density}
+            weight_rows.append(row.model_copy(update=weight_slopes | {"mean_a": row.mean_a * density}))
+        rows = weight_rows
+    return points, [*rows], units, [*map(axis_label, titles, units)]
 
 
 def points_table(points: Points, labels: Sequence[str]) -> Table:
     """Return the larger points as columns; two maps of one title are told apart."""
-    names = labels if labels[0] != labels[1] else (f"{labels[0]} (across)", f"{labels[1]} (upwards)")
-    return dict(zip(names, (values.tolist() for values in points), strict=True))
+    headings = labels if labels[0] != labels[1] else (f"{labels[0]} (across)", f"{labels[1]} (upwards)")
+    return dict(zip(headings, (values.tolist() for values in points), strict=True))
 
 
 def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
     """Draw the line of least squares of b on a, and dashed that of a on b, within the axes."""
     if not is_known(row.slope):
         return
-    drawn = [([(x, row.intercept + row.slope * x) for x in axes.extent[:2]], "")]
+    fit_lines = [([(x, row.intercept + row.slope * x) for x in axes.extent[:2]], "")]
     if row.slope_x_on_y and is_known(row.slope_x_on_y) and is_known(row.mean_a):
-        drawn.append(([(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]], "7 4"))
-    for ends, dash in drawn:
-        draw_fit(axes, ends, dash=dash)
+        fit_lines.append(([(row.mean_a + row.slope_x_on_y * (y - row.mean_b), y) for y in axes.extent[2:]], "7 4"))
+    for line_ends, dash in fit_lines:
+        draw_fit(axes, line_ends, dash=dash)
 
 
 def draw_fit(axes: Axes, points: ArrayLike, *, dash: str = "", width: float = 2.2) -> None:
@@ -194,24 +194,27 @@ def largest(rows: Sequence[Row]) -> Row:
     return max([row for row in rows if row.n] or rows, key=lambda row: row.point_um)
 
 
-def _differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
+def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, units: str) -> None:
     """Draw the difference over the mean of the two, with its mean and limits."""
-    mean, difference = (a + b) / 2, b - a
+    mean, differences = (a + b) / 2, b - a
     units = unit(row.units or "") or units
-    levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
-    low, high = _limits(difference)
-    room = 0.04 * (high - low)
-    span = min(low, *levels) - room if levels else low, max(high, *levels) + room if levels else high
-    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_limits(mean), *span))
+    line_levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
+    low, high = _axis_limits(differences)
+    margin = 0.04 * (high - low)
+    y_limits = (
+        min(low, *line_levels) - margin if line_levels else low,
+        max(high, *line_levels) + margin if line_levels else high,
+    )
+    axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_axis_limits(mean), *y_limits))
     axes.across(0.0, width=1)
-    axes.dots(np.stack([mean, difference], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
-    for k, value in enumerate(levels):
+    axes.dots(np.stack([mean, differences], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
+    for k, value in enumerate(line_levels):
         draw_fit(axes, [(x, value) for x in axes.extent[:2]], dash="7 4" if k else "", width=2)
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
-    end = f" {units}" if units else ""
-    text = f"mean {mean}{end}\u2003s. d. {spread}{end}\u2003limits {lower} to {upper}{end}"
-    _heading(canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", text)
+    unit_text = f" {units}" if units else ""
+    text = f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to {upper}{unit_text}"
+    _draw_heading(canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", text)
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
@@ -219,44 +222,47 @@ def written_difference(row: CorrelationRow) -> tuple[str, ...]:
     return tuple(to_spread(v, row.difference_sd) for v in (row.difference_mean, row.difference_sd, *row.limits))
 
 
-def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar: float = 0.0) -> Axes:
-    """Draw larger points one by one; where they are many and there is room for a colour ``bar``, their density."""
-    if bar and points[0].size > 5000:
-        return _density(canvas, (*box[:2], box[2] - bar, box[3]), points, counted="points")
-    axes, many = canvas.axes(*box, (*_limits(points[0], 0.0), *_limits(points[1], 0.0))), points[0].size > 2000
-    axes.dots(np.stack(points, axis=1), colour=POINT, size=3 if many else 4.6, opacity=0.5 if many else 0.7)
+def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, float], *, bar_px: float = 0.0) -> Axes:
+    """Draw larger points one by one; where they are many and there is room for a colour ``bar_px``, their density."""
+    if bar_px and points[0].size > 5000:
+        return _draw_density(canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points")
+    axes, is_dense = (
+        canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0))),
+        points[0].size > 2000,
+    )
+    axes.dots(np.stack(points, axis=1), colour=POINT, size=3 if is_dense else 4.6, opacity=0.5 if is_dense else 0.7)
     return axes
 
 
-def _density(canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted: str) -> Axes:
+def _draw_density(canvas: Canvas, box: tuple[float, float, float, float], points: Points, *, counted_text: str) -> Axes:
     """Draw how many points fall where, with the colour bar to the right."""
-    ranges, (x0, y0, wide, high) = (_limits(points[0]), _limits(points[1])), box
+    ranges, (left_px, top_px, width, height) = (_axis_limits(points[0]), _axis_limits(points[1])), box
     bins = int(np.clip(np.sqrt(points[0].size) / 1.5, _LEAST_BINS, _BINS))
     counts = np.histogram2d(*points, bins=bins, range=ranges)[0].T[::-1]
     scale = Scale(0.0, float(np.log10(max(counts.max(initial=1.0), 10.0))), PROPERTY)
     logs = np.where(counts > 0, np.log10(np.maximum(counts, 1.0)), np.nan)
     axes = canvas.axes(*box, (*ranges[0], *ranges[1]))
     axes.image(ShownMap(logs, axes.extent), scale, missing="#ffffff")
-    canvas.colour_bar(x0 + wide + 8, y0, 10, high, scale, log=True)
-    canvas.text(x0 + wide + 8, y0 - 8, counted, size=SMALL, colour=SOFT)
+    canvas.colour_bar(left_px + width + 8, top_px, 10, height, scale, log=True)
+    canvas.text(left_px + width + 8, top_px - 8, counted_text, size=SMALL, colour=SOFT)
     return axes
 
 
-def _heading(canvas: Canvas, x0: float, title: str, numbers: str) -> None:
-    canvas.text(x0, 20, title, bold=True, size=13)
-    canvas.text(x0, 43, numbers)
+def _draw_heading(canvas: Canvas, left_px: float, title: str, numbers_text: str) -> None:
+    canvas.text(left_px, 20, title, bold=True, size=13)
+    canvas.text(left_px, 43, numbers_text)
 
 
-def _limits(data: Array, percent: float = 0.05) -> tuple[float, float]:
+def _axis_limits(data: Array, percent: float = 0.05) -> tuple[float, float]:
     if data.size == 0:
         return 0.0, 1.0
     low, high = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
-    room = 0.04 * (high - low) or 0.5
-    return low - room, high + room
+    margin = 0.04 * (high - low) or 0.5
+    return low - margin, high + margin
 
 
-def _numbers(row: CorrelationRow, units: tuple[str, str]) -> str:
+def _correlation_text(row: CorrelationRow, units: tuple[str, str]) -> str:
     if not is_known(row.r):
         return "no correlation: too few points, or a constant map"
-    per = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
-    return f"{r_sentence(row)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{per}"
+    unit_text = f"{' ' + units[1] if units[1] else ''} per {units[0]}" if units[0] and units[0] != units[1] else ""
+    return f"{r_sentence(row)}\u2003n = {count(row.n)}\u2003slope {number(row.slope)}{unit_text}"

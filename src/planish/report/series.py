@@ -63,15 +63,16 @@ def series_page(results: SeriesResults, maps: Sequence[SmallMap]) -> str:
     factors = [name for name in results.factors if any(name in member.factors for member in results.members)]
     page = text.template("planish.report", "series.html.j2").render(
         results=results, words=words, statement=statement, text=text, sources=_SOURCES, factors=factors,
-        columns=columns, lines=[_line(specimen, factors, columns, results) for specimen in results.specimens],
-        orders=_orders(results, factors), pictures=[picture for k in columns if (picture := draw_groups(results, k))],
+        columns=columns, lines=[_specimen_line(specimen, factors, columns, results) for specimen in results.specimens],
+        orders=_specimen_orders(results, factors),
+        pictures=[picture for k in columns if (picture := draw_groups(results, k))],
         tiled=_tile_maps(maps), out=[specimen for specimen in results.specimens if specimen.member.state != "whole"],
         linked=any(specimen.kind not in (None, "map") for specimen in results.specimens),
     )  # fmt: skip
     return f"{page}\n"
 
 
-def _line(
+def _specimen_line(
     specimen: SeriesSpecimen, factors: Sequence[str], columns: Sequence[int], results: SeriesResults
 ) -> dict[str, Any]:
     """Return what the table shows of one specimen: its cells are texts, each with a word of doubt."""
@@ -79,39 +80,40 @@ def _line(
     for k in columns if specimen.cells else ():
         cell = specimen.cells[k]
         # A word below a figure that is not used like the others.
-        is_apart = cell.trust == "ok" and cell.why_not.startswith(("too few", "points of"))
-        doubt = cell.why_not if is_apart else "" if cell.trust == "ok" else cell.trust
-        cells[k] = words.cell_text(cell, results.quantities[k]), doubt
+        has_own_reason = cell.trust == "ok" and cell.why_not.startswith(("too few", "points of"))
+        doubt_text = cell.why_not if has_own_reason else "" if cell.trust == "ok" else cell.trust
+        cells[k] = words.cell_text(cell, results.quantities[k]), doubt_text
     link = "" if specimen.kind is None else f"{quote(specimen.member.run or '')}/report.html"
     return {"specimen": specimen, "link": link, "factors": [specimen.factor(f) for f in factors], "cells": cells}
 
 
-def _orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
+def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tuple[str, list[int]]]:
     """The orders in which the table of specimens is written: as listed, by name, by factors, by figures."""
     specimens = results.specimens
-    keys: list[tuple[str, list[Any]]] = [
+    sort_keys: list[tuple[str, list[Any]]] = [
         ("name", [natural(s.name) for s in specimens]),
         ("state", [(s.member.state != "whole", s.member.state, s.light or "") for s in specimens]),
     ]
-    by_group = sorted(factors, key=lambda name: name not in results.grouped_by)
-    keys += [(f, [(not s.factor(f), natural(s.factor(f))) for s in specimens]) for f in by_group[:3]]
+    factor_names = sorted(factors, key=lambda name: name not in results.grouped_by)
+    sort_keys += [(f, [(not s.factor(f), natural(s.factor(f))) for s in specimens]) for f in factor_names[:3]]
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
             title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
             values = [s.cells[k].value if s.cells else None for s in specimens]
-            keys.append((title, [(False, v) if v is not None and math.isfinite(v) else (True, 0.0) for v in values]))
+            finite_first = [(False, v) if v is not None and math.isfinite(v) else (True, 0.0) for v in values]
+            sort_keys.append((title, finite_first))
     orders = [("as listed", list(range(len(specimens))))]
-    for name, of_order in keys:
-        numbers = sorted(range(len(specimens)), key=of_order.__getitem__)
-        if len(orders) < 9 and all(numbers != listed for _, listed in orders):
-            orders.append((name, numbers))
+    for name, sort_key in sort_keys:
+        order = sorted(range(len(specimens)), key=sort_key.__getitem__)
+        if len(orders) < 9 and all(order != other_order for _, other_order in orders):
+            orders.append((name, order))
     return orders
 
 
 def natural(name: str) -> tuple[tuple[int, int, str], ...]:
     """Key that puts 2 before 10."""
-    parts = re.findall(r"\d+|\D+", name.casefold())
-    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in parts)
+    runs = re.findall(r"\d+|\D+", name.casefold())
+    return tuple((0, int(part), "") if part.isdecimal() else (1, 0, part) for part in runs)
 
 
 # --- small maps ------------------------------------------------------------------------------------------------------
@@ -144,25 +146,25 @@ def _tile_maps(maps: Sequence[SmallMap]) -> dict[str, Any]:
 
     ``images`` are specimen, address, width and height in CSS pixels; ``missing`` the specimens without.
     """
-    drawn = {m.specimen: m.shown for m in maps if m.shown is not None and bool(np.isfinite(m.shown.values).any())}
-    missing = [m.specimen for m in maps if m.specimen not in drawn]
-    if not drawn:
-        return {"images": [], "missing": missing}
-    scale = limits(np.concatenate([m.values.ravel() for m in drawn.values()]))
-    um = max(max(m.width, m.height) for m in drawn.values()) / _WIDE
+    shown_maps = {m.specimen: m.shown for m in maps if m.shown is not None and bool(np.isfinite(m.shown.values).any())}
+    missing_names = [m.specimen for m in maps if m.specimen not in shown_maps]
+    if not shown_maps:
+        return {"images": [], "missing": missing_names}
+    scale = limits(np.concatenate([m.values.ravel() for m in shown_maps.values()]))
+    um_per_px = max(max(m.width, m.height) for m in shown_maps.values()) / _WIDE
     images = [
-        (name, image_uri(m.values, scale), max(m.width / um, _LEAST), max(m.height / um, _LEAST))
-        for name, m in drawn.items()
+        (name, image_uri(m.values, scale), max(m.width / um_per_px, _LEAST), max(m.height / um_per_px, _LEAST))
+        for name, m in shown_maps.items()
     ]
     # The colours of all small maps, and a length on them.
-    canvas, first = Canvas(HALF, 62), next(m for m in maps if m.specimen in drawn)
+    canvas, first_map = Canvas(HALF, 62), next(m for m in maps if m.specimen in shown_maps)
     canvas.colour_bar(8, 6, 300, 12, scale)
-    canvas.text(8, 54, axis_label(first.title, first.unit))
-    length = round_step(0.5 * _WIDE * um)
-    canvas.line([(350, 12), (350 + length / um, 12)], colour=INK, width=3)
-    canvas.text(350, 32, plain(length), size=SMALL)
-    bar = canvas.picture(title="Colours and scale of all maps", caption="")
-    return {"bar": bar, "images": images, "missing": missing}
+    canvas.text(8, 54, axis_label(first_map.title, first_map.unit))
+    bar_um = round_step(0.5 * _WIDE * um_per_px)
+    canvas.line([(350, 12), (350 + bar_um / um_per_px, 12)], colour=INK, width=3)
+    canvas.text(350, 32, plain(bar_um), size=SMALL)
+    bar_picture = canvas.picture(title="Colours and scale of all maps", caption="")
+    return {"bar": bar_picture, "images": images, "missing": missing_names}
 
 
 # --- groups ----------------------------------------------------------------------------------------------------------
@@ -181,31 +183,31 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
         ]
         for g in groups
     ]  # fmt: skip
-    drawn = [v * factor for of_group in fields for _, v in of_group]
-    drawn += [v * factor for g in groups for v in g.interval if is_known(v)]
-    low, high = min(drawn), max(drawn)
+    plotted = [v * factor for group_fields in fields for _, v in group_fields]
+    plotted += [v * factor for g in groups for v in g.interval if is_known(v)]
+    low, high = min(plotted), max(plotted)
     margin = 0.06 * (high - low) or 0.05 * abs(high) or 0.5
     low, high = low - margin, high + margin
-    x0 = min(max(len(_short_label(g.group)) for g in groups) * _LETTER + 16, _WIDEST_NAME)
-    x1, bottom = HALF - 20, _TOP + _ROW * len(groups)
-    canvas = Canvas(HALF, bottom + 50)
-    axes = canvas.axes(x0, _TOP, x1 - x0, bottom - _TOP, (low, high, float(len(groups)), 0.0))
-    for i, (g, of_group) in enumerate(zip(groups, fields, strict=True)):
+    left_px = min(max(len(_short_label(g.group)) for g in groups) * _LETTER + 16, _WIDEST_NAME)
+    right_px, bottom_px = HALF - 20, _TOP + _ROW * len(groups)
+    canvas = Canvas(HALF, bottom_px + 50)
+    axes = canvas.axes(left_px, _TOP, right_px - left_px, bottom_px - _TOP, (low, high, float(len(groups)), 0.0))
+    for i, (g, group_fields) in enumerate(zip(groups, fields, strict=True)):
         y, sheets = i + 0.5, dict[str, list[float]]()
-        axes.dots([(v * factor, y - 0.18) for _, v in of_group], colour="#9db4c6", size=4)
-        for sheet, v in of_group:
+        axes.dots([(v * factor, y - 0.18) for _, v in group_fields], colour="#9db4c6", size=4)
+        for sheet, v in group_fields:
             sheets.setdefault(sheet, []).append(v * factor)
         axes.dots([(float(np.mean(v)), y + 0.06) for v in sheets.values()], colour=POINT, size=6)
         if is_known(g.interval):
             axes.line([(v * factor, y + 0.3) for v in g.interval], colour=ACCENT, width=2)
         if is_known(g.mean):
             axes.dots([(g.mean * factor, y + 0.3)], colour=ACCENT, size=7)
-        canvas.text(x0 - 8, _TOP + _ROW * y + 4, _short_label(g.group), anchor="end")
-    canvas.line([(x0, bottom), (x1, bottom)], colour=SOFT, width=0.8)
+        canvas.text(left_px - 8, _TOP + _ROW * y + 4, _short_label(g.group), anchor="end")
+    canvas.line([(left_px, bottom_px), (right_px, bottom_px)], colour=SOFT, width=0.8)
     ticks = multiples(low, high, round_step((high - low) / 4))
     canvas.number_axes(axes, [(v, f"{v + 0.0:.6g}".replace("-", "−")) for v in ticks], [])
-    canvas.text((x0 + x1) / 2, bottom + 38, axis_label(words.title(q), words.units(q)), anchor="middle")
-    rows = [(words.label(g.group), s, v) for g, of_group in zip(groups, fields, strict=True) for s, v in of_group]
+    canvas.text((left_px + right_px) / 2, bottom_px + 38, axis_label(words.title(q), words.units(q)), anchor="middle")
+    rows = [(words.label(g.group), *field) for g, of_group in zip(groups, fields, strict=True) for field in of_group]
     means = [f"{words.label(g.group)} {words.value(g.mean, q)} ({words.sheets_text(g.sheets)})" for g in groups]
     return canvas.picture(
         title=words.title(q),
@@ -219,9 +221,9 @@ def draw_groups(results: SeriesResults, k: int) -> Picture | None:
 
 def _short_label(group: Mapping[str, str]) -> str:
     """Name a group beside its row: where that is too long, by the beginnings of its levels."""
-    name, most = words.label(group), int((_WIDEST_NAME - 16) / _LETTER)
-    if len(name) <= most:
-        return name
-    each = max(most // len(group) - 3, 4)
-    spare = sum(max(each - len(level), 0) for level in group.values())
-    return words.label({f: v if len(v) <= each + spare else f"{v[: each + spare - 1]}…" for f, v in group.items()})
+    full_label, max_letters = words.label(group), int((_WIDEST_NAME - 16) / _LETTER)
+    if len(full_label) <= max_letters:
+        return full_label
+    letters = max(max_letters // len(group) - 3, 4)  # of each level, and what shorter ones leave over
+    letters += sum(max(letters - len(level), 0) for level in group.values())
+    return words.label({f: v if len(v) <= letters else f"{v[: letters - 1]}…" for f, v in group.items()})

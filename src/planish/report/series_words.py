@@ -26,24 +26,24 @@ def lead(results: SeriesResults) -> str:
     if not any(specimen.kind for specimen in results.specimens):
         return f"No specimen has a run that can be read. {states(results)}"
     if results.differences:
-        alike = [d for d in results.differences if d.quantity == results.differences[0].quantity]
-        sentences = [difference(d, results) for d in alike[:_LED]]
-        if len(alike) > _LED:
-            sentences.append(f"{len(alike) - _LED} more of this quantity stand below.")
+        same_quantity = [d for d in results.differences if d.quantity == results.differences[0].quantity]
+        sentences = [difference(d, results) for d in same_quantity[:_LED]]
+        if len(same_quantity) > _LED:
+            sentences.append(f"{len(same_quantity) - _LED} more of this quantity stand below.")
         verdicts = [d.verdict for d in results.differences]
-        total, differ, unknown = len(verdicts), verdicts.count("differ"), verdicts.count("unknown")
-        if unknown == total > 1:
-            sentences.append(f"None of {total} differences can be told.")
-        elif total > 1:
-            words = "none is" if differ == 0 else "1 is" if differ == 1 else f"{differ} are"
-            tail = f"; {unknown} cannot be told" if unknown else ""
-            sentences.append(f"Of {total} differences, {words} distinguishable after Holm{tail}.")
+        n_differences, n_differ, n_unknown = len(verdicts), verdicts.count("differ"), verdicts.count("unknown")
+        if n_unknown == n_differences > 1:
+            sentences.append(f"None of {n_differences} differences can be told.")
+        elif n_differences > 1:
+            differ_text = "none is" if n_differ == 0 else "1 is" if n_differ == 1 else f"{n_differ} are"
+            unknown_text = f"; {n_unknown} cannot be told" if n_unknown else ""
+            sentences.append(f"Of {n_differences} differences, {differ_text} distinguishable after Holm{unknown_text}.")
         return " ".join(sentences)
     groups = [g for g in results.groups if g.fields]
     if not groups:
         return f"Nothing can be compared: no figure of any specimen counts. {states(results)}"
-    stated = [g for g in groups if results.quantities[g.quantity].what in ("mean", "r")]
-    return " ".join(group_sentence(g, results) for g in [g for g in stated if g.group == groups[0].group][:2])
+    main_groups = [g for g in groups if results.quantities[g.quantity].what in ("mean", "r")]
+    return " ".join(group_sentence(g, results) for g in [g for g in main_groups if g.group == groups[0].group][:2])
 
 
 def states(results: SeriesResults) -> str:
@@ -51,15 +51,15 @@ def states(results: SeriesResults) -> str:
     counts, total = Counter(member.state for member in results.members), len(results.specimens)
     if counts["whole"] == total:
         return f"All {total} specimens are whole." if total > 1 else "The specimen is whole."
-    return f"Of {total} specimens, {', '.join(f'{counts[s]} {words}' for s, words in _STATES.items() if counts[s])}."
+    return f"Of {total} specimens, {', '.join(f'{counts[s]} {text}' for s, text in _STATES.items() if counts[s])}."
 
 
 def light_of(results: SeriesResults) -> str:
     """The colour that the first lines have: the class of the style."""
-    whole = [member.state == "whole" for member in results.members]
-    if not any(whole):
+    is_whole = [member.state == "whole" for member in results.members]
+    if not any(is_whole):
         return "fail"
-    return "pass" if all(whole) and not any(g.left_out for g in results.groups) else "look"
+    return "pass" if all(is_whole) and not any(g.left_out for g in results.groups) else "look"
 
 
 # --- numbers -------------------------------------------------------------------------------------------------------
@@ -109,9 +109,9 @@ def interval(limits: tuple[float, float] | None, q: Quantity) -> str:
 
 def short(q: Quantity) -> str:
     """Heading of a column: the statistic with its unit."""
-    size = "" if q.at_um is None else f"{q.at_um:g} µm"
-    name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {size}" if q.at_um else "Bare",
-            "r": f"r with {q.other_layer or 'the image'}, points of {size}"}[q.what]  # fmt: skip
+    size_text = "" if q.at_um is None else f"{q.at_um:g} µm"
+    name = {"mean": "Mean", "sd": "Standard deviation", "thin_share": f"Below {size_text}" if q.at_um else "Bare",
+            "r": f"r with {q.other_layer or 'the image'}, points of {size_text}"}[q.what]  # fmt: skip
     return axis_label(name, units(q))
 
 
@@ -139,34 +139,37 @@ def sheets_text(n: int) -> str:
 def group_sentence(g: GroupFacts, results: SeriesResults) -> str:
     """State the mean over the sheets of a group."""
     q = results.quantities[g.quantity]
-    of = "" if not g.group else f"{label(g.group)}: "
-    over = f"{sheets_text(g.sheets)}, {g.fields} field{'s' if g.fields != 1 else ''}"
-    mean = with_units(value(g.mean, q, g.interval), q)
-    text = f"{of}{'' if q.what == 'r' else 'the '}{typeset(q.title)} is {mean}"
+    group_text = "" if not g.group else f"{label(g.group)}: "
+    count_text = f"{sheets_text(g.sheets)}, {g.fields} field{'s' if g.fields != 1 else ''}"
+    mean_text = with_units(value(g.mean, q, g.interval), q)
+    sentence = f"{group_text}{'' if q.what == 'r' else 'the '}{typeset(q.title)} is {mean_text}"
     if is_known(g.interval):
-        text += f" (95 %: {with_units(interval(g.interval, q), q)}; {over})."
+        sentence += f" (95 %: {with_units(interval(g.interval, q), q)}; {count_text})."
     else:
-        text += f"{f', without an interval: {g.reason}' if g.reason else ''} ({over})."
-    return text if text.startswith("r of") else capital(text)  # r stays small
+        sentence += f"{f', without an interval: {g.reason}' if g.reason else ''} ({count_text})."
+    return sentence if sentence.startswith("r of") else capital(sentence)  # r stays small
 
 
 def difference(d: DifferenceFacts, results: SeriesResults) -> str:
     """State one difference, and whether it is distinguishable."""
     q, (first, second) = results.quantities[d.quantity], d.levels
-    of = f"{label(d.within)}: " if d.within else ""
-    of_what, names = typeset(q.title), f"{first} and {second}"
+    group_text = f"{label(d.within)}: " if d.within else ""
+    quantity_text, names = typeset(q.title), f"{first} and {second}"
     if not is_known(d.interval):
-        return capital(f"{of}whether {names} differ in {of_what} cannot be told: {d.reason or 'no figure counts'}.")
+        reason = d.reason or "no figure counts"
+        return capital(f"{group_text}whether {names} differ in {quantity_text} cannot be told: {reason}.")
     verb = "differ" if d.verdict == "differ" else f"are {verdict(d)}"
-    change, equivalence = with_units(signed(d, q), q, change=True), ""
+    change_text, equivalence_text = with_units(signed(d, q), q, change=True), ""
     if d.equivalence is not None and d.equivalence.verdict != "unknown":
-        margin = f"the declared margin of {margin_text(d.equivalence.margin, q)}"
-        equivalence = {"equivalent": f" They are equivalent within {margin}.",
-                       "larger": f" The difference is larger than {margin}.",
-                       "undecided": f" Smaller than {margin} or not: undecided."}[d.equivalence.verdict]  # fmt: skip
+        declared_text = f"the declared margin of {margin_text(d.equivalence.margin, q)}"
+        equivalence_text = {
+            "equivalent": f" They are equivalent within {declared_text}.",
+            "larger": f" The difference is larger than {declared_text}.",
+            "undecided": f" Smaller than {declared_text} or not: undecided.",
+        }[d.equivalence.verdict]
     return capital(
-        f"{of}{names} {verb} in {of_what}: {second} − {first} = {change} "
-        f"(95 %: {with_units(interval(d.interval, q), q, change=True)}; {sampled(d)}).{equivalence}"
+        f"{group_text}{names} {verb} in {quantity_text}: {second} − {first} = {change_text} "
+        f"(95 %: {with_units(interval(d.interval, q), q, change=True)}; {sampled(d)}).{equivalence_text}"
     )
 
 
@@ -185,14 +188,14 @@ def sampled(d: DifferenceFacts) -> str:
 
 def verdict(d: DifferenceFacts) -> str:
     """The verdict on a difference, short."""
-    words = {"not after Holm": "not distinguishable after Holm", "unknown": d.reason or "no figure counts"}
-    return words.get(d.verdict, d.verdict)
+    verdict_texts = {"not after Holm": "not distinguishable after Holm", "unknown": d.reason or "no figure counts"}
+    return verdict_texts.get(d.verdict, d.verdict)
 
 
 def left_out(names: Sequence[str]) -> str:
     """Name the specimens that do not count, the first of them where they are many."""
-    more = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
-    return ", ".join(names[:_NAMED]) + more if names else "none"
+    more_text = f" and {len(names) - _NAMED} more" if len(names) > _NAMED else ""
+    return ", ".join(names[:_NAMED]) + more_text if names else "none"
 
 
 def equivalent(d: DifferenceFacts, q: Quantity) -> str:
@@ -201,9 +204,13 @@ def equivalent(d: DifferenceFacts, q: Quantity) -> str:
     if e is None:
         return ""
     margin = margin_text(e.margin, q)
-    words = {"equivalent": f"equivalent within ± {margin}", "larger": f"larger than ± {margin}",
-             "undecided": f"undecided at ± {margin}", "unknown": f"± {margin}: cannot be told"}[e.verdict]  # fmt: skip
-    return f"{words} (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else words
+    verdict_text = {
+        "equivalent": f"equivalent within ± {margin}",
+        "larger": f"larger than ± {margin}",
+        "undecided": f"undecided at ± {margin}",
+        "unknown": f"± {margin}: cannot be told",
+    }[e.verdict]
+    return verdict_text + (f" (90 %: {interval(e.interval, q)}; p {p_text(e.p)})" if is_known(e.interval) else "")
 
 
 def tiles(results: SeriesResults) -> list[KeyFigure]:
@@ -215,10 +222,11 @@ def tiles(results: SeriesResults) -> list[KeyFigure]:
         if q.map != results.quantities[0].map or len(figures) == 4:
             continue
         if d is not None:
-            of = f"{label(d.within)}; " if d.within else ""
-            ends = f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
-            title = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
-            figures.append(KeyFigure(signed(d, q), units(q, change=True), title, f"{of}{ends}{verdict(d)}"))
+            group_text = f"{label(d.within)}; " if d.within else ""
+            limits_text = f"95 %: {interval(d.interval, q)}; " if is_known(d.interval) else "no interval: "
+            label_text = f"{d.levels[1]} − {d.levels[0]}: {typeset(q.title)}"
+            note = f"{group_text}{limits_text}{verdict(d)}"
+            figures.append(KeyFigure(signed(d, q), units(q, change=True), label_text, note))
         elif g is not None:
             note = f"95 %: {interval(g.interval, q)}" if is_known(g.interval) else f"no interval: {g.reason}"
             note = f"{f'{label(g.group)}, ' if g.group else ''}{sheets_text(g.sheets)}; {note}"
@@ -232,31 +240,31 @@ def heterogeneous(g: GroupFacts, q: Quantity) -> str:
         z = g.between_sheets
         if z is None:
             return "one sheet: nothing to compare" if g.sheets == 1 else NONE
-        verdict = "sheets differ beyond their own scatter" if z.p < 0.05 else "no more than their own scatter"
-        return f"{verdict}: I² {number(100 * z.i2, 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
+        verdict_text = "sheets differ beyond their own scatter" if z.p < 0.05 else "no more than their own scatter"
+        return f"{verdict_text}: I² {number(100 * z.i2, 2)}\u202f%, Q {number(z.q)}, p {p_text(z.p)}"
     v = g.variances
     if v is None or not is_known(v.sd_within) or not is_known(v.share):
         return (v.reason if v else "") or NONE
-    limits = v.share_interval
-    ends = f" (95 %: {number(100 * limits[0], 2)} to {number(100 * limits[1], 2)}\u202f%)" if is_known(limits) else ""
+    low, high = (number(100 * share, 2) for share in v.share_interval)
+    limits_text = f" (95 %: {low} to {high}\u202f%)" if is_known(v.share_interval) else ""
     return (
         f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between: {number(100 * v.share, 2)}"
-        f"\u202f% of the variance{ends}, p {p_text(v.p)}"
+        f"\u202f% of the variance{limits_text}, p {p_text(v.p)}"
     )
 
 
 def spans(results: SeriesResults, columns: Sequence[int]) -> list[tuple[str, int]]:
     """Headings over the columns of one map: its title, and how many there are."""
-    titles = groupby(capital(results.quantities[k].map_title) for k in columns)
-    return [(title, len([*alike])) for title, alike in titles]
+    grouped = groupby(capital(results.quantities[k].map_title) for k in columns)
+    return [(title, len([*columns_of_map])) for title, columns_of_map in grouped]
 
 
 def declared(results: SeriesResults) -> list[tuple[str, str]]:
     """What was declared, and what the program took where nothing was."""
     options: Mapping[str, object] = results.declared
-    margins, by = options.get("margin"), results.compared_by or "nothing: one group"
+    margins, compared_by = options.get("margin"), results.compared_by or "nothing: one group"
     return [
-        ("Compared by", f"{by}{'' if options.get('compare') else ' (usual)'}"),
+        ("Compared by", f"{compared_by}{'' if options.get('compare') else ' (usual)'}"),
         ("Groups", ", ".join(results.grouped_by) or "one"),
         ("Maps", ", ".join(dict.fromkeys(q.map for q in results.quantities)) or NONE),
         ("Margins", ", ".join(f"{k} {v:g}" for k, v in margins.items()) if isinstance(margins, dict) and margins

@@ -14,8 +14,8 @@ Row = CorrelationRow | ComparisonRow
 def decimals(row: Row) -> int:
     """Decimals of r² that its interval allows: those of one significant digit of half its width."""
     limits = r2_limits(row)
-    half = (limits[1] - limits[0]) / 2 if limits else 0.0
-    return min(max(-math.floor(math.log10(half)), 1), MOST_DECIMALS) if half > 0 else 2
+    half_width = (limits[1] - limits[0]) / 2 if limits else 0.0
+    return min(max(-math.floor(math.log10(half_width)), 1), MOST_DECIMALS) if half_width > 0 else 2
 
 
 def r2_limits(row: Row) -> tuple[float, float] | None:
@@ -48,8 +48,8 @@ def r_interval_text(row: Row | None) -> str:
 
 def r_sentence(row: Row) -> str:
     """Write ``r = `` with its interval, where it has one."""
-    limits = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
-    return f"r = {r_text(row)}{limits}"
+    limits_text = f" (95 %: {r_interval_text(row)})" if is_known(row.interval) else ""
+    return f"r = {r_text(row)}{limits_text}"
 
 
 def p_text(p: float | None) -> str:

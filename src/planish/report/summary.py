@@ -40,8 +40,8 @@ class LagVerdict(NamedTuple):
 def summarise(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     """Return the result of a run in one sentence and a few numbers, as far as it goes and no further."""
     if not results.is_link:
-        return _of_map(results, titles)
-    return _of_two(results, titles) if len(results.moving) == 1 else _of_layers(results, titles)
+        return _map_summary(results, titles)
+    return _pair_summary(results, titles) if len(results.moving) == 1 else _layers_summary(results, titles)
 
 
 def check_summary(results: Results) -> str:
@@ -50,20 +50,20 @@ def check_summary(results: Results) -> str:
     total = len(results.checks)
     if not (fail or look or unknown):
         return f"All {total} checks are passed." if total != 1 else "The check is passed."
-    it = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
-    parts = [
-        f"{fail} failed, and what {it[fail]} is withheld" if fail else "",
-        f"{look} {'asks' if look == 1 else 'ask'} for a look, and what {it[look]} is doubtful" if look else "",
+    subjects = {n: "it concerns" if n == 1 else "they concern" for n in (fail, look)}
+    clauses = [
+        f"{fail} failed, and what {subjects[fail]} is withheld" if fail else "",
+        f"{look} {'asks' if look == 1 else 'ask'} for a look, and what {subjects[look]} is doubtful" if look else "",
         f"{unknown} could not be answered" if unknown else "",
     ]
-    return f"Of {total} checks, {'; '.join(part for part in parts if part)}."
+    return f"Of {total} checks, {'; '.join(part for part in clauses if part)}."
 
 
 def doubt(results: Results, trust: Trust, layers: Sequence[str]) -> str:
     """Say why a figure of some layers is kept out of the headline."""
     state: State = "fail" if trust == "withheld" else "look"
-    names = [c.name for c in results.checks_in(state) if c.figures and (not c.layers or set(c.layers) & set(layers))]
-    return f"is {trust} ({', '.join(dict.fromkeys(names))})"
+    checks = (c for c in results.checks_in(state) if c.figures and (not c.layers or set(c.layers) & set(layers)))
+    return f"is {trust} ({', '.join(dict.fromkeys(check.name for check in checks))})"
 
 
 def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
@@ -73,15 +73,17 @@ def key_of(pair: CorrelationRow | EvidenceFacts) -> PairKey:
 
 def titles_of(pair: CorrelationRow | EvidenceFacts, titles: Titles, *, with_layers: bool = False) -> tuple[str, str]:
     """Return the titles of both maps of a pair, their names where they have none; on request with their layers."""
-    maps = (pair.a, pair.a_map), (pair.b, pair.b_map)
-    first, second = (titles.get(key, key[1]) + (f", {key[0]}" if with_layers else "") for key in maps)
-    return first, second
+
+    def title(layer: str, name: str) -> str:
+        return titles.get((layer, name), name) + (f", {layer}" if with_layers else "")
+
+    return title(pair.a, pair.a_map), title(pair.b, pair.b_map)
 
 
 def names_in_words(pair: CorrelationRow | EvidenceFacts, titles: Titles) -> tuple[str, str]:
     """Return the titles of both maps of a pair as they stand in a sentence."""
-    first, second = map(in_words, titles_of(pair, titles))
-    return first, second
+    first_title, second_title = titles_of(pair, titles)
+    return in_words(first_title), in_words(second_title)
 
 
 def by_pair(results: Results) -> list[list[CorrelationRow]]:
@@ -94,9 +96,9 @@ def by_pair(results: Results) -> list[list[CorrelationRow]]:
 
 def headline_pair(results: Results, moving: LayerFacts) -> list[CorrelationRow]:
     """Return the correlations of the maps that stand for a layer and for the reference; empty where there are none."""
-    wanted = {(moving.name, moving.headline), (results.reference.name, results.reference.headline)}
-    groups = (g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == wanted)
-    return next(groups, [])
+    map_keys = {(moving.name, moving.headline), (results.reference.name, results.reference.headline)}
+    pair_groups = (g for g in by_pair(results) if {(g[0].a, g[0].a_map), (g[0].b, g[0].b_map)} == map_keys)
+    return next(pair_groups, [])
 
 
 def lead_pair(results: Results) -> list[CorrelationRow]:
@@ -109,9 +111,9 @@ def lead_pair(results: Results) -> list[CorrelationRow]:
         return []
     if len(results.moving) == 1:
         return headline_pair(results, results.moving[0])
-    name = results.reference.name
-    groups = (g for g in by_pair(results) if name in (g[0].a, g[0].b) and is_known(largest(g).r2))
-    return min(groups, key=lambda group: largest(group).r2, default=[])
+    reference = results.reference.name
+    pair_groups = (g for g in by_pair(results) if reference in (g[0].a, g[0].b) and is_known(largest(g).r2))
+    return min(pair_groups, key=lambda group: largest(group).r2, default=[])
 
 
 def density_of(results: Results, row: CorrelationRow) -> float | None:
@@ -125,31 +127,30 @@ def quantities(results: Results) -> list[str]:
     return [f"{capital(with_article(name))}: {typeset(image.sentence)}." for name, image in images]
 
 
-def _percent_of(share: float | None) -> str:
+def _percent_text(share: float | None) -> str:
     return fixed(None if share is None else 100 * share, 0)
 
 
-def _of_map(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
+def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     sheet, layer = results.reference.sheet, results.reference.name
     assert sheet is not None
-    measured, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
+    measured_share, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
     names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
     sentence = (
-        f"The sheet was found in {percent(measured, 2)} of the columns and flattened; mapped: "
+        f"The sheet was found in {percent(measured_share, 2)} of the columns and flattened; mapped: "
         f"{', '.join(names) if names else 'no property'}. No image was linked."
     )
     if not {"coating_top", "coating_bottom"} & set(sheet.properties):
         sentence += " No coating was found."
-    thickness, mean, spread = sheet.properties.get("thickness"), None, NONE
+    thickness, mean_um, spread_text = sheet.properties.get("thickness"), None, NONE
     if thickness is not None and thickness.trust == "ok":
-        mean, spread = thickness.mean, f"standard deviation {number(thickness.sd, 2)} µm"
+        mean_um, spread_text = thickness.mean, f"standard deviation {number(thickness.sd, 2)} µm"
     elif thickness is not None:
-        spread = f"{thickness.trust}; see the checks"
+        spread_text = f"{thickness.trust}; see the checks"
+    columns_text = f"of {count(sheet.surfaces.columns)}"
     return sentence, [
-        KeyFigure(number(mean), "µm", "mean sheet thickness", spread),
-        KeyFigure(
-            _percent_of(measured), "%", "of the volume's columns are measured", f"of {count(sheet.surfaces.columns)}"
-        ),
+        KeyFigure(number(mean_um), "µm", "mean sheet thickness", spread_text),
+        KeyFigure(_percent_text(measured_share), "%", "of the volume's columns are measured", columns_text),
         KeyFigure(number(100 * strain, 2), "%", "edge strain", "95th percentile over the mesh"),
         KeyFigure(
             number(sheet.flatten.largest_move_um), "µm", "largest displacement", "between projection and flat sheet"
@@ -157,26 +158,27 @@ def _of_map(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     ]
 
 
-def _of_two(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
+def _pair_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     moving, marks = results.moving[0], results.moving[0].registration
     rows = headline_pair(results, moving)
-    sentence = _relation(rows, results, titles)
+    sentence = _relation_sentence(rows, results, titles)
     if rows and rows[0].trust == "ok" and rows[0].same_quantity:
-        sentence += _difference(largest(rows), titles)
-    loo, note = None, NONE
+        sentence += _difference_sentence(largest(rows), titles)
+    loo_um, marks_text = None, NONE
     if marks is not None:
-        loo, note, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
+        loo_um, marks_text, e = marks.leave_one_out_rms_um, f"rms of {marks.matched} marks", marks.expected_error
         sentence += (
-            f" {marks.matched} marks were used." if loo is None
-            else f" Each of the {marks.matched} marks is predicted by the others to {length(loo, 2)} (rms)."
+            f" {marks.matched} marks were used." if loo_um is None
+            else f" Each of the {marks.matched} marks is predicted by the others to {length(loo_um, 2)} (rms)."
         )  # fmt: skip
         if e and e.trust == "ok" and e.median_um is not None:
-            note += f"; expected error of a pixel {length(e.median_um, 2)} (median), {length(e.largest_um, 2)} at most"
-    points, pixel = (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
+            median, largest_error = length(e.median_um, 2), length(e.largest_um, 2)
+            marks_text += f"; expected error of a pixel {median} (median), {largest_error} at most"
+    points_text, pixel_text = (f", points of {point_of(largest(rows))}", f", {point_of(rows[0])}") if rows else ("", "")
     return sentence, [
-        _figure_of_r(largest(rows) if rows else None, f"r{points}"),
-        _figure_of_r(rows[0] if rows else None, f"r at the pixel{pixel}"),
-        KeyFigure(number(loo, 2), "µm", "leave-one-out error", note),
+        _r_figure(largest(rows) if rows else None, f"r{points_text}"),
+        _r_figure(rows[0] if rows else None, f"r at the pixel{pixel_text}"),
+        KeyFigure(number(loo_um, 2), "µm", "leave-one-out error", marks_text),
     ]
 
 
@@ -185,7 +187,7 @@ def point_of(row: CorrelationRow) -> str:
     return plain(round(row.point_um, 4))
 
 
-def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
+def _relation_sentence(rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
     """Describe the correlation of two maps, at the pixel and at the largest points."""
     if not rows or (rows[0].trust == "ok" and not is_known(rows[0].r)):
         n = count(rows[0].n if rows else 0)
@@ -193,19 +195,21 @@ def _relation(rows: list[CorrelationRow], results: Results, titles: Titles) -> s
     pixel, row, (a, b) = rows[0], largest(rows), names_in_words(rows[0], titles)
     if pixel.trust != "ok":
         return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
-    image = results.layer(pixel.b).kind == "image"
-    second, first = ("the image", a) if image else (f"{b} of {pixel.b}", f"{a} of {pixel.a}")
-    independent = f"{count(row.n)} points of {point_of(row)}"
+    is_image = results.layer(pixel.b).kind == "image"
+    second_text, first_text = ("the image", a) if is_image else (f"{b} of {pixel.b}", f"{a} of {pixel.a}")
+    points_text = f"{count(row.n)} points of {point_of(row)}"
     if is_known(row.n_eff):
-        independent += f", {count(round(row.n_eff))} of them independent"
+        points_text += f", {count(round(row.n_eff))} of them independent"
     if not is_known(row.interval):
-        return f"Nothing is claimed about {first} and {second}: of {independent} ({REGISTERED})."
-    limits = f"r = {r_text(row)} with a 95 % interval of {r_interval_text(row)}, over {independent} ({REGISTERED})."
+        return f"Nothing is claimed about {first_text} and {second_text}: of {points_text} ({REGISTERED})."
+    interval = f"a 95 % interval of {r_interval_text(row)}"
+    limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({REGISTERED})."
     if not row.direction:
-        return f"No relation of {second} with {first} is certain: {limits}"
-    words = ("brighter", "darker") if image else ("larger", "smaller")
-    of = f" ({title[:1].lower()}{title[1:]})" if image and (title := titles.get((pixel.b, pixel.b_map))) else ""
-    return f"{capital(second)} is {words[row.direction < 0]}{of} where {first} is larger: {limits}"
+        return f"No relation of {second_text} with {first_text} is certain: {limits_text}"
+    word = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
+    title = titles.get((pixel.b, pixel.b_map)) if is_image else None
+    title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""
+    return f"{capital(second_text)} is {word}{title_text} where {first_text} is larger: {limits_text}"
 
 
 def cautions(results: Results) -> list[str]:
@@ -226,7 +230,7 @@ def declared(results: Results) -> str:
     )
 
 
-def _difference(row: CorrelationRow, titles: Titles) -> str:
+def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
     """State the difference of two maps of the same quantity; empty where it is not known."""
     if not row.same_quantity or not is_known(row.limits):
         return ""
@@ -237,52 +241,52 @@ def _difference(row: CorrelationRow, titles: Titles) -> str:
     )
 
 
-def _of_layers(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
+def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
     reference, names = results.reference.name, [layer.name for layer in results.moving]
     sentence = f"The layers {', '.join(names[:-1])} and {names[-1]} were brought onto the pixels of {reference}."
-    registered = [layer.registration for layer in results.moving if layer.registration]
-    errors = [e for r in registered if (e := r.expected_error) and e.trust == "ok"]
-    errors = errors if len(registered) == len(results.moving) else []
-    median = max((e.median_um for e in errors if e.median_um is not None), default=None)
-    most = max((e.largest_um for e in errors if e.largest_um is not None), default=None)
-    if median is not None:
-        sentence += (
-            f" The expected error is {length(median, 2)} (rms, median over the worst layer), at most {length(most, 2)}."
-        )
+    registrations = [layer.registration for layer in results.moving if layer.registration]
+    expected_errors = [e for r in registrations if (e := r.expected_error) and e.trust == "ok"]
+    expected_errors = expected_errors if len(registrations) == len(results.moving) else []
+    median_um = max((e.median_um for e in expected_errors if e.median_um is not None), default=None)
+    max_um = max((e.largest_um for e in expected_errors if e.largest_um is not None), default=None)
+    median_text = f"median {number(median_um, 2)} µm in the worst layer"
+    if median_um is not None:
+        median = f"{length(median_um, 2)} (rms, median over the worst layer)"
+        sentence += f" The expected error is {median}, at most {length(max_um, 2)}."
     rows = [largest(group) for group in by_pair(results)]
-    sentence += next((text for row in rows if row.trust == "ok" and (text := _difference(row, titles))), "")
+    sentence += next((text for row in rows if row.trust == "ok" and (text := _difference_sentence(row, titles))), "")
     lead = lead_pair(results)
-    weakest = largest(lead) if lead else None
-    figure = _figure_of_r(weakest, f"weakest r, points of {point_of(weakest)}" if weakest else "r")
-    share = min((s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None)
+    weakest_row = largest(lead) if lead else None
+    r_figure = _r_figure(weakest_row, f"weakest r, points of {point_of(weakest_row)}" if weakest_row else "r")
+    least_share = min((s for layer in results.moving if (s := layer.share_of_reference) is not None), default=None)
     return sentence, [
         KeyFigure(count(len(results.layers)), "", "layers on one grid", f"{reference} is the reference"),
-        KeyFigure(number(most, 2), "µm", "largest expected error", f"median {number(median, 2)} µm in the worst layer"),
-        KeyFigure(_percent_of(share), "%", "of the reference is covered", "by the layer that covers least"),
-        figure._replace(note=f"{weakest.a} and {weakest.b}: {figure.note}") if weakest else figure,
+        KeyFigure(number(max_um, 2), "µm", "largest expected error", median_text),
+        KeyFigure(_percent_text(least_share), "%", "of the reference is covered", "by the layer that covers least"),
+        r_figure._replace(note=f"{weakest_row.a} and {weakest_row.b}: {r_figure.note}") if weakest_row else r_figure,
     ]
 
 
-def _figure_of_r(row: CorrelationRow | None, label: str) -> KeyFigure:
+def _r_figure(row: CorrelationRow | None, label: str) -> KeyFigure:
     if row is None or row.trust != "ok":
         return KeyFigure(NONE, "", label, f"{row.trust}; see the checks" if row else NONE)
     has_interval = is_known(row.interval)
-    note = f"95 %: {r_interval_text(row)}" if has_interval else "no interval"
+    note_text = f"95 %: {r_interval_text(row)}" if has_interval else "no interval"
     if is_known(row.r2):
-        note += f"; r² {r2_text(row)}" + (f" ({r2_interval_text(row)})" if has_interval else "")
+        note_text += f"; r² {r2_text(row)}" + (f" ({r2_interval_text(row)})" if has_interval else "")
     if is_known(row.n_eff):
-        note += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
-    return KeyFigure(r_text(row), "", label, f"{note}; {REGISTERED}")
+        note_text += f"; {count(round(row.n_eff))} independent points of {count(row.n)}"
+    return KeyFigure(r_text(row), "", label, f"{note_text}; {REGISTERED}")
 
 
-def lag_verdict(lag: LagNumbers | None, *, first: str, second: str) -> LagVerdict | None:
+def lag_verdict(lag: LagNumbers | None, *, moving_text: str, reference_text: str) -> LagVerdict | None:
     """Return what the lag of two maps, named in words, means; None where none was looked for."""
     if lag is None:
         return None
-    width, state = math.hypot(*lag.se_um), "agrees"
+    se_um, state = math.hypot(*lag.se_um), "agrees"
     if lag.agrees is None:
         state = "grey"
-        end = (
+        end_text = (
             "The marks give no expected error to compare the result with."
             if is_known(lag.length_um)
             else "The result is inconclusive: it speaks neither for nor against the registration, whose error is known "
@@ -290,16 +294,17 @@ def lag_verdict(lag: LagNumbers | None, *, first: str, second: str) -> LagVerdic
         )
     elif not lag.agrees:
         state = "amber"
-        end = (
+        end_text = (
             "They do not coincide within the expected error. Until the cause is known, a position is known to about "
             f"{length(lag.length_um, 2)} and no better."
         )
-    elif width > lag.expected_um > 0:
-        end = (
+    elif se_um > lag.expected_um > 0:
+        end_text = (
             "They coincide, but locate the maps less precisely than the marks do: an error of up to about "
-            f"{length(2 * width, 2)} would not be noticed."
+            f"{length(2 * se_um, 2)} would not be noticed."
         )
     else:
-        end = "They coincide within the error expected from the marks."
-    meaning = f"The fine textures of {first} and {second} were aligned without using the marks. {end}"
+        end_text = "They coincide within the error expected from the marks."
+    textures = f"The fine textures of {moving_text} and {reference_text}"
+    meaning = f"{textures} were aligned without using the marks. {end_text}"
     return LagVerdict(state, capital(typeset(lag.sentence)).removesuffix(".") + ".", meaning)

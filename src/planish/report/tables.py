@@ -49,11 +49,11 @@ def comparison(results: Results) -> list[PairLine]:
     lines: list[PairLine] = []
     for name, rows in groups.items():
         # How much larger r is with the run's own registration, at the largest points.
-        row, change = largest(rows), NONE
+        row, change_text = largest(rows), NONE
         if is_known(row.difference):
-            change = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
-        marks, best = number(rows[0].marks_rms_um, 3), name.startswith("flattened")
-        lines.append(PairLine(capital(name), rows, before=(marks,), best=best, after=(change,)))
+            change_text = f"{fixed(row.difference, 3)}\n{interval_text(row.difference_interval, 3)}"
+        marks_text, is_best = number(rows[0].marks_rms_um, 3), name.startswith("flattened")
+        lines.append(PairLine(capital(name), rows, before=(marks_text,), best=is_best, after=(change_text,)))
     return lines
 
 
@@ -62,14 +62,14 @@ def comparison_sentence(results: Results) -> str:
     rows = [row for row in results.comparison if row.n and is_known(row.r)]
     size = max((row.point_um for row in rows), default=None)
     rows = [row for row in rows if row.point_um == size]
-    flat = [row for row in rows if row.registration.startswith("flattened")]
-    projected = [row for row in rows if not row.registration.startswith("flattened")]
-    if not flat or not projected:
+    flat_rows = [row for row in rows if row.registration.startswith("flattened")]
+    projected_rows = [row for row in rows if not row.registration.startswith("flattened")]
+    if not flat_rows or not projected_rows:
         return ""
-    best = max(projected, key=lambda row: row.r2)
+    best = max(projected_rows, key=lambda row: row.r2)
     text = (
-        f"Over points of {plain(best.point_um)}, r is {r_text(flat[-1])} flattened and {r_text(best)} by the better "
-        f"projection ({best.registration})"
+        f"Over points of {plain(best.point_um)}, r is {r_text(flat_rows[-1])} flattened and {r_text(best)} by the "
+        f"better projection ({best.registration})"
     )
     if not is_known(best.difference_interval):
         return f"{text}; whether they differ cannot be told."
@@ -79,10 +79,10 @@ def comparison_sentence(results: Results) -> str:
     # Slopes brighten one side of a thick place, and a shift can raise r.
     lag = next((layer.registration.lag for layer in results.layers if layer.registration is not None), None)
     if lag is not None and lag.light >= _SIDE_LIGHT:
-        share = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
+        share_text = f"{100 * lag.light:.0f} % of what it shares with the sheet needs them"
         text += (
-            f" The image also shows the slopes of the face, as light from one side does ({share}): then a map that is "
-            "displaced towards the light can have a larger r. Judge the registration by its marks."
+            f" The image also shows the slopes of the face, as light from one side does ({share_text}): then a map "
+            "that is displaced towards the light can have a larger r. Judge the registration by its marks."
         )
     return text
 
@@ -90,25 +90,26 @@ def comparison_sentence(results: Results) -> str:
 def correlations(results: Results, titles: Titles) -> list[PairLine]:
     """Return the correlation of every pair of maps, all point sizes in one line each."""
     headlines = [headline_pair(results, layer) for layer in results.moving]
-    two, sizes = len(results.layers) == 2, _sizes(results.correlations)
-    differences = any(row.same_quantity for row in results.correlations)
-    out: list[PairLine] = []
+    has_two_layers, sizes = len(results.layers) == 2, _sizes(results.correlations)
+    has_differences = any(row.same_quantity for row in results.correlations)
+    lines: list[PairLine] = []
     for group in by_pair(results):
-        row, of_size, (a, b) = largest(group), {round(r.point_um, 4): r for r in group}, titles_of(group[0], titles)
+        row, (a, b) = largest(group), titles_of(group[0], titles)
+        rows_by_size = {round(r.point_um, 4): r for r in group}
         # One quantity of two layers needs its name only once.
-        short = two and (a == b if row.same_quantity else results.layer(row.b).kind == "image")
-        difference, units = NONE, unit(row.units or "")
+        is_short = has_two_layers and (a == b if row.same_quantity else results.layer(row.b).kind == "image")
+        difference_text, units = NONE, unit(row.units or "")
         if row.same_quantity:
             mean, spread, low, high = written_difference(row)
-            difference = f"{mean} ± {spread} {units}\n{low} to {high} {units}"
-        out.append(PairLine(
-            name=a if short else f"{row.a}: {in_words(a)}",
-            second="" if short else f"{row.b}: {in_words(b)}",
-            rows=[of_size.get(s) for s in sizes],
-            after=(difference,) if differences else (),
-            best=two and group in headlines and len(results.correlations) > len(group),
+            difference_text = f"{mean} ± {spread} {units}\n{low} to {high} {units}"
+        lines.append(PairLine(
+            name=a if is_short else f"{row.a}: {in_words(a)}",
+            second="" if is_short else f"{row.b}: {in_words(b)}",
+            rows=[rows_by_size.get(s) for s in sizes],
+            after=(difference_text,) if has_differences else (),
+            best=has_two_layers and group in headlines and len(results.correlations) > len(group),
         ))  # fmt: skip
-    return out
+    return lines
 
 
 def point_sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[str]:
@@ -123,7 +124,7 @@ def _sizes(rows: Iterable[CorrelationRow | ComparisonRow]) -> list[float]:
 def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str]]]]:
     """Return every parameter, by section; sections of a list are named by their ``name``."""
     sections: list[tuple[str, Mapping[str, Any]]] = []
-    loose: dict[str, Any] = {}
+    unsectioned: dict[str, Any] = {}
     for section, value in values.items():
         if isinstance(value, (list, tuple)) and value and isinstance(value[0], Mapping):
             tables = cast("Sequence[Mapping[str, Any]]", value)
@@ -131,24 +132,24 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str
         elif isinstance(value, Mapping):
             sections.append((section, cast("Mapping[str, Any]", value)))
         else:
-            loose[section] = value
-    return [(name, rows) for name, table in [*sections, ("others", loose)] if (rows := [*_flat(table)])]
+            unsectioned[section] = value
+    return [(name, rows) for name, table in [*sections, ("others", unsectioned)] if (rows := [*_flat_rows(table)])]
 
 
-def _flat(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+def _flat_rows(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
     """Write a section of parameters; what lies in a section of its own has that one's name before it."""
     for key, value in values.items():
         if isinstance(value, Mapping):
-            yield from _flat(cast("Mapping[str, Any]", value), f"{before}{key}.")
+            yield from _flat_rows(cast("Mapping[str, Any]", value), f"{before}{key}.")
         else:
-            yield f"{before}{key}", _parameter(value, key)
+            yield f"{before}{key}", _parameter_text(value, key)
 
 
-def _parameter(value: Any, key: str) -> str:
+def _parameter_text(value: Any, key: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
-        text = ", ".join(_parameter(v, "") for v in cast("list[Any]", value))
+        text = ", ".join(_parameter_text(v, "") for v in cast("list[Any]", value))
     elif isinstance(value, (int, float)):
         text = f"{value:.6g}".replace("-", "−")
     else:

@@ -28,8 +28,8 @@ def template(package: str, name: str) -> Template:
     environment = Environment(
         loader=loader, autoescape=True, undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True
     )
-    names = ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit")
-    filters: dict[str, Any] = {name: getattr(numbers, name) for name in names}
+    filter_names = ("capital", "count", "fixed", "in_words", "number", "percent", "typeset", "unit")
+    filters: dict[str, Any] = {name: getattr(numbers, name) for name in filter_names}
     filters |= {"length_um": numbers.length, "limit": numbers.with_unit}
     filters |= {"is_known": is_known, "with_article": with_article}
     environment.filters.update(filters)
