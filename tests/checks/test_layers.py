@@ -176,7 +176,7 @@ def test_few_voxels_through_the_sheet(voxel, state):
     measured["top"].values[:] = 150.0
     measured["bottom"].values[:] = measured["centre"].values[:] = 0.0
     voxels = voxels_through(volume.assign_attrs(voxel_um=[voxel] * 3), measured)
-    check = judged("voxels through the sheet", voxels=voxels)
+    check = judged("voxels through the sheet", voxel_count=voxels)
     assert (check.value, check.state) == (pytest.approx(150 / voxel), state)
 
 
@@ -233,12 +233,12 @@ def test_particles_are_counted_and_covered():
     rng = np.random.default_rng(0)
     field = ndimage.gaussian_filter(rng.normal(size=(500, 600)), 8)
     coating = 15 + 4 * field / field.std()
-    assert sheets.find_particles(coating, (3.0, 3.0)).number == 0
+    assert sheets.find_particles(coating, (3.0, 3.0)).n_particles == 0
     rows, cols = np.meshgrid(np.arange(500), np.arange(600), indexing="ij")
     for k in range(9):
         r, c = 50 + 50 * k, 60 + 55 * k
         coating[(rows - r) ** 2 + (cols - c) ** 2 < 36] += 40.0
     coating[:, :5] = np.nan
     found = sheets.find_particles(coating, (3.0, 3.0))
-    assert (found.number, found.a_mm2) == (9, pytest.approx(9 / 2.6775))
+    assert (found.n_particles, found.per_mm2) == (9, pytest.approx(9 / 2.6775))
     assert found.mask.sum() == pytest.approx(9 * 113, rel=0.15)

@@ -31,7 +31,7 @@ def sheet(shape=(60, 70, 75), *, seed=0, slope=0.15, noise=6.0):
 
 def judged_window(window, through="z"):
     rule = next(rule for rule in CHECKS if rule.name == "slices along z")
-    return rule(SimpleNamespace(windows={"z": window}, through=through, assembled=()))
+    return rule(SimpleNamespace(windows={"z": window}, through=through, assembled_axes=()))
 
 
 def judged(values):
@@ -119,11 +119,11 @@ def test_windows_are_the_same_however_a_volume_is_read():
     """Against plain sums over the same voxels; in pieces, on threads, with chunks."""
     values = np.random.default_rng(0).integers(0, 255, (70, 41, 52)).astype(np.uint8)
     volume = xr.DataArray(values, dims=("z", "y", "x"))
-    whole = read_windows(volume, through="z", sheet=(4, 65), threads=1).windows
+    whole = read_windows(volume, through="z", sheet_slices=(4, 65), threads=1).windows
     chunked = volume.copy()
     chunked.encoding["chunks"] = (16, 16, 16)
     for asked in (volume, chunked):
-        other = read_windows(asked, through="z", sheet=(4, 65), threads=3).windows
+        other = read_windows(asked, through="z", sheet_slices=(4, 65), threads=3).windows
         for a, b in zip(whole, other, strict=True):
             np.testing.assert_allclose(a.square, b.square, rtol=1e-5)
             np.testing.assert_allclose(a.product, b.product, rtol=1e-4)

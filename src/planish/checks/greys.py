@@ -38,22 +38,22 @@ class SheetImage:
 def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether the grey scale ends where the sheet's densest layer lies."""
     greys = scan.greys
-    spike, share, end = clipping(scan.sample, greys)
-    coat = denser_coating(greys)
-    layer, level = ("base", greys.base) if coat is None else ("coating", coat)
+    spike, share, end_grey = clipping(scan.sample, greys)
+    coating_grey = denser_coating(greys)
+    layer, layer_grey = ("base", greys.base) if coating_grey is None else ("coating", coating_grey)
     # So near to the layer's own level, a limit moves it.
-    is_inside = greys.polarity * (end - level) < greys.noise + 0.02 * abs(level - greys.air)
-    crowd = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end:.5g}"
-    check = functools.partial(rule.check, value=spike, limit=SPIKE)
+    is_inside = greys.polarity * (end_grey - layer_grey) < greys.noise + 0.02 * abs(layer_grey - greys.air)
+    crowd_text = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
+    make_check = functools.partial(rule.check, value=spike, limit=SPIKE)
     if not (spike > SPIKE and share > SHARE):
         text = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
-        return check("pass", text, figures=())
+        return make_check("pass", text, figures=())
     if not is_inside and share < 0.02:
-        text = f"{crowd}, where the scale was cut off; the {layer} lies well inside ({level:.4g})."
-        return check("pass", text, figures=())
-    return check(
-        "look", f"{crowd}, where the scale was cut off, and the {layer} lies at {level:.4g}: its contrast is too low, "
-        "and its face is displaced.", figures=(PROPERTIES,) if coat is None else rule.figures,
+        text = f"{crowd_text}, where the scale was cut off; the {layer} lies well inside ({layer_grey:.4g})."
+        return make_check("pass", text, figures=())
+    return make_check(
+        "look", f"{crowd_text}, where the scale was cut off, and the {layer} lies at {layer_grey:.4g}: its contrast is "
+        "too low, and its face is displaced.", figures=(PROPERTIES,) if coating_grey is None else rule.figures,
         advice="Export the volume with a wider grey window, or as 16 bit.",
     )  # fmt: skip
 
@@ -73,39 +73,43 @@ def clipping(sample: Array, greys: Greys) -> tuple[float, float, float]:
         Height of the spike over what the bins beside it lead to; share of the voxels in it; its grey.
     """
     # Whole numbers are counted once: a large part of a volume is looked at.
-    whole = sample.dtype.kind != "f"
-    levels, counts = np.unique(sample, return_counts=True) if whole else (sample[np.isfinite(sample)], None)
+    is_integer = sample.dtype.kind != "f"
+    levels, counts = np.unique(sample, return_counts=True) if is_integer else (sample[np.isfinite(sample)], None)
     if levels.size == 0:
         return 0.0, 0.0, float("nan")
-    end = float(levels.max() if greys.polarity > 0 else levels.min())
-    reach = abs(end - greys.air)
-    width = reach / 256
-    if whole:  # a bin holds as many steps of the scale as any other
-        near = levels[np.abs(levels.astype(np.float64) - end) <= 0.25 * reach]
-        step = float(np.diff(near.astype(np.float64)).min()) if near.size > 1 else 1.0
+    end_grey = float(levels.max() if greys.polarity > 0 else levels.min())
+    contrast = abs(end_grey - greys.air)
+    width = contrast / 256
+    if is_integer:  # a bin holds as many steps of the scale as any other
+        near_levels = levels[np.abs(levels.astype(np.float64) - end_grey) <= 0.25 * contrast]
+        step = float(np.diff(near_levels.astype(np.float64)).min()) if near_levels.size > 1 else 1.0
         width = max(np.ceil(width / step - 1e-9), 1.0) * step
     # Away from the end; half a step keeps rounding out of the places of the bins.
-    bins = np.floor(greys.polarity * (end - levels.astype(np.float64)) / width + (1e-6 if not whole else 1e-9))
+    rounding = 1e-9 if is_integer else 1e-6
+    bins = np.floor(greys.polarity * (end_grey - levels.astype(np.float64)) / width + rounding)
     is_near_end = bins <= _LAST_BIN
     weights = None if counts is None else counts[is_near_end]
-    h = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(np.float64)
+    histogram = np.bincount(bins[is_near_end].astype(np.int64), weights, _LAST_BIN + 1).astype(np.float64)
     # Of real numbers, what was cut off lies at one value exactly; the rest of its bin is as wide as the others.
-    first = float(h[0] if whole else np.count_nonzero(levels == end))
-    rest = h[1:] + 0.5
-    x = float(np.exp(np.polyfit(np.arange(1.0, h.size), np.log(rest), 1, w=np.sqrt(rest))[1]))
-    return first / (x + 3 * np.sqrt(x) + 1), first / (levels.size if counts is None else int(counts.sum())), end
+    end_count = float(histogram[0] if is_integer else np.count_nonzero(levels == end_grey))
+    other_counts = histogram[1:] + 0.5
+    bin_numbers = np.arange(1.0, histogram.size)
+    expected = float(np.exp(np.polyfit(bin_numbers, np.log(other_counts), 1, w=np.sqrt(other_counts))[1]))
+    n_voxels = levels.size if counts is None else int(counts.sum())
+    return end_count / (expected + 3 * np.sqrt(expected) + 1), end_count / n_voxels, end_grey
 
 
 def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
-    greys, coat = scan.greys, denser_coating(scan.greys)
-    contrast = abs((greys.base if coat is None else coat) - greys.air)
-    judged = [w for axis, w in scan.windows.items() if axis not in (*scan.assembled, scan.through)]
-    jumps, axis = max(((level_jump(w) / contrast, w.axis) for w in judged), key=lambda j: j[0], default=(0.0, "z"))
+    greys, coating_grey = scan.greys, denser_coating(scan.greys)
+    contrast = abs((greys.base if coating_grey is None else coating_grey) - greys.air)
+    judged_axes = [axis for axis in scan.windows if axis not in (*scan.assembled_axes, scan.through)]
+    jumps: dict[str, float] = {axis: level_jump(scan.windows[axis]) / contrast for axis in judged_axes}
+    axis, jump_share = max(jumps.items(), key=lambda jump: jump[1], default=("z", 0.0))
     return rule.at_most(
-        jumps, look=0.03,
-        sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jumps:.1f} % of the contrast between "
-        "air and sheet.",
+        jump_share, look=0.03,
+        sentence=f"From slice to slice along {axis}, grey levels jump by {100 * jump_share:.1f} % of the contrast "
+        "between air and sheet.",
         advice="Slices were probably scaled one by one. Export all of them with one grey window.",
     )  # fmt: skip
 
@@ -115,8 +119,8 @@ def level_jump(window: Window) -> float:
     levels = np.percentile(window.blocks, (5.0, 50.0, 95.0), axis=1)
     if levels.shape[1] < 8:
         return 0.0
-    bend = np.abs(np.diff(levels, n=2, axis=1))
-    return float(1.4826 / np.sqrt(6) * np.median(bend, axis=1).max())
+    second_differences = np.abs(np.diff(levels, n=2, axis=1))
+    return float(1.4826 / np.sqrt(6) * np.median(second_differences, axis=1).max())
 
 
 def shading(rule: CheckRule, scan: GreyScan) -> Check:
@@ -126,28 +130,29 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     """
     core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
     points = core.points.reshape(*core.shape, 3)
-    tiles = np.any(np.isfinite(grey).all(axis=2), axis=1)
-    if np.count_nonzero(tiles) < 20 or not contrast > 0:
+    is_seen = np.any(np.isfinite(grey).all(axis=2), axis=1)
+    if np.count_nonzero(is_seen) < 20 or not contrast > 0:
         return rule.check(
-            "unknown", f"The base is seen in {np.count_nonzero(tiles)} tiles only, too few to follow its grey."
+            "unknown", f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its grey."
         )
-    level = np.nanmedian(grey[tiles], axis=(1, 2))
-    share, limit, along = 0.0, SHADED, ""
+    tile_greys = np.nanmedian(grey[is_seen], axis=(1, 2))
+    share, limit, shaded_axis = 0.0, SHADED, ""
     for k, axis in enumerate("zyx"):
         if axis == scan.through:
             continue
-        place = np.nanmean(np.where(core.is_base[tiles], points[tiles, :, 0, k], np.nan), axis=1)
-        if np.unique(place).size < 4:
+        positions = np.nanmean(np.where(core.is_base[is_seen], points[is_seen, :, 0, k], np.nan), axis=1)
+        if np.unique(positions).size < 4:
             continue
-        fit = np.polynomial.Polynomial.fit(place, level, 2)
-        change = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
+        fit = np.polynomial.Polynomial.fit(positions, tile_greys, 2)
+        change_share = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
         # Chance makes no range of a fitted parabola of 9 standard errors of a mean.
-        chance = 9.0 * float(np.std(level - fit(place))) / contrast / np.sqrt(level.size)
-        if not along or change - max(SHADED, chance) > share - limit:
-            share, limit, along = change, max(SHADED, chance), axis
+        chance_share = 9.0 * float(np.std(tile_greys - fit(positions))) / contrast / np.sqrt(tile_greys.size)
+        if not shaded_axis or change_share - max(SHADED, chance_share) > share - limit:
+            share, limit, shaded_axis = change_share, max(SHADED, chance_share), axis
     return rule.at_most(
         share, look=limit, units="share",
-        sentence=f"Along {along}, the grey of the base changes by {100 * share:.2g} % of its contrast to the air.",
+        sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * share:.2g} % of its contrast to the "
+        "air.",
         advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
     )  # fmt: skip
 
@@ -161,16 +166,17 @@ def blur(rule: CheckRule, scan: GreyScan) -> Check | None:
     """
     measured = scan.measured
     coatings = [measured[k].values for k in ("coating_top", "coating_bottom") if k in measured]
-    thin = min((float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None)
-    if thin is None:
+    thinnest_um = min((float(np.nanmedian(m)) for m in coatings if np.isfinite(m).any()), default=None)
+    if thinnest_um is None:
         return None
     # The full width of a Gaussian, from its standard deviation.
-    edge, noise = 2.3548 * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
-    width = max(edge, noise) if np.isfinite(noise) else edge
-    cause = "An edge is blurred" if width == edge else "The noise is smoothed"
+    edge_um, noise_um = 2.3548 * float(measured.attrs["blur_um"]), noise_width(scan.volume, measured)
+    width_um = max(edge_um, noise_um) if np.isfinite(noise_um) else edge_um
+    cause_text = "An edge is blurred" if width_um == edge_um else "The noise is smoothed"
     return rule.at_most(
-        width / max(thin, 1e-9), look=1.0, units="of the coating",
-        sentence=f"{cause} over {width:.3g} um, full width at half maximum; the coating is {thin:.3g} um thick.",
+        width_um / max(thinnest_um, 1e-9), look=1.0, units="of the coating",
+        sentence=f"{cause_text} over {width_um:.3g} um, full width at half maximum; the coating is {thinnest_um:.3g} "
+        "um thick.",
         advice="Thickness and grey level of a layer that is thinner than the blur cannot be distinguished. Scan with "
         "smaller voxels, and leave out filters that smooth.",
     )  # fmt: skip
@@ -185,24 +191,25 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     coordinates = {k: np.asarray(volume.coords[k].values, dtype=np.float64) for k in ("z", "y", "x")}
     heights = coordinates[frame.through]
     faces = np.stack([measured["top"].values, measured["bottom"].values]).astype(np.float64)
-    along = coordinates[frame.rows], coordinates[frame.cols]
-    if min(k.size for k in along) < _EDGE:
+    plane_coordinates = coordinates[frame.rows], coordinates[frame.cols]
+    if min(k.size for k in plane_coordinates) < _EDGE:
         return float("nan")
     # Rows and columns of four blocks along either axis that are spread over the sheet.
-    starts = (np.unique(np.linspace(0, k.size - _EDGE, 6)[1:-1].astype(int)).tolist() for k in along)
+    block_starts = (np.unique(np.linspace(0, k.size - _EDGE, 6)[1:-1].astype(int)).tolist() for k in plane_coordinates)
     lags = np.zeros(_LAGS)
-    for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in starts)):
-        ends = along[0][row][[0, -1]], along[1][col][[0, -1]]
-        inside = [(measured[k].values >= a) & (measured[k].values <= b) for k, (a, b) in zip("yx", ends, strict=True)]
-        part_of_faces = faces[:, inside[0]][:, :, inside[1]]
-        if not np.isfinite(part_of_faces).any():
+    for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in block_starts)):
+        ends_y, ends_x = plane_coordinates[0][row][[0, -1]], plane_coordinates[1][col][[0, -1]]
+        is_row, is_col = ((measured[k].values >= a) & (measured[k].values <= b)
+                          for k, (a, b) in (("y", ends_y), ("x", ends_x)))  # fmt: skip
+        block_faces = faces[:, is_row][:, :, is_col]
+        if not np.isfinite(block_faces).any():
             continue
-        low, high = (np.searchsorted(heights, f(part_of_faces)) for f in (np.nanmin, np.nanmax))
+        low, high = (np.searchsorted(heights, f(block_faces)) for f in (np.nanmin, np.nanmax))
         for start, stop in ((high + _GAP, high + _GAP + _DEPTH), (low - _GAP - _DEPTH, low - _GAP)):
             if start < 0 or stop > heights.size:
                 continue
-            part = volume.isel({frame.through: slice(start, stop), frame.rows: row, frame.cols: col})
-            grey = np.asarray(part.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
+            block = volume.isel({frame.through: slice(start, stop), frame.rows: row, frame.cols: col})
+            grey = np.asarray(block.transpose(frame.rows, frame.cols, frame.through).values, dtype=np.float64)
             grey -= grey.mean()
             variance = float(np.mean(grey**2))
             # Noise below half a step of the grey scale is that of rounding.
@@ -215,10 +222,10 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     if not lags[0] > lags[-1]:
         return float("nan")
     # What goes on farther is no noise but streaks and shading.
-    share = (lags - lags[-1]) / (lags[0] - lags[-1])
-    k = int(np.argmax(share < 0.5))
-    half = k - (0.5 - share[k]) / (share[k - 1] - share[k])
-    return np.sqrt(2.0) * half * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
+    correlation = (lags - lags[-1]) / (lags[0] - lags[-1])
+    k = int(np.argmax(correlation < 0.5))
+    half_width_px = k - (0.5 - correlation[k]) / (correlation[k - 1] - correlation[k])
+    return np.sqrt(2.0) * half_width_px * float(np.cbrt(np.prod([float(v) for v in volume.attrs["voxel_um"]])))
 
 
 # --- of an image -----------------------------------------------------------------------------------------------------
@@ -231,10 +238,10 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
     share, tone = 0.0, "dark"
     if grey.size and np.unique(grey).size >= 8:  # fewer levels are an image of areas
         lowest, highest = float(grey.min()), float(grey.max())
-        near = 1 / 64 * (highest - lowest)  # counted as next to an end
-        for end_tone, end in (("dark", lowest), ("bright", highest)):
-            end_share = float(np.mean(grey == end))
-            near_share = float(np.mean((grey != end) & (np.abs(grey - end) < near)))
+        near_width = 1 / 64 * (highest - lowest)  # counted as next to an end
+        for end_tone, end_grey in (("dark", lowest), ("bright", highest)):
+            end_share = float(np.mean(grey == end_grey))
+            near_share = float(np.mean((grey != end_grey) & (np.abs(grey - end_grey) < near_width)))
             if end_share > SPIKE * near_share and end_share > share:
                 share, tone = end_share, end_tone
     return rule.at_most(

@@ -60,20 +60,20 @@ class TextureChecks:
 
 def marks(rule: CheckRule, registered: RegisteredLayer) -> Check:
     """Judge the leave-one-out error of the marks, and whether marks that were left out lie far off."""
-    limit = max(0.1 * registered.hole_um, registered.pixel_um)  # marks that were found well agree within that
-    loo, fit = registered.facts.leave_one_out_rms_um, registered.fit
-    if loo is None:
+    limit_um = max(0.1 * registered.hole_um, registered.pixel_um)  # marks that were found well agree within that
+    loo_um, fit = registered.facts.leave_one_out_rms_um, registered.fit
+    if loo_um is None:
         return rule.check(
             "unknown", units="um", advice="Add marks.",
             sentence=f"{registered.facts.matched} marks leave none over to check the registration with. "
             f"{registered.agreement}",
         )  # fmt: skip
     check = rule.at_most(
-        loo, look=limit, fail=5.0 * limit, units="um", sentence=registered.agreement,
+        loo_um, look=limit_um, fail=5.0 * limit_um, units="um", sentence=registered.agreement,
         advice="That is worse than a tenth of a hole and a pixel. Look at the residual arrows.",
     )  # fmt: skip
     # A hole that is badly found is left out now and then; one that lies elsewhere is worth a look.
-    if check.state == "pass" and (np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit).any():
+    if check.state == "pass" and (np.hypot(*fit.residuals_um[fit.robust_weights < 1.0].T) > limit_um).any():
         advice = "Look at the marks that were left out."
         return check.model_copy(update={"state": "look", "figures": (), "advice": advice})
     return check
@@ -100,19 +100,19 @@ def strain(rule: CheckRule, registered: RegisteredLayer) -> Check:
 
 def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     """Judge whether all holes run along the normal of the sheet; None where too few were found on both sides."""
-    holes = registered.facts.tilt
-    if holes is None or holes.tilt_deg is None or holes.offset_count < 4:
+    hole_tilt = registered.facts.tilt
+    if hole_tilt is None or hole_tilt.tilt_deg is None or hole_tilt.offset_count < 4:
         return None
-    angle, offset, error = (
+    angle_deg, offset_um, error = (
         float(np.linalg.norm(np.array(v, dtype=np.float64)))
-        for v in (holes.tilt_deg, holes.offset_um, holes.offset_error_um)
+        for v in (hole_tilt.tilt_deg, hole_tilt.offset_um, hole_tilt.offset_error_um)
     )
-    error *= angle / max(offset, 1e-9) / np.sqrt(2)
-    limit = max(1.5, 4.0 * error)  # of holes burnt from above
-    end = " from its normal, all to one side" if angle > limit else " from its normal on average"
+    error *= angle_deg / max(offset_um, 1e-9) / np.sqrt(2)
+    limit_deg = max(1.5, 4.0 * error)  # of holes burnt from above
+    end_text = " from its normal, all to one side" if angle_deg > limit_deg else " from its normal on average"
     return rule.at_most(
-        angle, look=limit, units="deg",
-        sentence=f"The holes run through the sheet at {angle:.2g} ± {error:.1g}°{end}.",
+        angle_deg, look=limit_deg, units="deg",
+        sentence=f"The holes run through the sheet at {angle_deg:.2g} ± {error:.1g}°{end_text}.",
         advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
         "then places and thicknesses are wrong. Ask how the holes were burnt.",
     )  # fmt: skip
@@ -120,38 +120,42 @@ def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
 
 def machine_direction(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     """Judge the machine direction that is given twice: as the marks carry it over, and for the image itself."""
-    direction = registered.facts.orientation
-    stated, carried = direction.md_deg_fixed, direction.md_deg_fixed_from_moving
-    if stated is None or carried is None:
+    orientation = registered.facts.orientation
+    stated_deg, carried_deg = orientation.md_deg_fixed, orientation.md_deg_fixed_from_moving
+    if stated_deg is None or carried_deg is None:
         return None
-    off = abs((stated - carried + 90.0) % 180.0 - 90.0)
+    difference_deg = abs((stated_deg - carried_deg + 90.0) % 180.0 - 90.0)
     return rule.at_most(
-        off, look=10.0, units="deg",
-        sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by {off:.1f}°.",
+        difference_deg, look=10.0, units="deg",
+        sentence=f"The machine directions of {registered.layer} and {registered.facts.to} differ by "
+        f"{difference_deg:.1f}°.",
         advice="One of them is wrong, or the marks were matched wrongly.",
     )  # fmt: skip
 
 
-def holes_of_layer(rule: CheckRule, subject: DetectedHoles) -> Check:
+def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     """Judge how many holes were found and what was rejected; a look where places were not measured."""
-    attrs, count = subject.holes.attrs, subject.holes.sizes["mark"]
+    attrs, hole_count = detected.holes.attrs, detected.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
-    listed = [f"{rejected[name]} {words}" for name, words in REASONS.items() if rejected.get(name)]
-    seen = f"; seen and not taken: {', '.join(listed)}" if listed else ""
-    sentence = f"{count} {'hole' if count == 1 else 'holes'} found{seen}."
-    dropped, openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
+    rejected_texts = [f"{rejected[name]} {words}" for name, words in REASONS.items() if rejected.get(name)]
+    rejected_text = f"; seen and not taken: {', '.join(rejected_texts)}" if rejected_texts else ""
+    sentence = f"{hole_count} {'hole' if hole_count == 1 else 'holes'} found{rejected_text}."
+    n_not_measured, n_openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))
     # So many that are not round are no single holes that are half closed.
-    many = openings if openings > max(1, 0.25 * (count + openings)) else 0
-    if openings:
-        which = "1 opening as large as a hole is" if openings == 1 else f"{openings} openings as large as holes are"
-        sentence += f" {which} not round enough for one."
+    n_doubtful = n_openings if n_openings > max(1, 0.25 * (hole_count + n_openings)) else 0
+    if n_openings:
+        openings = (
+            "1 opening as large as a hole is" if n_openings == 1 else f"{n_openings} openings as large as holes are"
+        )
+        sentence += f" {openings} not round enough for one."
     check = rule.at_most(
-        dropped + many, look=0, sentence=sentence, figures=rule.figures if many else rule.figures[:1],
+        n_not_measured + n_doubtful, look=0, sentence=sentence,
+        figures=rule.figures if n_doubtful else rule.figures[:1],
         advice="Look at the maps there: a stretched or torn hole says that slices or voxel sizes are wrong."
-        if many else
+        if n_doubtful else
         "More places look like holes than fit into the area. Give a closer range of diameters (--hole-um).",
     )  # fmt: skip
-    return check.model_copy(update={"name": rule.name.replace("NAME", subject.layer)})
+    return check.model_copy(update={"name": rule.name.replace("NAME", detected.layer)})
 
 
 # --- of linked layers ------------------------------------------------------------------------------------------------
@@ -172,28 +176,28 @@ def common_field(rule: CheckRule, layer: LayerFacts) -> Check | None:
 def holes_without_partner(rule: CheckRule, linked: HolesOnSheet) -> Check:
     """Judge the holes of a reference without a partner: the sheet has a hole there, too, or is not measured."""
     grid, thickness, marks = Grid.of(linked.sheet), linked.sheet["thickness"], linked.marks
-    alone = marks.isel(mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])))
-    whole: list[str] = []
-    places = zip(*(alone[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
-    for label, (x, y, diameter) in zip(alone["label"].values, places, strict=True):
+    unpaired = marks.isel(mark=np.flatnonzero(np.isfinite(marks["fixed_x"]) & ~np.isfinite(marks["moving_x"])))
+    whole_labels: list[str] = []
+    circles = zip(*(unpaired[f"fixed_{k}"].values for k in ("x", "y", "diameter")), strict=True)
+    for label, (x, y, diameter) in zip(unpaired["label"].values, circles, strict=True):
         # The middle of a hole, where no sheet is.
-        down, across, core = grid.y_um - y, grid.x_um - x, 0.35 * diameter
-        rows, cols = (np.flatnonzero(np.abs(away) < core) for away in (down, across))
-        is_inside = np.hypot(down[rows][:, None], across[cols]) < core
+        dy, dx, core_um = grid.y_um - y, grid.x_um - x, 0.35 * diameter
+        rows, cols = (np.flatnonzero(np.abs(offset) < core_um) for offset in (dy, dx))
+        is_inside = np.hypot(dy[rows][:, None], dx[cols]) < core_um
         if not is_inside.any():
             continue
-        window = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
-        if np.isfinite(window)[is_inside].mean() > 0.7:
-            whole.append(str(label))
-    count, layer, reference = alone.sizes["mark"], linked.layer, linked.reference
-    text = f"{count} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole."
-    if whole:
-        lies = "lies" if len(whole) == 1 else "lie"
-        text = f"{', '.join(whole)} of the {reference} {lies} where the {layer} has no hole."
-    elif count == 0:
+        core_thickness = thickness[rows[0] : rows[-1] + 1, cols[0] : cols[-1] + 1].values
+        if np.isfinite(core_thickness)[is_inside].mean() > 0.7:
+            whole_labels.append(str(label))
+    n_unpaired, layer, reference = unpaired.sizes["mark"], linked.layer, linked.reference
+    text = f"{n_unpaired} of the {reference}'s holes have no partner, and none of them lies where the {layer} is whole."
+    if whole_labels:
+        verb = "lies" if len(whole_labels) == 1 else "lie"
+        text = f"{', '.join(whole_labels)} of the {reference} {verb} where the {layer} has no hole."
+    elif n_unpaired == 0:
         text = f"Every hole of the {reference} has a partner."
     return rule.at_most(
-        len(whole), look=0, sentence=text,
+        len(whole_labels), look=0, sentence=text,
         advice="Either that is no hole, or the two do not lie on each other there. Look at both, and at the order and "
         "spacing of the slices.",
     )  # fmt: skip

@@ -35,9 +35,9 @@ class ScannedSheet:
     volume: xr.DataArray
     measured: xr.Dataset
     through: Axis
-    assembled: tuple[Axis, ...]  # axes along which planish put the slices together, or along which they are labels
+    assembled_axes: tuple[Axis, ...]  # axes along which planish put the slices together, or along which they are labels
     windows: dict[Axis, Window]
-    voxels: float  # through the sheet, along its normal
+    voxel_count: float  # through the sheet, along its normal
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -55,63 +55,63 @@ def read_scan(
 ) -> ScannedSheet:  # fmt: skip
     """Read what the checks need, in one pass; parameters as of :func:`planish.checks.check_scan`."""
     through = Frame.of(measured).through
-    every: tuple[Axis, ...] = ("z", "y", "x")
+    all_axes: tuple[Axis, ...] = ("z", "y", "x")
     heights = np.asarray(volume.coords[through].values, dtype=np.float64)
     faces = np.stack([measured["top"].values, measured["bottom"].values])
     low, high = np.clip(np.searchsorted(heights, [np.nanmin(faces), np.nanmax(faces)]), 0, heights.size - 1)
     greys, core = (None, None) if labels else (Greys.of(measured), core_places(volume, measured))
     reading = read_windows(
-        volume, through=through, sheet=(int(low), int(high)), points=None if core is None else core.points,
-        missing=0.0 if greys is None else greys.air, threads=threads,
+        volume, through=through, sheet_slices=(int(low), int(high)), points=None if core is None else core.points,
+        fill_grey=0.0 if greys is None else greys.air, threads=threads,
     )  # fmt: skip
-    scan: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "volume": volume, "measured": measured, "through": through,
-        "assembled": every if labels else every[:1] if sections else (),
-        "windows": {window.axis: window for window in reading.windows}, "voxels": voxels_through(volume, measured),
+        "assembled_axes": all_axes if labels else all_axes[:1] if sections else (),
+        "windows": {window.axis: window for window in reading.windows}, "voxel_count": voxels_through(volume, measured),
     }  # fmt: skip
     if greys is None or core is None:
-        return ScannedSheet(**scan)
+        return ScannedSheet(**fields)
     grey = np.where(core.is_base[..., None], reading.grey.reshape(core.shape), np.float32(np.nan))
-    return GreyScan(**scan, greys=greys, sample=reading.sample, core=core, core_grey=grey)
+    return GreyScan(**fields, greys=greys, sample=reading.sample, core=core, core_grey=grey)
 
 
 def voxels_through(volume: xr.DataArray, measured: xr.Dataset) -> float:
     """Voxels through the sheet, along its normal."""
     frame = Frame.of(measured)
-    voxel = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
-    tall = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
-    rise = (
+    voxel_um = dict(zip("zyx", (float(v) for v in volume.attrs["voxel_um"]), strict=True))
+    thickness_um = float(np.nanmedian(np.abs(measured["top"].values - measured["bottom"].values)))
+    slopes = (
         np.nanmedian(np.abs(np.gradient(measured["centre"].values, p, axis=i))) for i, p in enumerate(pitch(measured))
     )
-    cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in rise))
+    cosine = 1 / np.sqrt(1 + sum(float(s) ** 2 for s in slopes))
     # Along the normal, the voxel is as long as its sides let it be.
-    edge = cosine * voxel[frame.through] + (1 - cosine) * max(voxel[frame.rows], voxel[frame.cols])
-    return tall * cosine / edge
+    normal_um = cosine * voxel_um[frame.through] + (1 - cosine) * max(voxel_um[frame.rows], voxel_um[frame.cols])
+    return thickness_um * cosine / normal_um
 
 
 def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
     """Choose voxels between the interfaces, or between the faces where a side has no coating."""
     frame = Frame.of(measured)
     high, low = (_base_end(measured, side) for side in ("top", "bottom"))
-    good = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
-    r, c = _tile_columns(good.shape, pitch(measured))
-    along = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
-    thickness = float(np.nanmedian(np.abs(high - low)[good])) if good.any() else 0.0
+    has_base = (measured["status"].values == 0) & np.isfinite(high) & np.isfinite(low)
+    r, c = _tile_columns(has_base.shape, pitch(measured))
+    step_um = float(volume.attrs["voxel_um"]["zyx".index(frame.through)])
+    thickness = float(np.nanmedian(np.abs(high - low)[has_base])) if has_base.any() else 0.0
     # Within 2.5 widths of the blur it mixes in what lies beside the base.
-    margin = float(np.clip(2.5 * float(measured.attrs["blur_um"]) / max(thickness, along), 0.2, 0.45))
-    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / along), 9, 48))
+    margin = float(np.clip(2.5 * float(measured.attrs["blur_um"]) / max(thickness, step_um), 0.2, 0.45))
+    depths = int(np.clip(np.ceil((1 - 2 * margin) * thickness / step_um), 9, 48))
     heights = np.asarray(volume.coords[frame.through].values, dtype=np.float64)
     # Millions of places: two bytes each way are enough for most volumes.
     points = np.empty((*r.shape, depths, 3), dtype=np.int16 if max(volume.shape) < 2**15 else np.int32)
     for dim, axis, columns in (("y", frame.rows, r), ("x", frame.cols, c)):
-        places = np.asarray(volume.coords[axis].values, dtype=np.float64)
-        step = places[1] - places[0] if places.size > 1 else 1.0
-        voxels = np.rint((measured[dim].values - places[0]) / step).astype(np.int32)
-        points[..., "zyx".index(axis)] = voxels[columns][..., None]
-    is_base, high, low = good[r, c], high[r, c], low[r, c]
+        axis_um = np.asarray(volume.coords[axis].values, dtype=np.float64)
+        axis_step = axis_um[1] - axis_um[0] if axis_um.size > 1 else 1.0
+        voxel_indices = np.rint((measured[dim].values - axis_um[0]) / axis_step).astype(np.int32)
+        points[..., "zyx".index(axis)] = voxel_indices[columns][..., None]
+    is_base, high, low = has_base[r, c], high[r, c], low[r, c]
     for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
-        index = np.rint((np.nan_to_num(high * (1 - share) + low * share) - heights[0]) / along).astype(np.int32)
-        points[..., k, "zyx".index(frame.through)] = np.clip(index, 0, heights.size - 1)
+        depth_index = np.rint((np.nan_to_num(high * (1 - share) + low * share) - heights[0]) / step_um).astype(np.int32)
+        points[..., k, "zyx".index(frame.through)] = np.clip(depth_index, 0, heights.size - 1)
     points[~is_base] = 0
     return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)
 
@@ -126,11 +126,11 @@ def _base_end(measured: xr.Dataset, side: str) -> Floats:
 def _tile_columns(shape: tuple[int, ...], pitch_um: Pair) -> tuple[Ints, Ints]:
     """Choose tiles of the sheet and columns in each: row and column numbers, (tiles, columns)."""
     columns: list[Ints] = []  # (tiles, columns) along one axis, 7 at most
-    for n, step in zip(shape, pitch_um, strict=True):
-        edge = max(round(TILE_UM / step), 1)
-        inside = np.unique(np.linspace(0, edge - 1, min(edge, 7)).round().astype(np.intp))
-        columns.append(np.minimum(np.arange(max(n // edge, 1))[:, None] * edge + inside, n - 1))
+    for n, step_um in zip(shape, pitch_um, strict=True):
+        tile_edge = max(round(TILE_UM / step_um), 1)
+        offsets = np.unique(np.linspace(0, tile_edge - 1, min(tile_edge, 7)).round().astype(np.intp))
+        columns.append(np.minimum(np.arange(max(n // tile_edge, 1))[:, None] * tile_edge + offsets, n - 1))
     rows, cols = columns
-    number = np.arange(len(rows) * len(cols))
-    row, col = np.divmod(number[:: max(-(-number.size // 2500), 1)], len(cols))
+    tile_number = np.arange(len(rows) * len(cols))
+    row, col = np.divmod(tile_number[:: max(-(-tile_number.size // 2500), 1)], len(cols))
     return np.repeat(rows[row], cols.shape[1], axis=1), np.tile(cols[col], rows.shape[1])

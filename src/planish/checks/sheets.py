@@ -38,10 +38,10 @@ class MeasuredSheet:
 
 def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge how much of the sheet is measured."""
-    s = sheet.facts.surfaces
+    surfaces = sheet.facts.surfaces
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
-    air = min(s.empty_share or 0.0, s.shares["no_sheet"])
-    share = s.shares["measured"] / max(1.0 - s.shares["rim"] - air, 1e-9)
+    air_share = min(surfaces.empty_share or 0.0, surfaces.shares["no_sheet"])
+    share = surfaces.shares["measured"] / max(1.0 - surfaces.shares["rim"] - air_share, 1e-9)
     return rule.at_least(
         share, look=0.5, units="share",
         sentence=f"{100 * share:.0f} % of the columns with a sheet, away from rims, are measured.",
@@ -100,14 +100,15 @@ def corrections(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
     if "corrections" not in surfaces.attrs:
         return None
     stretches = Corrections.model_validate_json(surfaces.attrs["corrections"]).stretches
-    points = sum(len(stretch.points) for stretch in stretches)
-    how = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
-    columns = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
-    drawn, interpolated = (int(np.count_nonzero(how >= least)) for least in (1, 2))  # the flags of the maps
+    n_points = sum(len(stretch.points) for stretch in stretches)
+    flags = np.maximum(*(surfaces[f"correction_{face}"].values for face in SIDES))
+    n_measured = max(int(np.count_nonzero(surfaces["status"].values == Status.MEASURED)), 1)
+    n_drawn, n_interpolated = (int(np.count_nonzero(flags >= flag)) for flag in (1, 2))  # the flags of the maps
     return rule.at_most(
-        drawn / columns, look=0.1,
-        sentence=f"Faces of {drawn} columns ({100 * drawn / columns:.2g} % of the sheet) were drawn to {points} points "
-        f"of {len(stretches)} corrections by hand; {interpolated} of them show no edge there and are interpolated.",
+        n_drawn / n_measured, look=0.1,
+        sentence=f"Faces of {n_drawn} columns ({100 * n_drawn / n_measured:.2g} % of the sheet) were drawn to "
+        f"{n_points} points of {len(stretches)} corrections by hand; {n_interpolated} of them show no edge there and "
+        "are interpolated.",
         advice="Search the surfaces with other options (--sheet-grey, --seed-um) rather than by hand.",
     )  # fmt: skip
 
@@ -129,48 +130,50 @@ def hand(rule: CheckRule, scan: ScannedSheet) -> Check | None:
 def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether a coating, or air, lies inside the base."""
     greys, core, profiles = scan.greys, scan.core, scan.core_grey
-    if not scan.voxels >= _LEAST_VOXELS:
+    if not scan.voxel_count >= _LEAST_VOXELS:
         return rule.check("unknown", "There are too few voxels across the sheet to tell one sheet from two.")
     # In a tile a few columns side by side may lie in one pore.
-    enough = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
-    if np.count_nonzero(enough) < 10:
-        text = f"The base is seen in {np.count_nonzero(enough)} tiles of {TILE_UM:g} um only, too few to tell one"
+    is_seen = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
+    if np.count_nonzero(is_seen) < 10:
+        text = f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few to tell one"
         return rule.check("unknown", f"{text} sheet from two.")
-    profiles = profiles[enough]
-    count = np.isfinite(profiles).sum(axis=1)
-    middle = np.nanmedian(profiles, axis=1)
+    profiles = profiles[is_seen]
+    n_columns = np.isfinite(profiles).sum(axis=1)
+    median_profiles = np.nanmedian(profiles, axis=1)
     # What the scatter of a tile's columns leaves open of their median, 3 standard errors: strong noise is no gap.
     # 1.86 is 1.4826 of the median deviation, 1.253 of the median.
-    profiles -= middle[:, None]
-    spread, median = np.nanmedian(np.abs(profiles, out=profiles), axis=1), middle.astype(np.float64)
-    open_ = 3.0 * 1.86 * spread / np.sqrt(count)
-    base = float(np.median(median))
-    dark = float(np.mean(((base - median - open_) / (base - greys.air)).max(axis=1) > 0.6))
+    profiles -= median_profiles[:, None]
+    deviation, median = np.nanmedian(np.abs(profiles, out=profiles), axis=1), median_profiles.astype(np.float64)
+    uncertainty = 3.0 * 1.86 * deviation / np.sqrt(n_columns)
+    base_grey = float(np.median(median))
+    dark_share = float(np.mean(((base_grey - median - uncertainty) / (base_grey - greys.air)).max(axis=1) > 0.6))
     # A second sheet whose coatings lie in the middle may be learnt as base; what is brighter is then told by the air.
-    coat = denser_coating(greys)
-    brighter = (2 * base - greys.air if coat is None else coat) - base
-    bright = float(np.mean(((median - base - open_) / brighter).max(axis=1) > 0.5))
-    if bright > _BRIGHT_SHARE:
+    coating_grey = denser_coating(greys)
+    coating_contrast = (2 * base_grey - greys.air if coating_grey is None else coating_grey) - base_grey
+    bright_share = float(np.mean(((median - base_grey - uncertainty) / coating_contrast).max(axis=1) > 0.5))
+    if bright_share > _BRIGHT_SHARE:
         return rule.check(
-            "fail", value=bright, limit=_BRIGHT_SHARE, units="share",
-            sentence=f"In {100 * bright:.0f} % of the sheet something as dense as a coating lies in the middle of the "
-            "base: a second sheet lies on the first.",
+            "fail", value=bright_share, limit=_BRIGHT_SHARE, units="share",
+            sentence=f"In {100 * bright_share:.0f} % of the sheet something as dense as a coating lies in the middle "
+            "of the base: a second sheet lies on the first.",
             advice="Crop the volume to one sheet, or choose it with --seed-um.",
         )  # fmt: skip
-    end = ": it is split, or two sheets lie on each other." if dark > _DARK_SHARE else ", and nowhere a second sheet."
+    split_text = ": it is split, or two sheets lie on each other."
+    end_text = split_text if dark_share > _DARK_SHARE else ", and nowhere a second sheet."
     return rule.at_most(
-        dark, fail=_DARK_SHARE, units="share",
-        sentence=f"In {100 * dark:.2g} % of the sheet there is air inside the base{end}",
+        dark_share, fail=_DARK_SHARE, units="share",
+        sentence=f"In {100 * dark_share:.2g} % of the sheet there is air inside the base{end_text}",
         advice="Look at the slices. Crop the volume to one sheet that is whole.",
     )  # fmt: skip
 
 
 def voxels_through(rule: CheckRule, scan: ScannedSheet) -> Check:
     """Judge whether the sheet is thick enough for the voxels along its normal."""
-    thinner = " It may be thinner: sheets of 2 or 3 voxels are measured too thick."
+    is_thin = scan.voxel_count < _LEAST_VOXELS
+    thinner_text = " It may be thinner: sheets of 2 or 3 voxels are measured too thick." if is_thin else ""
     return rule.at_least(
-        scan.voxels, look=_LEAST_VOXELS, units="voxels",
-        sentence=f"The sheet is {scan.voxels:.1f} voxels thick.{thinner if scan.voxels < _LEAST_VOXELS else ''}",
+        scan.voxel_count, look=_LEAST_VOXELS, units="voxels",
+        sentence=f"The sheet is {scan.voxel_count:.1f} voxels thick.{thinner_text}",
         advice="Scan with smaller voxels: five through the sheet are needed, and two through a coating.",
     )  # fmt: skip
 
@@ -184,11 +187,11 @@ def dust(rule: CheckRule, scan: ScannedSheet, *, side: Side) -> Check | None:
     particles = find_particles(coating.astype(np.float64), pitch(scan.measured))
     if particles.area_mm2 < _LEAST_MM2:
         return None
-    covered = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
+    covered_percent = 100 * float(particles.mask.sum()) / max(int(np.isfinite(coating).sum()), 1)
     return rule.at_most(
-        particles.a_mm2, look=1.0, units="1/mm2",
-        sentence=f"{particles.number} particles stand out of the {side} coating, {particles.a_mm2:.2g} a mm², "
-        f"on {covered:.2g} % of it.",
+        particles.per_mm2, look=1.0, units="1/mm2",
+        sentence=f"{particles.n_particles} particles stand out of the {side} coating, {particles.per_mm2:.2g} a mm², "
+        f"on {covered_percent:.2g} % of it.",
         advice="Blow the specimen clean and scan it again, or leave the particles out of the map.",
     )  # fmt: skip
 
@@ -197,38 +200,38 @@ class Particles(NamedTuple):
     """Particles on one side."""
 
     mask: Bools
-    number: int
-    a_mm2: float
+    n_particles: int
+    per_mm2: float
     area_mm2: float  # that was measured
 
 
 def find_particles(coating: Floats, pitch_um: Pair) -> Particles:
     """Find the particles that stand out of a map of a coating, (rows, cols) in um."""
     is_measured = np.isfinite(coating)
-    cell = pitch_um[0] * pitch_um[1]
-    area = float(is_measured.sum()) * cell * 1e-6
-    if area < _LEAST_MM2:
-        return Particles(np.zeros(coating.shape, bool), 0, 0.0, area)
-    above = coating - _median_around(coating, pitch_um)
-    scale = 1.4826 * float(np.nanmedian(np.abs(above - np.nanmedian(above))))
-    labels, n = ndimage.label(np.nan_to_num(above, nan=-np.inf) > 5.0 * max(scale, 1e-6))
-    large = np.bincount(labels.ravel(), minlength=n + 1) * cell >= 400.0  # um2
-    large[0] = False
-    number = int(large.sum())
-    return Particles(large[labels], number, number / max(area, 1e-9), area)
+    cell_um2 = pitch_um[0] * pitch_um[1]
+    area_mm2 = float(is_measured.sum()) * cell_um2 * 1e-6
+    if area_mm2 < _LEAST_MM2:
+        return Particles(np.zeros(coating.shape, bool), 0, 0.0, area_mm2)
+    excess = coating - _median_around(coating, pitch_um)
+    scale = 1.4826 * float(np.nanmedian(np.abs(excess - np.nanmedian(excess))))
+    labels, n = ndimage.label(np.nan_to_num(excess, nan=-np.inf) > 5.0 * max(scale, 1e-6))
+    is_large = np.bincount(labels.ravel(), minlength=n + 1) * cell_um2 >= 400.0  # um2
+    is_large[0] = False
+    count = int(is_large.sum())
+    return Particles(is_large[labels], count, count / max(area_mm2, 1e-9), area_mm2)
 
 
 def _median_around(coating: Floats, pitch_um: Pair) -> Floats:
     """Median of 300 um around every column, from medians of cells of a tenth."""
-    edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
-    counts = [max(n // e, 1) for n, e in zip(coating.shape, edges, strict=True)]
-    part = coating[: counts[0] * edges[0], : counts[1] * edges[1]]
-    shape = (counts[0], min(edges[0], coating.shape[0]), counts[1], min(edges[1], coating.shape[1]))
-    cells = part.reshape(shape).transpose(0, 2, 1, 3).reshape(counts[0], counts[1], -1)
+    cell_edges = [max(round(300.0 / _COARSE / p), 1) for p in pitch_um]
+    cell_counts = [max(n // e, 1) for n, e in zip(coating.shape, cell_edges, strict=True)]
+    cropped = coating[: cell_counts[0] * cell_edges[0], : cell_counts[1] * cell_edges[1]]
+    shape = (cell_counts[0], min(cell_edges[0], coating.shape[0]), cell_counts[1], min(cell_edges[1], coating.shape[1]))
+    cells = cropped.reshape(shape).transpose(0, 2, 1, 3).reshape(cell_counts[0], cell_counts[1], -1)
     medians = np.full(cells.shape[:2], np.nan)
     is_measured = np.isfinite(cells).any(axis=2)
     medians[is_measured] = np.nanmedian(cells[is_measured], axis=1)
     medians[~is_measured] = np.nanmedian(medians) if is_measured.any() else 0.0
     coarse = ndimage.median_filter(medians, size=_COARSE, mode="nearest")
-    coordinates = [(np.arange(n) + 0.5) / e - 0.5 for n, e in zip(coating.shape, edges, strict=True)]
+    coordinates = [(np.arange(n) + 0.5) / e - 0.5 for n, e in zip(coating.shape, cell_edges, strict=True)]
     return ndimage.map_coordinates(coarse, np.meshgrid(*coordinates, indexing="ij"), order=1, mode="nearest")

@@ -65,7 +65,7 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
     value is the number of slices, or breaks, that are concerned.
     """
     window = scan.windows[axis]
-    faults = find_faults(window, assembled=axis in scan.assembled)
+    faults = find_faults(window, assembled=axis in scan.assembled_axes)
     if not faults:
         return rule.check(
             "pass", value=0.0, limit=0.0, units="slices", figures=(),
@@ -73,19 +73,19 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
             "missing.",
         )  # fmt: skip
     kinds = [f.kind for f in faults]
-    unordered = [f for f in faults if f.kind in ("exchanged", "moved")]
-    listed = unordered or faults
-    sentences = [_sentence(f, axis) for f in listed[:4]]
-    if len(listed) > 4:
-        sentences.append(f"{len(listed) - 4} more such places.")
-    if unlisted := len(faults) - len(listed):
-        sentences.append(f"{unlisted} other {'fault' if unlisted == 1 else 'faults'} along the same axis.")
-    is_grave = unordered or axis == scan.through  # heights that are wrong displace on every slope
-    most = max(dict.fromkeys(kinds), key=kinds.count)
+    order_faults = [f for f in faults if f.kind in ("exchanged", "moved")]
+    listed_faults = order_faults or faults
+    sentences = [_sentence(f, axis) for f in listed_faults[:4]]
+    if len(listed_faults) > 4:
+        sentences.append(f"{len(listed_faults) - 4} more such places.")
+    if n_unlisted := len(faults) - len(listed_faults):
+        sentences.append(f"{n_unlisted} other {'fault' if n_unlisted == 1 else 'faults'} along the same axis.")
+    is_grave = order_faults or axis == scan.through  # heights that are wrong displace on every slope
+    commonest_kind = max(dict.fromkeys(kinds), key=kinds.count)
     return rule.check(
-        "fail" if unordered else "look", value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
+        "fail" if order_faults else "look", value=float(sum(1 if f.kind == "jump" else f.count for f in faults)),
         limit=0.0, units="slices", sentence=" ".join(sentences) + " Slices count from 0.",
-        advice=_ADVICE["order" if unordered else "foreign" if most == "empty" else most],
+        advice=_ADVICE["order" if order_faults else "foreign" if commonest_kind == "empty" else commonest_kind],
         figures=(
             CORRELATION,
             *([POSITION] if is_grave or {*kinds} & {"repeated", "jump"} else []),
@@ -95,8 +95,8 @@ def slice_order(rule: CheckRule, scan: ScannedSheet, *, axis: Axis) -> Check:
 
 
 def _sentence(f: Fault, axis: Axis) -> str:
-    several = f.count > 1
-    which = f"{f'Slices {f.first}-{f.last}' if several else f'Slice {f.first}'} along {axis}"
+    is_plural = f.count > 1
+    slices_text = f"{f'Slices {f.first}-{f.last}' if is_plural else f'Slice {f.first}'} along {axis}"
     match f.kind:
         case "exchanged":
             return f"Slices {f.first} and {f.last} along {axis} are exchanged."
@@ -108,19 +108,20 @@ def _sentence(f: Fault, axis: Axis) -> str:
         case "repeated":
             assert f.other is not None
             # Slices that all repeat one slice have no room for as many others.
-            source = f"{f.other}-{f.other + f.count - 1}" if several and f.first - f.other >= f.count else f"{f.other}"
-            return f"{which} {'are copies' if several else 'is a copy'} of {source}."
+            is_block = is_plural and f.first - f.other >= f.count
+            source = f"{f.other}-{f.other + f.count - 1}" if is_block else f"{f.other}"
+            return f"{slices_text} {'are copies' if is_plural else 'is a copy'} of {source}."
         case "filled":
-            return f"{which} {'are means' if several else 'is the mean'} of the neighbours, not measured."
+            return f"{slices_text} {'are means' if is_plural else 'is the mean'} of the neighbours, not measured."
         case "foreign":
-            return f"{which} does not fit between its neighbours."
+            return f"{slices_text} does not fit between its neighbours."
         case "empty":
-            return f"{which} {'show' if several else 'shows'} nothing, while the neighbours do."
+            return f"{slices_text} {'show' if is_plural else 'shows'} nothing, while the neighbours do."
         case "jump":
-            far = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
+            count_text = "several" if math.isnan(f.steps) else f"some {max(round(f.steps), 1)}"
             return (
-                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if {far} "
-                f"{'slice was' if far == 'some 1' else 'slices were'} missing."
+                f"Between slices {f.first} and {f.last} along {axis} the specimen changes as if {count_text} "
+                f"{'slice was' if count_text == 'some 1' else 'slices were'} missing."
             )
 
 
@@ -136,33 +137,33 @@ def find_faults(window: Window, *, assembled: bool = False) -> list[Fault]:
     in strong noise.
     """
     # Slice by slice: in double precision, all of them would be twice as large as what is looked at.
-    spread = np.array([row.std(dtype=np.float64) for row in window.blocks])
-    shows = spread > _EMPTY * float(np.median(spread[spread > 0])) if spread.any() else spread > 0
-    visible = np.flatnonzero(shows)
-    if visible.size < 8:
+    slice_sd = np.array([row.std(dtype=np.float64) for row in window.blocks])
+    is_visible = slice_sd > _EMPTY * float(np.median(slice_sd[slice_sd > 0])) if slice_sd.any() else slice_sd > 0
+    visible_slices = np.flatnonzero(is_visible)
+    if visible_slices.size < 8:
         return []
-    a, b = int(visible[0]), int(visible[-1]) + 1
-    stack = _Stack(window, a, b, shows[a:b], spread[a:b], standardised=assembled)
+    a, b = int(visible_slices[0]), int(visible_slices[-1]) + 1
+    stack = _Stack(window, a, b, is_visible[a:b], slice_sd[a:b], standardised=assembled)
     if np.median(stack.d1) == 0:  # nothing changes along the axis
         return []
-    every = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
-    for find in (_foreign, _exchanged, _jumps) if assembled else every:
-        for fault in find(stack):
+    finders = (_empty, _foreign, _copies, _exchanged, _filled, _near_copies, _far_copies, _jumps)
+    for find_kind in (_foreign, _exchanged, _jumps) if assembled else finders:
+        for fault in find_kind(stack):
             stack.faults.append(fault)
-            stack.good[max(fault.first - 1, 0) : fault.last + 2] = False
+            stack.is_good[max(fault.first - 1, 0) : fault.last + 2] = False
         if assembled:  # between sections there are gaps, which are known
             stack.faults = [f for f in stack.faults if f.kind != "jump"]
     n = window.first + a
-    moved = [replace(f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n)
+    numbered_faults = [replace(f, first=f.first + n, last=f.last + n, other=None if f.other is None else f.other + n)
              for f in stack.faults]  # fmt: skip
-    return sorted(moved, key=lambda f: f.first)
+    return sorted(numbered_faults, key=lambda f: f.first)
 
 
 class _Stack:
     """The slices of a window from the first to the last that shows anything."""
 
     def __init__(
-        self, window: Window, first: int, stop: int, shows: Bools, spread: Floats, *, standardised: bool
+        self, window: Window, first: int, stop: int, is_visible: Bools, slice_sd: Floats, *, standardised: bool
     ) -> None:  # fmt: skip
         self.s: Array = window.blocks[first:stop]  # (slices, blocks)
         if standardised:
@@ -171,14 +172,14 @@ class _Stack:
         self.square, self.product = window.square[first : stop - 1], window.product[first : stop - 2]
         self.d1, self.d2 = _differences(self.s, 1), _differences(self.s, 2)
         # Whether a slice shows anything; and neither it nor a neighbour has a fault that was found.
-        self.shows, self.good, self.spread = shows, shows.copy(), spread
+        self.is_visible, self.is_good, self.slice_sd = is_visible, is_visible.copy(), slice_sd
         self.faults: list[Fault] = []
 
-    def usual(self, k: int) -> float:
+    def usual_difference(self, k: int) -> float:
         """Give the usual difference of neighbours around slice ``k``."""
         return float(np.median(self.d1[max(k - 5, 0) : k + 6]))
 
-    def away(self, k: int, first: int = 0, stop: int | None = None) -> Floats:
+    def differences_from(self, k: int, first: int = 0, stop: int | None = None) -> Floats:
         """Give the difference of every slice from slice ``k``."""
         return np.array([_square(a, self.s[k]) for a in self.s[first:stop]])
 
@@ -189,7 +190,7 @@ class _Stack:
 
     def all_good(self, k: Ints, low: int, high: int) -> Bools:
         """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
-        return np.logical_and.reduce([self.good[k + i] for i in range(low, high + 1)])
+        return np.logical_and.reduce([self.is_good[k + i] for i in range(low, high + 1)])
 
 
 def _differences(s: Array, lag: int) -> Floats:
@@ -210,12 +211,12 @@ def _log(differences: Floats) -> Floats:
 
 def _empty(t: _Stack) -> Iterable[Fault]:
     """Slices that show nothing between such that show the body."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[True], t.shows, [True]]).astype(np.int8)))
-    usual = _FULL * float(np.median(t.spread))
+    edges = np.flatnonzero(np.diff(np.concatenate([[True], t.is_visible, [True]]).astype(np.int8)))
+    usual = _FULL * float(np.median(t.slice_sd))
     return [
         Fault(kind="empty", first=int(a), last=int(b) - 1)
         for a, b in zip(edges[::2], edges[1::2], strict=True)
-        if min(t.spread[a - 1], t.spread[b]) > usual
+        if min(t.slice_sd[a - 1], t.slice_sd[b]) > usual
     ]
 
 
@@ -223,16 +224,17 @@ def _foreign(t: _Stack) -> Iterator[Fault]:
     """Slices unlike both neighbours, which are like each other."""
     indices = np.arange(1, t.d1.size)
     ratio = np.minimum(t.d1[indices - 1], t.d1[indices]) / np.maximum(t.d2[indices - 1], 1e-300)
-    named: set[int] = set()
+    copied: set[int] = set()
     for k in indices[(ratio > FOREIGN) & t.all_good(indices, -1, 1)].tolist():
-        away = t.away(k)
-        away[max(k - 2, 0) : k + 3] = np.inf
-        other = int(away.argmin())
-        if away[other] == 0 and other in named:
+        differences = t.differences_from(k)
+        differences[max(k - 2, 0) : k + 3] = np.inf
+        nearest = int(differences.argmin())
+        if differences[nearest] == 0 and nearest in copied:
             continue
-        kind: Kind = "repeated" if away[other] == 0 else "moved" if away[other] < _FITS * t.usual(other) else "foreign"
-        named.add(k)
-        yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else other)
+        does_fit = differences[nearest] < _FITS * t.usual_difference(nearest)
+        kind: Kind = "repeated" if differences[nearest] == 0 else "moved" if does_fit else "foreign"
+        copied.add(k)
+        yield Fault(kind=kind, first=k, last=k, other=None if kind == "foreign" else nearest)
 
 
 def _copies(t: _Stack) -> Iterator[Fault]:
@@ -240,7 +242,7 @@ def _copies(t: _Stack) -> Iterator[Fault]:
     copied = {k for f in t.faults if f.kind == "repeated" for k in (f.first, f.other)}
     first_indices: dict[bytes, int] = {}
     lag = np.zeros(len(t.s) + 1, np.int64)
-    for k in np.flatnonzero(t.shows):
+    for k in np.flatnonzero(t.is_visible):
         if k not in copied:
             lag[k] = k - first_indices.setdefault(t.s[k].tobytes(), int(k))
     k = 0
@@ -258,21 +260,21 @@ def _exchanged(t: _Stack) -> Iterator[Fault]:
     k = np.arange(1, t.d1.size - 1)
     ratio = np.minimum(t.d1[k - 1], t.d1[k + 1]) / np.maximum(np.maximum(t.d2[k - 1], t.d2[k]), 1e-300)
     limit = np.maximum(EXCHANGED, 1 + _SIGMA * t.scatter(k))
-    hit = ratio > limit
+    is_exchanged = ratio > limit
     # Where pair after pair is exchanged, the first of one pair is next to the last of the other.
     d3 = _differences(t.s, 3)
-    between, outer = t.d1[1 : d3.size + 1], np.maximum(np.maximum(t.d1[: d3.size], t.d1[2 : d3.size + 2]), d3)
-    pairs = np.flatnonzero(between > limit[: d3.size] * outer)
+    outer_differences = np.max([t.d1[: d3.size], t.d1[2 : d3.size + 2], d3], axis=0)
+    pairs = np.flatnonzero(t.d1[1 : d3.size + 1] > limit[: d3.size] * outer_differences)
     pairs = pairs[np.isin(pairs, np.concatenate([pairs - 2, pairs + 2]))]
-    hit |= np.isin(k, pairs) | np.isin(k, pairs + 2)
+    is_exchanged |= np.isin(k, pairs) | np.isin(k, pairs + 2)
     last = -1
-    for first in k[hit & t.all_good(k, -1, 2)].tolist():
+    for first in k[is_exchanged & t.all_good(k, -1, 2)].tolist():
         if first > last:
             last = first + 1
             yield Fault(kind="exchanged", first=first, last=last)
 
 
-def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
+def _dips(curve: Floats, is_good: Bools, slices: int, depth: float) -> list[tuple[int, int]]:
     """Runs of a curve that lie by ``depth`` below their neighbours and the median around; each is of so many slices."""
     dips: list[tuple[int, int]] = []
     k = 1
@@ -280,7 +282,7 @@ def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[i
         for last in range(k, min(k + _RUN, curve.size - 1)):
             limit = curve[k : last + 1].max() + depth
             if min(curve[k - 1], curve[last + 1]) > limit and np.median(curve[max(k - 12, 0) : last + 13]) > limit:
-                if not good[k - 1 : last + 1 + slices].all():
+                if not is_good[k - 1 : last + 1 + slices].all():
                     continue
                 dips.append((k, last))
                 k = last
@@ -291,16 +293,16 @@ def _dips(curve: Floats, good: Bools, slices: int, depth: float) -> list[tuple[i
 
 def _near_copies(t: _Stack) -> Iterator[Fault]:
     """Slices that differ from the one before by noise or compression alone."""
-    for a, b in _dips(_log(t.square), t.good, 2, ALIKE):
+    for a, b in _dips(_log(t.square), t.is_good, 2, ALIKE):
         yield Fault(kind="repeated", first=a + 1, last=b + 1, other=a)
 
 
 def _filled(t: _Stack) -> Iterator[Fault]:
     """Slices that are the mean of their neighbours, or lie on a straight line between two."""
     bend = (t.square[:-1] + t.square[1:] - 2 * t.product) / 4
-    for a, b in _dips(_log(bend), t.good, 3, FILLED):
+    for a, b in _dips(_log(bend), t.is_good, 3, FILLED):
         # Otherwise all of them are copies.
-        if float((np.subtract(t.s[b + 2], t.s[a], dtype=np.float64) ** 2).mean()) > _COPY * t.usual(a):
+        if float((np.subtract(t.s[b + 2], t.s[a], dtype=np.float64) ** 2).mean()) > _COPY * t.usual_difference(a):
             yield Fault(kind="filled", first=a + 1, last=b + 1)
 
 
@@ -309,15 +311,15 @@ def _far_copies(t: _Stack) -> Iterator[Fault]:
     log = _log(t.d1)
     for k in range(2, len(t.s) - 1):
         # A jump may lead back where ln d1 rises above its median; by 64 slices at most.
-        back = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
-        if back < 0.25 or not t.good[k - 1 : k + 1].all():
+        rise = log[k - 1] - np.median(log[max(k - 6, 0) : k + 5])
+        if rise < 0.25 or not t.is_good[k - 1 : k + 1].all():
             continue
-        away = t.away(k, max(k - 64, 0), k - 1)
-        source = int(away.argmin()) + max(k - 64, 0)
-        usual = min(t.usual(k - 1), t.usual(source))
-        if away.min() < _COPY * usual:
-            same = _differences(t.s[source : k + 64], k - source) < _COPY * usual
-            yield Fault(kind="repeated", first=k, last=k + int(np.argmin(np.append(same, False))) - 1, other=source)
+        differences = t.differences_from(k, max(k - 64, 0), k - 1)
+        source = int(differences.argmin()) + max(k - 64, 0)
+        usual = min(t.usual_difference(k - 1), t.usual_difference(source))
+        if differences.min() < _COPY * usual:
+            is_copy = _differences(t.s[source : k + 64], k - source) < _COPY * usual
+            yield Fault(kind="repeated", first=k, last=k + int(np.argmin(np.append(is_copy, False))) - 1, other=source)
 
 
 def _jumps(t: _Stack) -> Iterable[Fault]:
@@ -329,31 +331,32 @@ def _jumps(t: _Stack) -> Iterable[Fault]:
     faults: list[Fault] = []
     for index in k[(rise > limit) & t.all_good(k, -1, 2)].tolist():
         # Of the squared difference: a jump beyond it in the sorted greys is an edge of the sheet, no fault.
-        same = 0.5 if rise[index - 1] > 1.2 else 0.3
-        if t.good[index] and _square(np.sort(t.s[index]), np.sort(t.s[index + 1])) < same * t.d1[index]:
+        largest_ratio = 0.5 if rise[index - 1] > 1.2 else 0.3
+        if t.is_good[index] and _square(np.sort(t.s[index]), np.sort(t.s[index + 1])) < largest_ratio * t.d1[index]:
             faults.append(_jump(t, index))
-            t.good[faults[-1].first : faults[-1].last + 1] = False
+            t.is_good[faults[-1].first : faults[-1].last + 1] = False
     return faults
 
 
 def _jump(t: _Stack, k: int) -> Fault:
     """Name the fault at a jump between slices k and k + 1: one of them fits elsewhere, or slices are missing."""
-    back, onward = t.away(k + 1), t.away(k)
-    back[k : k + 4] = onward[max(k - 2, 0) : k + 2] = np.inf
-    nearest = back if back.min() < onward.min() else onward
-    fits = int(nearest.argmin())
-    if nearest[fits] < min(_FITS * min(t.usual(k), t.usual(fits)), 0.6 * t.d1[k]):
+    from_next, from_slice = t.differences_from(k + 1), t.differences_from(k)
+    from_next[k : k + 4] = from_slice[max(k - 2, 0) : k + 2] = np.inf
+    differences = from_next if from_next.min() < from_slice.min() else from_slice
+    nearest = int(differences.argmin())
+    usual = min(t.usual_difference(k), t.usual_difference(nearest))
+    if differences[nearest] < min(_FITS * usual, 0.6 * t.d1[k]):
         # That slice is at an end of the stack, or does not continue a neighbour of its own.
-        usual = np.median(t.d1[max(fits - 4, 0) : fits + 4])
-        if fits in (0, t.d1.size) or max(t.d1[fits - 1], t.d1[fits]) > 1.3 * usual:
-            return Fault(kind="moved", first=k + 1, last=k + 1, other=fits)
+        usual_difference = np.median(t.d1[max(nearest - 4, 0) : nearest + 4])
+        if nearest in (0, t.d1.size) or max(t.d1[nearest - 1], t.d1[nearest]) > 1.3 * usual_difference:
+            return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
     # Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much.
-    sides, difference, before = (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]), float(t.d1[k]), 0.0
+    segments, difference, previous_median = (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]), float(t.d1[k]), 0.0
     for lag in range(1, 21):
-        pairs = [_differences(part, lag) for part in sides if len(part) > lag + 2]
-        now = float(np.median(np.concatenate(pairs))) if pairs else 0.0
-        if now >= difference:
-            steps = lag - (now - difference) / max(now - before, 1e-300) - 1.0
+        lag_differences = [_differences(segment, lag) for segment in segments if len(segment) > lag + 2]
+        median = float(np.median(np.concatenate(lag_differences))) if lag_differences else 0.0
+        if median >= difference:
+            steps = lag - (median - difference) / max(median - previous_median, 1e-300) - 1.0
             return Fault(kind="jump", first=k, last=k + 1, steps=steps)
-        before = now
+        previous_median = median
     return Fault(kind="jump", first=k, last=k + 1)

@@ -127,14 +127,14 @@ def apply_checks(results: Results) -> Results:
     if all(check.state in ("pass", "unknown") for check in checks):
         return results
     rows, names = rows_with_trust(results.correlations, checks), [layer.name for layer in results.layers]
-    withheld = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
+    withheld_pairs = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
     return results.model_copy(update={
         "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
         "correlations": rows,
         "comparison": tuple(
             _marked(row, checks, names, row.property, POSITION, CORRELATION) for row in results.comparison
         ),
-        "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld),
+        "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld_pairs),
     })  # fmt: skip
 
 
@@ -146,22 +146,22 @@ def rows_with_trust(rows: Iterable[CorrelationRow], checks: Sequence[Check]) -> 
 
 
 def _layer_with_trust(layer: LayerFacts, checks: Sequence[Check]) -> LayerFacts:
-    update: dict[str, Any] = {}
+    updates: dict[str, Any] = {}
     if (sheet := layer.sheet) is not None:
         properties = {k: _marked(p, checks, (layer.name,), k) for k, p in sheet.properties.items()}
         # The sheet's numbers are made of the maps.
         is_withheld = any(p.trust == "withheld" for p in properties.values())
         numbers = None if is_withheld else sheet.numbers
-        update["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
+        updates["sheet"] = sheet.model_copy(update={"properties": properties, "numbers": numbers})
     r = layer.registration
     if r is not None and r.expected_error is not None:
         error = _marked(r.expected_error, checks, (layer.name,), POSITION)
-        update["registration"] = r.model_copy(update={"expected_error": error})
-    return layer.model_copy(update=update)
+        updates["registration"] = r.model_copy(update={"expected_error": error})
+    return layer.model_copy(update=updates)
 
 
 def _marked(figure: Figure, checks: Sequence[Check], layers: Sequence[str], *figures: str) -> Figure:
     """Give a figure of some layers its trust, and take its numbers where they are withheld."""
     trust = trust_of(checks, layers, figures)
-    numbers = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}
-    return type(figure).model_validate({**dict(figure), **numbers, "trust": trust})
+    blank_fields = dict.fromkeys(figure.WITHHELD) if trust == "withheld" else {}
+    return type(figure).model_validate({**dict(figure), **blank_fields, "trust": trust})

@@ -75,47 +75,47 @@ def scale_from_thickness(measured: xr.Dataset) -> SlopeScale:
     """
     steps = pitch(measured)
     down, across = np.gradient(measured["centre"].values, *steps)
-    square = down**2 + across**2
-    wanted = measured["thickness"].values ** 2 * (1 + square)
-    wanted = np.where(measured["status"].values == 0, wanted, np.nan)
+    slope_squared = down**2 + across**2
+    response = measured["thickness"].values ** 2 * (1 + slope_squared)
+    response = np.where(measured["status"].values == 0, response, np.nan)
     tiles = [max(1, round(80.0 / step)) for step in steps]
-    rows, cols = (np.arange(n) // k for n, k in zip(wanted.shape, tiles, strict=True))
-    good = np.isfinite(wanted) & np.isfinite(square)
-    number = (rows[:, None] * (cols[-1] + 1) + cols)[good]
-    size = (rows[-1] + 1) * (cols[-1] + 1)
-    count = np.bincount(number, minlength=size)
-    y, m2 = (np.bincount(number, k[good], minlength=size) for k in (wanted, square))
-    used = count >= 0.5 * tiles[0] * tiles[1]
-    if np.count_nonzero(used) < 4 * _BLOCKS:
+    rows, cols = (np.arange(n) // k for n, k in zip(response.shape, tiles, strict=True))
+    is_good = np.isfinite(response) & np.isfinite(slope_squared)
+    tile_number = (rows[:, None] * (cols[-1] + 1) + cols)[is_good]
+    n_tiles = (rows[-1] + 1) * (cols[-1] + 1)
+    count = np.bincount(tile_number, minlength=n_tiles)
+    y, m2 = (np.bincount(tile_number, k[is_good], minlength=n_tiles) for k in (response, slope_squared))
+    is_used = count >= 0.5 * tiles[0] * tiles[1]
+    if np.count_nonzero(is_used) < 4 * _BLOCKS:
         return SlopeScale(1.0, np.inf)
-    y, m2 = y[used] / count[used], m2[used] / count[used]
-    place = np.stack(np.divmod(np.flatnonzero(used), cols[-1] + 1), axis=1) / [rows[-1] + 1, cols[-1] + 1]
-    block = np.floor(place * _BLOCKS) @ [_BLOCKS, 1]
-    design = np.column_stack([np.ones(y.size), m2, place - place.mean(axis=0)])
-    squared = _ratio(design, y)
-    without = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
-    spread = np.sqrt((without.size - 1) * np.mean((without - without.mean()) ** 2))
-    if not (np.isfinite(squared) and np.isfinite(spread)):
+    y, m2 = y[is_used] / count[is_used], m2[is_used] / count[is_used]
+    positions = np.stack(np.divmod(np.flatnonzero(is_used), cols[-1] + 1), axis=1) / [rows[-1] + 1, cols[-1] + 1]
+    block = np.floor(positions * _BLOCKS) @ [_BLOCKS, 1]
+    design = np.column_stack([np.ones(y.size), m2, positions - positions.mean(axis=0)])
+    scale_squared = _ratio(design, y)
+    leave_one_out = np.array([_ratio(design[block != k], y[block != k]) for k in np.unique(block)])
+    spread = np.sqrt((leave_one_out.size - 1) * np.mean((leave_one_out - leave_one_out.mean()) ** 2))
+    if not (np.isfinite(scale_squared) and np.isfinite(spread)):
         return SlopeScale(1.0, np.inf)
-    scale = float(np.sqrt(max(squared, 0.0)))
+    scale = float(np.sqrt(max(scale_squared, 0.0)))
     return SlopeScale(scale, float(spread / (2 * max(scale, 0.25))))
 
 
 def scale_by_thickness(rule: CheckRule, sheet: MeasuredSheet | RegisteredSheet) -> Check:
     """Judge a sheet without marks: gross errors of the spacing along the axis through it."""
     slope = scale_from_thickness(sheet.measured)
-    axis, stated = _spacing(sheet)
+    axis, stated_um = _spacing(sheet)
     if slope.error > _UNCERTAIN:
         return rule.check(
             "unknown", value=slope.scale if np.isfinite(slope.error) else None,
             sentence=f"The sheet is too flat, or its thickness too uneven, to say from it whether the voxel spacing of "
-            f"{stated:.4g} um along {axis} is right; marks can say more.",
+            f"{stated_um:.4g} um along {axis} is right; marks can say more.",
         )  # fmt: skip
     return rule.check(
         "look" if slope.excludes_one else "pass", value=slope.scale,
         limit=_limit(slope.scale, float(np.hypot(slope.error, _NATURAL))),
         sentence=f"The thickness depends on the slope as if the voxel spacing along {axis} were {slope} times the "
-        f"stated one of {stated:.4g} um.",
+        f"stated one of {stated_um:.4g} um.",
         advice=_ADVICE.format(axis=axis) if slope.excludes_one else "",
     )  # fmt: skip
 
@@ -130,27 +130,27 @@ def scale_by_marks(rule: CheckRule, sheet: RegisteredSheet) -> Check:
 
 def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, slope: SlopeScale) -> Check:
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
-    axis, stated = _spacing(sheet)
+    axis, stated_um = _spacing(sheet)
     # The centre surface is smoothed, and which surface is neutral is not known.
     error = float(np.hypot(marks.error, 0.01))
     is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
     if not is_off and error > _UNCERTAIN:
         if slope.error <= _UNCERTAIN:
             return scale_by_thickness(rule, sheet)
-        times = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
+        times_text = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
         return rule.check(
             "unknown", value=marks.scale,
             sentence=f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to say whether the "
-            f"voxel spacing of {stated:.4g} um along {axis} is right: they agree with {times} times that.",
+            f"voxel spacing of {stated_um:.4g} um along {axis} is right: they agree with {times_text} times that.",
         )  # fmt: skip
     text = (
         f"The marks ask for a voxel spacing along {axis} that is {marks.scale:.3g} ± {error:.2g} times the stated "
-        f"one: {marks.scale * stated:.3g} um for {stated:.4g}."
+        f"one: {marks.scale * stated_um:.3g} um for {stated_um:.4g}."
     )
     state: State = "pass"
     if is_off:
-        state, more = _explained(marks, slope)
-        text += more
+        state, explanation = _explained(marks, slope)
+        text += explanation
     if is_off and sheet.either:
         state, text = "look", f"{text} The other sheet's may be wrong as well."
     return rule.check(
@@ -161,16 +161,16 @@ def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, sl
 
 def _explained(marks: ThroughScale, slope: SlopeScale) -> tuple[State, str]:
     """Whether it is the spacing or a stretch along the slope, and what speaks for it."""
-    agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(slope.error, max(marks.error, _NATURAL))
-    if slope.excludes_one and agree:
+    do_agree = abs(slope.scale - marks.scale) < _BEYOND * np.hypot(slope.error, max(marks.error, _NATURAL))
+    if slope.excludes_one and do_agree:
         return "fail", f" Thickness against slope asks for the same ({slope})."
     # Paper does not strain by more than 1 %, and pixels that are not square are seldom: that counts ten to one.
-    clear = marks.over_stretch > (_CLEARLY / 2 if marks.stretch > 0.01 else _CLEARLY)
-    if clear and marks.without_any > _CLEARLY / 2:
+    is_clear = marks.over_stretch > (_CLEARLY / 2 if marks.stretch > 0.01 else _CLEARLY)
+    if is_clear and marks.without_any > _CLEARLY / 2:
         return "fail", " A stretch of the sheet explains it less well."
-    how = "better" if marks.over_stretch < -_CLEARLY else "as well"
-    along = f"a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat map"
-    return "look", f" But {along} explains it {how}, as pixels that are not square make it."
+    than_text = "better" if marks.over_stretch < -_CLEARLY else "as well"
+    stretch_text = f"a stretch by {100 * marks.stretch:.2g} % along {marks.stretch_deg:.0f}° of the flat map"
+    return "look", f" But {stretch_text} explains it {than_text}, as pixels that are not square make it."
 
 
 def estimate(sheet: RegisteredSheet) -> ThroughScale | None:
@@ -194,7 +194,7 @@ def _limit(scale: float, error: float) -> float:
     return 1 + float(np.copysign(_BEYOND * error, scale - 1))
 
 
-def _ratio(design: Floats, wanted: Floats) -> float:
+def _ratio(design: Floats, response: Floats) -> float:
     """Slope over intercept of a regression; the first two columns of the design."""
-    intercept, slope = np.linalg.lstsq(design, wanted, rcond=None)[0][:2]
+    intercept, slope = np.linalg.lstsq(design, response, rcond=None)[0][:2]
     return float(slope / intercept)

@@ -56,8 +56,8 @@ class WindowReading(NamedTuple):
 
 
 def read_windows(
-    volume: xr.DataArray, *, through: Axis, sheet: tuple[int, int], points: Places | None = None, missing: float = 0.0,
-    threads: int | None = None,
+    volume: xr.DataArray, *, through: Axis, sheet_slices: tuple[int, int], points: Places | None = None,
+    fill_grey: float = 0.0, threads: int | None = None,
 ) -> WindowReading:  # fmt: skip
     """Read a window along each of a volume's three axes.
 
@@ -77,21 +77,21 @@ def read_windows(
         The sums do not depend on it.
     """
     axes: tuple[Axis, ...] = ("z", "y", "x")
-    places: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet) for axis in axes}
+    boxes: dict[Axis, dict[str, slice]] = {axis: _place(volume, axis, through, sheet_slices) for axis in axes}
     points = np.empty((0, 3), np.int32) if points is None else points
     window_number = np.full(len(points), -1, np.int8)  # of the axis in whose window each point is read; -1 for none
-    for i, place in enumerate(places.values()):
-        low, high = np.array([(place[name].start, place[name].stop) for name in "zyx"], points.dtype).T
+    for i, box in enumerate(boxes.values()):
+        low, high = np.array([(box[name].start, box[name].stop) for name in "zyx"], points.dtype).T
         window_number[((points >= low) & (points < high)).all(axis=1)] = i
-    reach = slice(min(p["z"].start for p in places.values()), max(p["z"].stop for p in places.values()))
+    z_range = slice(min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values()))
 
     def read(piece: slice) -> list[_Part | None]:
         return [
-            _read_part(volume, axis, places[axis], piece, points, window_number == k, missing, sampled=axis != through)
-            for k, axis in enumerate(axes)
+            _read_part(volume, axis, box, piece, points, window_number == k, fill_grey, is_sampled=axis != through)
+            for k, (axis, box) in enumerate(boxes.items())
         ]
 
-    pieces = map_threads(read, _pieces(volume, places, reach), number=threads)
+    pieces = map_threads(read, _pieces(volume, boxes, z_range), number=threads)
     grey = np.full(len(points), np.nan, np.float32)
     samples: list[Array] = []
     sums: list[list[Sums]] = [[] for _ in axes]
@@ -103,7 +103,7 @@ def read_windows(
                 grey[part.indices] = part.grey
     sample = np.concatenate(samples)
     samples.clear()
-    windows = tuple(_joined(axis, places[axis], axis_sums) for axis, axis_sums in zip(axes, sums, strict=True))
+    windows = tuple(_joined(axis, boxes[axis], axis_sums) for axis, axis_sums in zip(axes, sums, strict=True))
     return WindowReading(windows=windows, sample=sample, grey=grey)
 
 
@@ -117,32 +117,32 @@ class _Part(NamedTuple):
 
 
 def _read_part(
-    volume: xr.DataArray, axis: Axis, place: dict[str, slice], piece: slice, points: Places, wanted: Bools,
-    missing: float, *, sampled: bool,
+    volume: xr.DataArray, axis: Axis, window_box: dict[str, slice], piece: slice, points: Places, is_wanted: Bools,
+    fill_grey: float, *, is_sampled: bool,
 ) -> _Part | None:  # fmt: skip
-    """Read the slices ``piece`` along z of a window at ``place``; None where they lie outside of it."""
-    start, stop = max(piece.start, place["z"].start), min(piece.stop, place["z"].stop)
+    """Read the slices ``piece`` along z of a window at ``window_box``; None where they lie outside of it."""
+    start, stop = max(piece.start, window_box["z"].start), min(piece.stop, window_box["z"].stop)
     if stop <= start:
         return None
-    wanted = wanted & (points[:, 0] >= start) & (points[:, 0] < stop)
+    is_wanted = is_wanted & (points[:, 0] >= start) & (points[:, 0] < stop)
     # Pairs across the border between two pieces belong to the second one.
-    before = min(2, start - place["z"].start) if axis == "z" else 0
-    whole = place | {"z": slice(start - before, stop)}
+    n_before = min(2, start - window_box["z"].start) if axis == "z" else 0
+    piece_box = window_box | {"z": slice(start - n_before, stop)}
     k = "zyx".index(axis)
     parts: list[_Part] = []
-    tail: Array | None = None
-    for cut in [whole[axis]] if axis == "z" else _cuts(volume, whole, axis):
-        box = whole | {axis: cut}
-        raw = np.asarray(volume.isel(box).values)
-        indices = np.flatnonzero(wanted & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
-        z, y, x = (points[indices] - [box[name].start for name in "zyx"]).T
-        grey = raw[z, y, x].astype(np.float32)
-        sample = (raw[::3, ::3, ::3] if sampled else raw[:0]).ravel()  # for a histogram
-        if tail is not None:
-            before = tail.shape[k]
-            raw = np.concatenate([tail, raw], axis=k)
-        parts.append(_Part(_part_sums(raw, axis, before, missing), sample, indices, grey))
-        tail = raw.take(range(max(raw.shape[k] - 2, 0), raw.shape[k]), axis=k)
+    last_slices: Array | None = None
+    for cut in [piece_box[axis]] if axis == "z" else _cuts(volume, piece_box, axis):
+        cut_box = piece_box | {axis: cut}
+        greys = np.asarray(volume.isel(cut_box).values)
+        indices = np.flatnonzero(is_wanted & (points[:, k] >= cut.start) & (points[:, k] < cut.stop))
+        z, y, x = (points[indices] - [cut_box[name].start for name in "zyx"]).T
+        grey = greys[z, y, x].astype(np.float32)
+        sample = (greys[::3, ::3, ::3] if is_sampled else greys[:0]).ravel()  # for a histogram
+        if last_slices is not None:
+            n_before = last_slices.shape[k]
+            greys = np.concatenate([last_slices, greys], axis=k)
+        parts.append(_Part(_part_sums(greys, axis, n_before, fill_grey), sample, indices, grey))
+        last_slices = greys.take(range(max(greys.shape[k] - 2, 0), greys.shape[k]), axis=k)
     return parts[0] if len(parts) == 1 else _join(parts)
 
 
@@ -153,70 +153,70 @@ def _join(parts: list[_Part]) -> _Part:
     return _Part((square, product, blocks), *(np.concatenate(g) for g in greys))
 
 
-def _cuts(volume: xr.DataArray, place: dict[str, slice], axis: Axis) -> list[slice]:
+def _cuts(volume: xr.DataArray, piece_box: dict[str, slice], axis: Axis) -> list[slice]:
     """Cut a piece along its axis, too, where the chunks of the file make it long along z."""
-    unit = chunks_of(volume)["zyx".index(axis)]
-    slice_voxels = int(np.prod([s.stop - s.start for k, s in place.items() if k != axis]))
-    size = max(int(WINDOW_BYTES / (4 * slice_voxels)) // unit, 1) * unit
-    start, stop = place[axis].start, place[axis].stop
+    chunk = chunks_of(volume)["zyx".index(axis)]
+    slice_voxels = int(np.prod([s.stop - s.start for k, s in piece_box.items() if k != axis]))
+    size = max(int(WINDOW_BYTES / (4 * slice_voxels)) // chunk, 1) * chunk
+    start, stop = piece_box[axis].start, piece_box[axis].stop
     return [slice(k, min(k + size, stop)) for k in range(start, stop, size)]
 
 
-def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet: tuple[int, int]) -> dict[str, slice]:
+def _place(volume: xr.DataArray, axis: Axis, through: Axis, sheet_slices: tuple[int, int]) -> dict[str, slice]:
     """Give the window of an axis as a part of the volume: all slices along it that hold the sheet."""
-    around = slice(max(sheet[0] - 4, 0), min(sheet[1] + 5, volume.sizes[through]))
+    sheet_range = slice(max(sheet_slices[0] - 4, 0), min(sheet_slices[1] + 5, volume.sizes[through]))
     # Some 90 000 voxels of a slice are looked at.
-    widest = _EDGE if axis == through else int(np.clip(90_000 // (around.stop - around.start), 60, 2 * _EDGE))
-    place: dict[str, slice] = {}
+    widest = _EDGE if axis == through else int(np.clip(90_000 // (sheet_range.stop - sheet_range.start), 60, 2 * _EDGE))
+    window_box: dict[str, slice] = {}
     for k, n in zip("zyx", volume.shape, strict=True):  # the middle, in whole blocks
         edge = min(widest, n) // BLOCK * BLOCK or n
-        place[k] = slice((n - edge) // 2, (n - edge) // 2 + edge)
-    return place | ({} if axis == through else {axis: slice(0, volume.sizes[axis])}) | {through: around}
+        window_box[k] = slice((n - edge) // 2, (n - edge) // 2 + edge)
+    return window_box | ({} if axis == through else {axis: slice(0, volume.sizes[axis])}) | {through: sheet_range}
 
 
-def _pieces(volume: xr.DataArray, places: dict[Axis, dict[str, slice]], reach: slice) -> list[slice]:
+def _pieces(volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: slice) -> list[slice]:
     """Cut along z: blocks are whole, chunks of the file are read once where memory allows."""
-    largest = max(np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in places.values())
+    largest = max(np.prod([s.stop - s.start for k, s in p.items() if k != "z"]) for p in boxes.values())
     unit = math.lcm(BLOCK, chunks_of(volume)[0])
     size = max(int(WINDOW_BYTES / (4 * largest)) // unit, 1) * unit
     size = size if size <= 40 * BLOCK else 8 * BLOCK
-    return [slice(k, min(k + size, reach.stop)) for k in range(reach.start, reach.stop, size)]
+    return [slice(k, min(k + size, z_range.stop)) for k in range(z_range.start, z_range.stop, size)]
 
 
-def _part_sums(raw: Array, axis: Axis, before: int, missing: float) -> Sums:
+def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float) -> Sums:
     """Sums of a part (z, y, x) of a window."""
-    part = np.ascontiguousarray(np.moveaxis(raw, "zyx".index(axis), 0), dtype=np.float32)
-    sums = _sums(part, before)
+    part = np.ascontiguousarray(np.moveaxis(greys, "zyx".index(axis), 0), dtype=np.float32)
+    sums = _sums(part, n_before)
     if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():
         return sums
-    return _sums(np.nan_to_num(part, nan=missing, posinf=missing, neginf=missing), before)
+    return _sums(np.nan_to_num(part, nan=fill_grey, posinf=fill_grey, neginf=fill_grey), n_before)
 
 
-def _sums(part: NDArray[np.float32], before: int = 0) -> Sums:
+def _sums(part: NDArray[np.float32], n_before: int = 0) -> Sums:
     """Sums over pairs of slices, and block means; the first slices belong to the part before."""
     n, rows, cols = part.shape
     edge = min(BLOCK, rows, cols)
     square, product = np.zeros(max(n - 1, 0)), np.zeros(max(n - 2, 0))
-    sums = np.zeros((n - before, rows // edge, cols // edge))
-    _kernels.add_slices(part, edge, before, square, product, sums)
-    return square[max(before - 1, 0) :], product, (sums / edge**2).reshape(n - before, -1).astype(np.float32)
+    sums = np.zeros((n - n_before, rows // edge, cols // edge))
+    _kernels.add_slices(part, edge, n_before, square, product, sums)
+    return square[max(n_before - 1, 0) :], product, (sums / edge**2).reshape(n - n_before, -1).astype(np.float32)
 
 
-def _joined(axis: Axis, place: dict[str, slice], sums: list[Sums]) -> Window:
+def _joined(axis: Axis, window_box: dict[str, slice], sums: list[Sums]) -> Window:
     """Join the sums of the parts of a window, which are taken out of ``sums``."""
-    voxels = np.prod([s.stop - s.start for k, s in place.items() if k != axis])
+    voxels = np.prod([s.stop - s.start for k, s in window_box.items() if k != axis])
     if axis == "z":
         square, product = (np.concatenate([p[i] for p in sums]) for i in range(2))
     else:
         square, product = (np.sum([p[i] for p in sums], axis=0) for i in range(2))
-    along = 0 if axis == "z" else 1
+    axis_index = 0 if axis == "z" else 1
     shape = list(sums[0][2].shape)
-    shape[along] = sum(p[2].shape[along] for p in sums)
+    shape[axis_index] = sum(p[2].shape[axis_index] for p in sums)
     blocks, start = np.empty(shape, dtype=np.float32), 0
     while sums:
         part = sums.pop(0)[2]  # a part goes as soon as it is copied
-        blocks[(slice(None),) * along + (slice(start, start + part.shape[along]),)] = part
-        start += part.shape[along]
+        blocks[(slice(None),) * axis_index + (slice(start, start + part.shape[axis_index]),)] = part
+        start += part.shape[axis_index]
     return Window(
-        axis=axis, first=place[axis].start, square=square / voxels, product=product / voxels, blocks=blocks
+        axis=axis, first=window_box[axis].start, square=square / voxels, product=product / voxels, blocks=blocks
     )  # fmt: skip

@@ -101,7 +101,7 @@ def validate(
     if out is not None:
         refuse_existing(out)
     if like is not None:  # the paper and the instruments of a run in each scenario
-        from planish.validate.like import like_run
+        from planish.validate.specimen_template import like_run
 
         if any(scenario.kind != "line" for scenario in chosen):
             raise click.UsageError("--like is for scenarios that run the whole line, not for a mesh or a pair.")

@@ -61,24 +61,24 @@ class Page:
         self.figure = Figure(figsize=(self.width / 25.4, self.height / 25.4), dpi=150, facecolor="white")
         self.text(12, 13, title, fontsize=14, fontweight="bold")
         self.text(12, 19.5, subtitle, color=SOFT, fontsize=9)
-        room, size = np.array([180.0, 148.0]), np.asarray(size_um)
-        most = float(min(1000 * room / size))
-        self.scale = max((scale for scale in _SCALES if scale <= most), default=most)
-        x_mm, y_mm = np.array([24.0, 36.0]) + (room - size * self.scale / 1000) / 2
+        room_mm, plan_size = np.array([180.0, 148.0]), np.asarray(size_um)
+        max_scale = float(min(1000 * room_mm / plan_size))
+        self.scale = max((scale for scale in _SCALES if scale <= max_scale), default=max_scale)
+        x_mm, y_mm = np.array([24.0, 36.0]) + (room_mm - plan_size * self.scale / 1000) / 2
         self.plan = self.add_plan(x_mm, y_mm, low_um, size_um, self.scale)
-        self.scale_bar(24, 199, self.scale, most=40)
+        self.scale_bar(24, 199, self.scale, max_mm=40)
         ratio = f"{self.scale:g}:1" if self.scale >= 1 else f"1:{1 / self.scale:.3g}"
         self.text(90, 200.4, f"drawn {ratio} on A4{note}", color=SOFT)
-        x = (ASIDE - 6) / self.width
-        self.figure.add_artist(Line2D([x, x], [0.05, 0.85], color=FAINT, lw=0.6))
+        line_x = (ASIDE - 6) / self.width
+        self.figure.add_artist(Line2D([line_x, line_x], [0.05, 0.85], color=FAINT, lw=0.6))
         self.bottom = 38.0
 
     def add_plan(self, x_mm: float, y_mm: float, low_um: Point, size_um: Point, scale: float) -> Axes:
         """Add bare axes in um that show ``size_um`` from ``low_um`` on, magnified ``scale`` times."""
-        across, down = (scale * side / 1000 for side in size_um)
-        box = (x_mm / self.width, 1 - (y_mm + down) / self.height, across / self.width, down / self.height)
-        (x, y), (width, height) = low_um, size_um
-        axes = self.figure.add_axes(box, xlim=(x, x + width), ylim=(y, y + height))
+        width_mm, height_mm = (scale * side / 1000 for side in size_um)
+        box = (x_mm / self.width, 1 - (y_mm + height_mm) / self.height, width_mm / self.width, height_mm / self.height)
+        (x, y), (width_um, height_um) = low_um, size_um
+        axes = self.figure.add_axes(box, xlim=(x, x + width_um), ylim=(y, y + height_um))
         axes.set_axis_off()
         return axes
 
@@ -99,51 +99,51 @@ class Page:
             self.bottom += 3.6
         self.bottom += 10
 
-    def scale_bar(self, x_mm: float, y_mm: float, scale: float, *, most: float) -> None:
-        """Draw a round length of at most ``most`` millimetres of paper."""
-        length = round_step(most / scale)
-        axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length, 1000 / scale), scale)
-        axes.plot([0, 1000 * length], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
-        self.text(x_mm + length * scale + 2, y_mm + 1.4, f"{length:g} mm", fontsize=8)
+    def scale_bar(self, x_mm: float, y_mm: float, scale: float, *, max_mm: float) -> None:
+        """Draw a round length of at most ``max_mm`` millimetres of paper."""
+        length_mm = round_step(max_mm / scale)
+        axes = self.add_plan(x_mm, y_mm, (0, 0), (1000 * length_mm, 1000 / scale), scale)
+        axes.plot([0, 1000 * length_mm], [500 / scale] * 2, color=INK, lw=2, solid_capstyle="butt", clip_on=False)
+        self.text(x_mm + length_mm * scale + 2, y_mm + 1.4, f"{length_mm:g} mm", fontsize=8)
 
 
 def encode(pages: Sequence[Page], kind: str, title: str = "", *, dpi: float = 150) -> bytes:
     """Render a page as ``svg`` or ``png``, or pages as one ``pdf``."""
-    file = io.BytesIO()
+    buffer = io.BytesIO()
     if kind == "pdf":
-        facts = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
-        with PdfPages(file, metadata=facts) as pdf:
+        metadata = {"Title": title, "Creator": "planish", "Producer": "planish", "CreationDate": None}
+        with PdfPages(buffer, metadata=metadata) as pdf:
             for page in pages:
                 pdf.savefig(page.figure)
     else:
-        facts = {"Date": None, "Creator": "planish"} if kind == "svg" else {"Software": "planish"}
-        pages[0].figure.savefig(file, format=kind, dpi=dpi, metadata=facts)
-    return file.getvalue()
+        metadata = {"Date": None, "Creator": "planish"} if kind == "svg" else {"Software": "planish"}
+        pages[0].figure.savefig(buffer, format=kind, dpi=dpi, metadata=metadata)
+    return buffer.getvalue()
 
 
 def drawing_page(pattern: Pattern) -> Page:
     """Draw a pattern as the laser sees it, y up: magnified with its pitches and numbers, and in its true size."""
-    holes = f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser sees it"
+    subtitle = f"{len(pattern.holes)} holes around a field of {_size(pattern.field_um)} mm; as the laser sees it"
     view, (x, y) = pattern.view_um, pattern.origin_um
-    page = Page(f"Laser holes: {pattern.name}", holes, (x, y), view, note="; pitches in mm")
+    page = Page(f"Laser holes: {pattern.name}", subtitle, (x, y), view, note="; pitches in mm")
     axes, mm = page.plan, 1000 / page.scale  # um of the sheet for one mm of paper
     _holes(axes, pattern, SOFT)
     _box(axes, (x, y), view, edgecolor=SOFT, ls=(0, (5, 3)))
-    field, corner = pattern.field_low_um, pattern.frame_low_um
-    note = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
-    _write(axes, field + np.array(pattern.field_um) / 2, note, color=SOFT, fontsize=9, linespacing=1.6)
+    field_low, corner = pattern.field_low_um, pattern.frame_low_um
+    field_text = f"field {_size(pattern.field_um)} mm\nno hole reaches into it"
+    _write(axes, field_low + np.array(pattern.field_um) / 2, field_text, color=SOFT, fontsize=9, linespacing=1.6)
     _numbers(axes, pattern.points_um, pattern.labels, pattern.frame_low_um, pattern.frame_um)
     for dx, dy, name in ((1, 0, "x"), (0, 1, "y")):
-        end = (x + 11 * mm * dx, y + 11 * mm * dy)
-        _arrow(axes, (x, y), end, color=ACCENT, lw=1.1)
-        _write(axes, end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
+        arrow_end = (x + 11 * mm * dx, y + 11 * mm * dy)
+        _arrow(axes, (x, y), arrow_end, color=ACCENT, lw=1.1)
+        _write(axes, arrow_end, name, (6 * dx, 6 * dy), color=ACCENT, fontsize=8)
     if pattern.layout != "own":
         _pitches(axes, pattern, 4.2 * mm + pattern.border_um)
         axes.plot(*corner[:, None], "o", ms=7, mfc="none", mec=ACCENT, mew=0.9, clip_on=False)
         axes.annotate(
             "no hole in this corner:\nit shows the orientation",
             (corner[0], corner[1]),
-            (field[0] + 13 * mm, field[1] + 13 * mm),
+            (field_low[0] + 13 * mm, field_low[1] + 13 * mm),
             color=ACCENT,
             fontsize=7.5,
             ha="left",
@@ -164,28 +164,28 @@ def drawing_page(pattern: Pattern) -> Page:
     if view[0] <= 62_000 and view[1] <= 95_000:
         page.aside("True size (print without fitting)")
         _holes(page.add_plan(ASIDE, page.bottom - 12, (x, y), view, 1.0), pattern, FAINT)
-        page.scale_bar(ASIDE, page.bottom - 9 + view[1] / 1000, 1.0, most=10)
+        page.scale_bar(ASIDE, page.bottom - 9 + view[1] / 1000, 1.0, max_mm=10)
     return page
 
 
 def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, rules: Sequence[Rule]) -> Page:
     """Draw the predicted error over the field, with its numbers and the rules."""
-    about = "rms distance between a point of one map and the same point of the other, by the marks alone; similarity"
-    page = Page("Predicted error of the registration", about, pattern.origin_um, pattern.view_um)
+    subtitle = "rms distance between a point of one map and the same point of the other, by the marks alone; similarity"
+    page = Page("Predicted error of the registration", subtitle, pattern.origin_um, pattern.view_um)
     _error_map(page, pattern, predicted)
     _box(page.plan, pattern.field_low_um, pattern.field_um, edgecolor=SOFT)
     _box(page.plan, pattern.origin_um, pattern.view_um, edgecolor=SOFT, ls=(0, (5, 3)))
     page.plan.plot(*pattern.points_um.T, "o", ms=3.5, mfc="white", mec=INK, mew=0.8, clip_on=False)
-    places = predicted.field_um
-    worst = places[1 + int(np.argmax(predicted.at(places[1:])))]
-    pad = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
-    figures = ((places[0], predicted.centre_um, "middle"), (worst, predicted.corner_um, "worst corner"))
-    for place, error, name in figures:
-        page.plan.plot(*place[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
-        x, y = np.sign(places[0] - place)
-        side = ("center", "left", "right")[int(x)]
-        text = f"{name}: {error:.2f} µm"
-        _write(page.plan, place, text, (10 * x, 12 * (y or -1)), ha=side, fontsize=8.5, bbox=pad)
+    field_points = predicted.field_um
+    worst = field_points[1 + int(np.argmax(predicted.at(field_points[1:])))]
+    text_box = {"boxstyle": "round,pad=0.3", "facecolor": "white", "edgecolor": "none", "alpha": 0.9}
+    marked_points = ((field_points[0], predicted.centre_um, "middle"), (worst, predicted.corner_um, "worst corner"))
+    for point, error_um, name in marked_points:
+        page.plan.plot(*point[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
+        x, y = np.sign(field_points[0] - point)
+        alignment = ("center", "left", "right")[int(x)]
+        text = f"{name}: {error_um:.2f} µm"
+        _write(page.plan, point, text, (10 * x, 12 * (y or -1)), ha=alignment, fontsize=8.5, bbox=text_box)
     rows = [
         ("one hole", f"{predicted.fle_um:.2f} µm rms"),
         ("holes N", f"{len(predicted.holes_um)}"),
@@ -200,72 +200,72 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
     page.aside("Error", rows, ("error² = hole² / N · (1 + r² / f²),", "r from the holes' centroid"))
     rows.clear()
     for rule in rules:
-        sign, decimals = "≥" if rule.sense == "at least" else "≤", 0 if rule.unit in ("um", "holes") else 2
-        measured = f"{rule.value:.{decimals}f} {rule.unit.replace('um', 'µm')}".strip()
-        rows.append((rule.name, f"{measured}  {sign} {rule.limit:.4g}"))
+        sign_text, decimals = "≥" if rule.sense == "at least" else "≤", 0 if rule.unit in ("um", "holes") else 2
+        value_text = f"{rule.value:.{decimals}f} {rule.unit.replace('um', 'µm')}".strip()
+        rows.append((rule.name, f"{value_text}  {sign_text} {rule.limit:.4g}"))
     page.aside("Rules", rows)
     return page
 
 
 def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     """Draw the predicted error over the field in colours and contours, with a bar of the colours."""
-    axes, low = page.plan, pattern.field_low_um
+    axes, field_low = page.plan, pattern.field_low_um
     # 200 pixels along the longer side of the map.
-    across, up = (
+    x_um, y_um = (
         start + np.linspace(0, side, max(20, round(200 * side / max(pattern.field_um))))
-        for start, side in zip(low, pattern.field_um, strict=True)
+        for start, side in zip(field_low, pattern.field_um, strict=True)
     )
-    error = predicted.at(np.stack(np.meshgrid(across, up), axis=-1))
-    end = low + pattern.field_um
-    limits = axes.axis()
+    error_um = predicted.at(np.stack(np.meshgrid(x_um, y_um), axis=-1))
+    field_high = field_low + pattern.field_um
+    plot_limits = axes.axis()
     image = axes.imshow(
-        error,
-        extent=(low[0], end[0], low[1], end[1]),
+        error_um,
+        extent=(field_low[0], field_high[0], field_low[1], field_high[1]),
         origin="lower",
         cmap="cividis",
         aspect="auto",
         interpolation="bilinear",
     )
-    axes.axis(limits)
-    levels = np.linspace(error.min(), error.max(), 7)[1:-1]
-    lines = axes.contour(across, up, error, levels=levels, colors="white", linewidths=0.6)
-    axes.clabel(lines, fmt="%.2f", fontsize=7)
-    box = axes.get_position()
-    place = page.figure.add_axes((box.x1 + 4 / page.width, box.y0, 3.5 / page.width, box.height))
-    bar = page.figure.colorbar(image, cax=place)
-    bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
-    bar.ax.set_title("µm", fontsize=8)
+    axes.axis(plot_limits)
+    levels = np.linspace(error_um.min(), error_um.max(), 7)[1:-1]
+    contours = axes.contour(x_um, y_um, error_um, levels=levels, colors="white", linewidths=0.6)
+    axes.clabel(contours, fmt="%.2f", fontsize=7)
+    plan_box = axes.get_position()
+    bar_axes = page.figure.add_axes((plan_box.x1 + 4 / page.width, plan_box.y0, 3.5 / page.width, plan_box.height))
+    colour_bar = page.figure.colorbar(image, cax=bar_axes)
+    colour_bar.outline.set_visible(False)  # pyright: ignore[reportCallIssue]
+    colour_bar.ax.set_title("µm", fontsize=8)
 
 
 def path_page(run: DryRun, *, title: str = "Path of the stage") -> Page:
     """Draw the path of a stage program, from its dry run."""
-    points, path = run.fired_um, run.path_um
-    size = np.maximum(np.ptp(path, axis=0), 1000.0)
+    shots_um, path_um = run.fired_um, run.path_um
+    size = np.maximum(np.ptp(path_um, axis=0), 1000.0)
     border = 0.03 * float(size.max())
-    low, size = path.min(axis=0) - border, size + 2 * border
+    low, size = path_um.min(axis=0) - border, size + 2 * border
     page = Page(title, run.sentence(), low, size, note="; numbers: order of the shots")
     axes = page.plan
-    axes.plot(*path.T, "-", color=SOFT, lw=0.8, clip_on=False)
-    for a, b in pairwise(path):
+    axes.plot(*path_um.T, "-", color=SOFT, lw=0.8, clip_on=False)
+    for a, b in pairwise(path_um):
         if np.hypot(*(b - a)) * page.scale > 8000:
             middle = (a + b) / 2
             _arrow(axes, middle, middle + 0.01 * (b - a), color=SOFT, lw=0.8)
-    axes.plot(*points.T, "o", ms=4.5, color=ACCENT, clip_on=False)
-    _numbers(axes, points, [str(k + 1) for k in range(len(points))], low, size)
-    for place, name, dy in ((path[0], "begins", 7), (path[-1], "ends", -7)):
+    axes.plot(*shots_um.T, "o", ms=4.5, color=ACCENT, clip_on=False)
+    _numbers(axes, shots_um, [str(k + 1) for k in range(len(shots_um))], low, size)
+    for place, name, dy in ((path_um[0], "begins", 7), (path_um[-1], "ends", -7)):
         axes.plot(*place[:, None], "s", ms=5, mfc="white", mec=INK, clip_on=False)
         _write(axes, place, name, (-7, dy), fontsize=7.5, ha="right")
-    pause = f"{1000 * run.least_pause_s:.0f} ms" if np.isfinite(run.least_pause_s) else "-"
-    shots = sorted({f"{1000 * pulse_s:g}" for pulse_s in run.pulse_s})
-    x, y = (f"{um.min() / 1000:g} to {um.max() / 1000:g} mm" for um in path.T)
+    pause_text = f"{1000 * run.least_pause_s:.0f} ms" if np.isfinite(run.least_pause_s) else "-"
+    pulse_texts = sorted({f"{1000 * pulse_s:g}" for pulse_s in run.pulse_s})
+    x_range, y_range = (f"{um.min() / 1000:g} to {um.max() / 1000:g} mm" for um in path_um.T)
     rows = [
-        ("shots", str(len(points))),
-        ("pulse", f"{', '.join(shots[:3])} ms"),
-        ("laser off", f"≥ {pause}"),
+        ("shots", str(len(shots_um))),
+        ("pulse", f"{', '.join(pulse_texts[:3])} ms"),
+        ("laser off", f"≥ {pause_text}"),
         ("path", f"{run.length_um / 1000:.1f} mm"),
         ("time", f"{run.time_s:.1f} s"),
-        ("x", x),
-        ("y", y),
+        ("x", x_range),
+        ("y", y_range),
     ]
     page.aside("Dry run", rows, ("time without acceleration",))
     return page
@@ -281,34 +281,34 @@ def _holes(axes: Axes, pattern: Pattern, edge: str) -> None:
 
 def _numbers(axes: Axes, points: Floats, labels: Sequence[str], low: Floats, size: Floats) -> None:
     """Write a number at each point, on the side of the middle of the rectangle."""
-    away = low + size / 2 - points
-    inwards = np.sign(away) * (np.abs(away) > 0.4 * size)
+    towards_middle = low + size / 2 - points
+    inwards = np.sign(towards_middle) * (np.abs(towards_middle) > 0.4 * size)
     inwards[~inwards.any(axis=1)] = [0.7, 0.7]
-    for label, point, towards in zip(labels, points, 9 * inwards, strict=True):
-        _write(axes, point, label, towards, fontsize=6.5)
+    for label, point, offset_pt in zip(labels, points, 9 * inwards, strict=True):
+        _write(axes, point, label, offset_pt, fontsize=6.5)
 
 
 def _pitches(axes: Axes, pattern: Pattern, distance: float) -> None:
     """Write the distance between neighbours on a line ``distance`` outside the frame."""
     points, low, size = pattern.points_um, pattern.frame_low_um, pattern.frame_um
-    for axis, end in ((0, 0), (1, 1), (0, 1), (1, 0)):
-        level = low[1 - axis] + end * size[1 - axis]
-        positions = np.sort(points[np.abs(points[:, 1 - axis] - level) < 1e-3][:, axis])
-        place = level + (distance if end else -distance)
+    for axis, is_far in ((0, 0), (1, 1), (0, 1), (1, 0)):
+        side_level = low[1 - axis] + is_far * size[1 - axis]
+        positions = np.sort(points[np.abs(points[:, 1 - axis] - side_level) < 1e-3][:, axis])
+        text_level = side_level + (distance if is_far else -distance)
         for a, b in pairwise(positions):
-            middle = ((a + b) / 2, place) if axis == 0 else (place, (a + b) / 2)
+            middle = ((a + b) / 2, text_level) if axis == 0 else (text_level, (a + b) / 2)
             _write(axes, middle, f"{(b - a) / 1000:.2f}", fontsize=6, color=SOFT, rotation=90 * axis)
 
 
-def _write(axes: Axes, place: Point, text: str, away: Point = (0, 0), **options: Any) -> None:
-    """Write beside a place, ``away`` in points of the paper."""
-    style: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
-    axes.annotate(text, (place[0], place[1]), (away[0], away[1]), textcoords="offset points", **style)
+def _write(axes: Axes, place: Point, text: str, offset_pt: Point = (0, 0), **options: Any) -> None:
+    """Write beside a place, ``offset_pt`` in points of the paper."""
+    annotation: dict[str, Any] = {"ha": "center", "va": "center", "annotation_clip": False, **options}
+    axes.annotate(text, (place[0], place[1]), (offset_pt[0], offset_pt[1]), textcoords="offset points", **annotation)
 
 
 def _arrow(axes: Axes, start: Point, end: Point, **options: Any) -> None:
-    style = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, **options}
-    axes.annotate("", (end[0], end[1]), (start[0], start[1]), annotation_clip=False, arrowprops=style)
+    arrow_style = {"arrowstyle": "-|>", "shrinkA": 0, "shrinkB": 0, "mutation_scale": 8, **options}
+    axes.annotate("", (end[0], end[1]), (start[0], start[1]), annotation_clip=False, arrowprops=arrow_style)
 
 
 def _box(axes: Axes, low: Point, size: Point, **options: Any) -> None:

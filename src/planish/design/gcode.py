@@ -23,34 +23,35 @@ def stage_program(pattern: Pattern, stage: StageParams | None = None) -> str:
     """Write the program that burns a pattern, on a short path from the stage's origin and back to it."""
     stage = stage or StageParams()
     is_m3 = stage.pulse_code == "m3"
-    on, off, words = ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
+    on, off, codes_text = ("M3", "M5", "M3 and M5") if is_m3 else ("M64 P0", "M65 P0", "M64 P0, M65 P0")
     if stage.power is not None:
         on = f"M3 S{_plain(stage.power, 3)}"
     points, origin = pattern.points_um, pattern.origin_um
-    view, field = (" x ".join(f"{side / 1000:g}" for side in size) for size in (pattern.view_um, pattern.field_um))
-    home = _move(*origin)
+    sizes_um = pattern.view_um, pattern.field_um
+    view_text, field_text = (" x ".join(f"{side / 1000:g}" for side in size) for size in sizes_um)
+    home_move = _move(*origin)
     lines = [
         f"; planish stage program, {ascii_only(pattern.name)}",
         f"; {len(points)} holes, layout {pattern.layout}, seed {pattern.seed}",
         "; positions in mm, absolute, x to the right and y up as the laser sees the sheet",
-        f"; origin {home.removeprefix('G0 ')}, lower left corner of what is used: {view} mm",
-        f"; field {field} mm, without holes",
+        f"; origin {home_move.removeprefix('G0 ')}, lower left corner of what is used: {view_text} mm",
+        f"; field {field_text} mm, without holes",
         f"; hole {pattern.diameter_um:g} um, pulse {pattern.pulse_s:g} s, pause {pattern.pause_s:g} s; "
         "G4 P is in seconds",
-        f"; speed {stage.speed_mm_min:g} mm/min; laser: {words}",
+        f"; speed {stage.speed_mm_min:g} mm/min; laser: {codes_text}",
         "; try it with the laser off first: a controller that takes P as milliseconds fires too short",
         "G21",
         "G90",
         f"F{_plain(stage.speed_mm_min, 3)}",
         off,
-        home,
+        home_move,
     ]
-    pulse = [on, f"G4 P{_plain(pattern.pulse_s, 6)}", off]
+    pulse_lines = [on, f"G4 P{_plain(pattern.pulse_s, 6)}", off]
     if pattern.pause_s > 0:
-        pulse.append(f"G4 P{_plain(pattern.pause_s, 6)}")
+        pulse_lines.append(f"G4 P{_plain(pattern.pause_s, 6)}")
     for k in short_route(points, origin):
-        lines += [f"; hole {pattern.labels[k]}", _move(*points[k]), *pulse]
-    return "\n".join([*lines, "; back to the origin", home, "M2"]) + "\n"
+        lines += [f"; hole {pattern.labels[k]}", _move(*points[k]), *pulse_lines]
+    return "\n".join([*lines, "; back to the origin", home_move, "M2"]) + "\n"
 
 
 def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
@@ -68,9 +69,8 @@ def short_route(points_um: ArrayLike, start_um: Pair) -> Ints:
         is_shorter = False
         for i in range(len(tour) - 1):
             # Turn round what lies between i + 1 and j: two stretches are replaced.
-            place, following = tour[i], tour[i + 1]
-            j, ends = tour[i + 1 :], np.append(tour[i + 2 :], tour[0])
-            gain = distances[place, following] + distances[j, ends] - distances[place, j] - distances[following, ends]
+            a, b, c, d = tour[i], tour[i + 1], tour[i + 1 :], np.append(tour[i + 2 :], tour[0])
+            gain = distances[a, b] + distances[c, d] - distances[a, c] - distances[b, d]
             best = int(np.argmax(gain))
             if gain[best] > 1e-6:
                 tour[i + 1 : i + 2 + best] = tour[i + 1 : i + 2 + best][::-1]
@@ -103,16 +103,16 @@ def pattern_dxf(pattern: Pattern) -> str:
     """
     (x0, y0), (width, height), diameter = pattern.origin_um, pattern.view_um, pattern.diameter_um
     # Colour numbers: 1 red, 3 green, 5 blue, 7 black or white, 8 grey.
-    layers = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
+    layer_colours = {"HOLES": 1, "BURNT": 8, "FIELD": 3, "VIEW": 8, "NUMBERS": 7, "ORIGIN": 5}
     groups: Groups = [
         (999, f"planish hole pattern, {ascii_only(pattern.name)}: mm, x right, y up as the laser sees the sheet"),
         (0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (9, "$EXTMIN"), *_point(10, x0, y0),
         (9, "$EXTMAX"), *_point(10, x0 + width, y0 + height), (0, "ENDSEC"),
         (0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LTYPE"), (70, 1), (0, "LTYPE"), (2, "CONTINUOUS"), (70, 64),
         (3, "Solid line"), (72, 65), (73, 0), (40, "0.0"), (0, "ENDTAB"),
-        (0, "TABLE"), (2, "LAYER"), (70, len(layers)),
+        (0, "TABLE"), (2, "LAYER"), (70, len(layer_colours)),
     ]  # fmt: skip
-    for name, colour in layers.items():
+    for name, colour in layer_colours.items():
         groups += [(0, "LAYER"), (2, name), (70, 64), (62, colour), (6, "CONTINUOUS")]
     groups += [(0, "ENDTAB"), (0, "ENDSEC"), (0, "SECTION"), (2, "ENTITIES")]
     for label, (x, y) in zip(pattern.labels, pattern.points_um.tolist(), strict=True):
@@ -131,7 +131,7 @@ def pattern_dxf(pattern: Pattern) -> str:
             groups += [(0, "LINE"), (8, layer), *_point(10, *start), *_point(11, *end)]
     groups += _text("ORIGIN", x0 + arm, y0, diameter, "x") + _text("ORIGIN", x0, y0 + arm, diameter, "y")
     groups += [(0, "ENDSEC"), (0, "EOF")]
-    return "".join(f"{code:3d}\n{group}\n" for code, group in groups)
+    return "".join(f"{code:3d}\n{value}\n" for code, value in groups)
 
 
 def _text(layer: str, x_um: float, y_um: float, height_um: float, text: str) -> Groups:
@@ -227,16 +227,16 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
             raise MarkError(
                 f"Line {number} of the program ({line.strip()[:60]!r}) is refused: {error.text}."
             ) from error
-    if machine.on:
+    if machine.on_command:
         raise MarkError("The program stops with the laser on. Add the command that switches it off, and M2.")
-    if not machine.done & {"M2", "M30"}:
+    if not machine.executed & {"M2", "M30"}:
         raise MarkError("The program has no end, M2 or M30; it may have been cut off. Write it again.")
-    if not machine.fired:
+    if not machine.shots_um:
         raise MarkError("The program fires no shot. Give a stage program of 'planish marks design'.")
     return DryRun(
-        fired_um=np.array(machine.fired),
-        pulse_s=np.array(machine.pulses),
-        path_um=np.array(machine.path),
+        fired_um=np.array(machine.shots_um),
+        pulse_s=np.array(machine.pulses_s),
+        path_um=np.array(machine.corners_um),
         least_pause_s=float(min(np.diff(machine.switched_s)[1::2], default=math.nan)),
         time_s=machine.clock_s,
     )
@@ -245,107 +245,107 @@ def dry_run(program: str, stage: StageParams | None = None, *, pulse_s: float = 
 @dataclass
 class _Machine:
     range_um: tuple[float, float, float, float]
-    longest_s: float
-    place: dict[str, float] = field(default_factory=dict[str, float])
-    speed: float | None = None
-    done: set[str] = field(default_factory=set[str])  # commands so far
-    on: str = ""  # the command that switched the laser on
+    longest_pulse_s: float
+    position_um: dict[str, float] = field(default_factory=dict[str, float])
+    speed_mm_min: float | None = None
+    executed: set[str] = field(default_factory=set[str])  # commands so far
+    on_command: str = ""  # the command that switched the laser on
     clock_s: float = 0.0
-    lit_s: float = 0.0  # how long the laser has been on
-    path: list[Pair] = field(default_factory=list[Pair])
-    fired: list[Pair] = field(default_factory=list[Pair])
-    pulses: list[float] = field(default_factory=list[float])
+    laser_on_s: float = 0.0  # how long the laser has been on
+    corners_um: list[Pair] = field(default_factory=list[Pair])
+    shots_um: list[Pair] = field(default_factory=list[Pair])
+    pulses_s: list[float] = field(default_factory=list[float])
     switched_s: list[float] = field(default_factory=list[float])  # on, off, on ...
 
     def run_line(self, text: str) -> None:
         """Carry out one line."""
-        if self.done & {"M2", "M30"}:
+        if self.executed & {"M2", "M30"}:
             raise MarkError("the program goes on after its end; remove what follows M2")
-        if foreign := _WORD.sub("", text):
-            raise MarkError(f"{foreign[:20]!r} is not in the dialect ({_KNOWN})")
+        if foreign_text := _WORD.sub("", text):
+            raise MarkError(f"{foreign_text[:20]!r} is not in the dialect ({_KNOWN})")
         words = [(letter, float(number)) for letter, number in _WORD.findall(text) if letter != "N"]  # of a line
         commands = [f"{letter}{number:g}" for letter, number in words if letter in "GM"]
-        numbers = {letter: number for letter, number in words if letter not in "GM"}
-        if unknown := [command for command in commands if command not in _COMMANDS]:
-            raise MarkError(f"{unknown[0]} is not known; the dialect has {_KNOWN}")
-        if len(numbers) + len(commands) != len(words):
+        arguments = {letter: number for letter, number in words if letter not in "GM"}
+        if unknown_commands := [command for command in commands if command not in _COMMANDS]:
+            raise MarkError(f"{unknown_commands[0]} is not known; the dialect has {_KNOWN}")
+        if len(arguments) + len(commands) != len(words):
             raise MarkError("a letter is given twice")
         if sum(command not in ("G21", "G90") for command in commands) > 1:
             raise MarkError("two commands stand in one line; give each a line of its own")
         # After the first move a position without a command is one, too.
-        if not commands and self.done & {"G0", "G1"}:
-            commands = ["G0"] if numbers.keys() & {"X", "Y"} else []
-        allowed = "".join(_COMMANDS[command] for command in commands) or "F" * (not commands)
-        if meaningless := [letter for letter in numbers if letter not in allowed]:
-            raise MarkError(f"{meaningless[0]} has no meaning here")
-        if numbers.get("F", 1.0) <= 0:
+        if not commands and self.executed & {"G0", "G1"}:
+            commands = ["G0"] if arguments.keys() & {"X", "Y"} else []
+        allowed_letters = "".join(_COMMANDS[command] for command in commands) or "F" * (not commands)
+        if useless_letters := [letter for letter in arguments if letter not in allowed_letters]:
+            raise MarkError(f"{useless_letters[0]} has no meaning here")
+        if arguments.get("F", 1.0) <= 0:
             raise MarkError("the speed F is not positive")
-        self.speed = numbers.get("F", self.speed)
-        self.done |= set(commands)
+        self.speed_mm_min = arguments.get("F", self.speed_mm_min)
+        self.executed |= set(commands)
         for command in commands:
-            self._command(command, numbers)
+            self._command(command, arguments)
 
-    def _command(self, command: str, numbers: dict[str, float]) -> None:
+    def _command(self, command: str, arguments: dict[str, float]) -> None:
         if command in ("G0", "G1"):
-            if numbers.keys() & {"X", "Y"}:
-                self._move(numbers)
-            elif "F" not in numbers:
+            if arguments.keys() & {"X", "Y"}:
+                self._move(arguments)
+            elif "F" not in arguments:
                 raise MarkError("a move without a position")
         elif command == "G4":
-            seconds = numbers.get("P", -1.0)
+            seconds = arguments.get("P", -1.0)
             if seconds < 0:
                 raise MarkError("G4 needs a time P in seconds")
             self.clock_s += seconds
-            self.lit_s += seconds
-            if self.on and self.lit_s > self.longest_s + 1e-12:
+            self.laser_on_s += seconds
+            if self.on_command and self.laser_on_s > self.longest_pulse_s + 1e-12:
                 raise MarkError(
-                    f"a pulse of {self.lit_s:g} s is longer than {self.longest_s:g} s and would burn the sheet; P is "
-                    "in seconds"
+                    f"a pulse of {self.laser_on_s:g} s is longer than {self.longest_pulse_s:g} s and would burn the "
+                    "sheet; P is in seconds"
                 )
-        elif command in ("M64", "M65") and "P" not in numbers:
+        elif command in ("M64", "M65") and "P" not in arguments:
             raise MarkError(f"{command} needs the number P of the output")
         elif command in _OFF:
-            if not self.path:
+            if not self.corners_um:
                 raise MarkError("the laser fires before both X and Y are known")
-            if self.on:
+            if self.on_command:
                 raise MarkError("the laser is on already")
-            x, y = self.path[-1]
+            x, y = self.corners_um[-1]
             # Two shots so close together go through one hole.
-            if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.fired):
+            if any(math.hypot(x - a, y - b) < 1.0 for a, b in self.shots_um):
                 raise MarkError(f"a second shot at X {x / 1000:g} Y {y / 1000:g} mm")
-            self.on, self.lit_s = command, 0.0
+            self.on_command, self.laser_on_s = command, 0.0
             self.switched_s.append(self.clock_s)
-            self.fired.append((x, y))
-        elif command in _OFF.values() and self.on:  # a program may make sure that the laser is off
-            if _OFF[self.on] != command:
-                raise MarkError(f"{command} does not switch off what {self.on} switched on")
-            if self.lit_s <= 0:
+            self.shots_um.append((x, y))
+        elif command in _OFF.values() and self.on_command:  # a program may make sure that the laser is off
+            if _OFF[self.on_command] != command:
+                raise MarkError(f"{command} does not switch off what {self.on_command} switched on")
+            if self.laser_on_s <= 0:
                 raise MarkError("a pulse without a length; put G4 P between on and off")
-            self.on = ""
+            self.on_command = ""
             self.switched_s.append(self.clock_s)
-            self.pulses.append(self.lit_s)
-        elif command in ("M2", "M30") and self.on:
+            self.pulses_s.append(self.laser_on_s)
+        elif command in ("M2", "M30") and self.on_command:
             raise MarkError("the program ends with the laser on; switch it off before")
 
-    def _move(self, numbers: dict[str, float]) -> None:
-        if not {"G21", "G90"} <= self.done:
+    def _move(self, arguments: dict[str, float]) -> None:
+        if not {"G21", "G90"} <= self.executed:
             raise MarkError("a move before G21 (millimetres) and G90 (absolute positions)")
-        if self.on:
+        if self.on_command:
             raise MarkError("a move with the laser on; it would cut the sheet")
         for letter, low, high in zip("XY", self.range_um[:2], self.range_um[2:], strict=True):
-            um = 1000 * numbers.get(letter, math.nan)
-            if um < low - 1e-3 or um > high + 1e-3:
+            target_um = 1000 * arguments.get(letter, math.nan)
+            if target_um < low - 1e-3 or target_um > high + 1e-3:
                 raise MarkError(
-                    f"{letter} {um / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} mm; "
-                    "move the origin or give the stage's own range"
+                    f"{letter} {target_um / 1000:g} mm is out of the stage's range, {low / 1000:g} to {high / 1000:g} "
+                    "mm; move the origin or give the stage's own range"
                 )
-            if letter in numbers:
-                self.place[letter] = um
-        if len(self.place) < 2:
+            if letter in arguments:
+                self.position_um[letter] = target_um
+        if len(self.position_um) < 2:
             return
-        target = self.place["X"], self.place["Y"]
-        if self.path:
-            if self.speed is None:
+        target = self.position_um["X"], self.position_um["Y"]
+        if self.corners_um:
+            if self.speed_mm_min is None:
                 raise MarkError("a move before a speed F")
-            self.clock_s += 60 * math.dist(target, self.path[-1]) / 1000 / self.speed
-        self.path.append(target)
+            self.clock_s += 60 * math.dist(target, self.corners_um[-1]) / 1000 / self.speed_mm_min
+        self.corners_um.append(target)

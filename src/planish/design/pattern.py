@@ -84,8 +84,8 @@ class Pattern(BaseModel):
 
     def with_holes(self, points_um: Floats, lines: Sequence[str]) -> Self:
         """Return the pattern with other holes, (n, 2) in stage coordinates, numbered from 1."""
-        places = enumerate(zip(*points_um.T.tolist(), lines, strict=True), 1)
-        holes = tuple(PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, (x, y, line) in places)
+        numbered = enumerate(zip(*points_um.T.tolist(), lines, strict=True), 1)
+        holes = tuple(PatternHole(label=str(k), x_um=x, y_um=y, line=line) for k, (x, y, line) in numbered)
         return self.model_copy(update={"holes": holes})
 
     @property
@@ -231,23 +231,23 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
     MarkError
         If it is no pattern, or a number is missing or malformed.
     """
-    place = Path(path)
-    text = read_text(place, what="pattern")
+    file_path = Path(path)
+    text = read_text(file_path, what="pattern")
     if text.lstrip().startswith("{"):
         if field_um is not None or diameter_um is not None:
             raise MarkError(
-                f"{place.name} states its field and diameter itself; they can be given for a CSV table only."
+                f"{file_path.name} states its field and diameter itself; they can be given for a CSV table only."
             )
         return Pattern.from_json(text)
-    table = parse_table(text, place.name, needed=_COLUMNS[1:3], error=MarkError)
+    table = parse_table(text, file_path.name, needed=_COLUMNS[1:3], error=MarkError)
     has_diameter = _COLUMNS[3] in table.header
     numbers = table.numbers(_COLUMNS[1 : 3 + has_diameter])
     table.check()
     if diameter_um is None and has_diameter and len(numbers):
         diameter_um = float(np.median(numbers[:, 2]))
     if diameter_um is not None and not 10 <= diameter_um <= 2000:
-        raise MarkError(f"{place.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
-    return own_pattern(numbers[:, :2], name=place.stem, field_um=field_um, diameter_um=diameter_um)
+        raise MarkError(f"{file_path.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
+    return own_pattern(numbers[:, :2], name=file_path.stem, field_um=field_um, diameter_um=diameter_um)
 
 
 # Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.
@@ -291,8 +291,8 @@ class Predicted:
 
     def at(self, points_um: ArrayLike) -> Floats:
         """Predict the rms error, in um, at points (..., 2) in stage coordinates."""
-        squares = np.sum((np.asarray(points_um) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
-        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + squares / self.radius_um**2))
+        r2 = np.sum((np.asarray(points_um) - self.holes_um.mean(axis=0)) ** 2, axis=-1)
+        return np.asarray(self.fle_um / np.sqrt(len(self.holes_um)) * np.sqrt(1 + r2 / self.radius_um**2))
 
     def sentence(self) -> str:
         """Write the error in a line."""
@@ -317,5 +317,6 @@ def hole_error_um(diameter_um: float, imaging: ImagingParams | None = None) -> f
 
 def predict(pattern: Pattern, imaging: ImagingParams | None = None) -> Predicted:
     """Predict the error of a registration by a similarity over the pattern's field."""
-    field = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um + pattern.field_low_um
-    return Predicted(fle_um=hole_error_um(pattern.diameter_um, imaging), holes_um=pattern.points_um, field_um=field)
+    fle_um = hole_error_um(pattern.diameter_um, imaging)
+    field_points = np.array([[0.5, 0.5], [0, 0], [1, 0], [1, 1], [0, 1]]) * pattern.field_um + pattern.field_low_um
+    return Predicted(fle_um=fle_um, holes_um=pattern.points_um, field_um=field_points)

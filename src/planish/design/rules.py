@@ -40,20 +40,21 @@ def self_motions(points_um: Floats) -> Motions:
     """Lay the holes (n, 2) on themselves by every wrong motion that two pairs of holes propose."""
     z = points_um[:, 0] + 1j * points_um[:, 1]
     start, end = np.triu_indices(len(z), 1)
-    base, length = np.stack([start, end], axis=1), np.abs(z[end] - z[start])
+    base_pairs, length = np.stack([start, end], axis=1), np.abs(z[end] - z[start])
     order = np.argsort(length, kind="stable")
     first = np.searchsorted(length[order], (1 - SCALE) * length, side="left")
     last = np.searchsorted(length[order], (1 + SCALE) * length, side="right")
     # Each target is taken in both directions and in both hands; beyond so many motions pairs are thinned out evenly.
     step = max(1.0, 4.0 * float(np.sum(last - first)) / 60_000)
-    bases = np.unique(np.arange(0, len(base), step).astype(np.intp))
-    counts = (last - first)[bases]
-    which = np.repeat(bases, counts)
-    offset = np.arange(len(which)) - np.repeat(np.cumsum(counts) - counts, counts)
-    goal, base = base[order][first[which] + offset], base[which]
-    goal, base = np.concatenate([goal, goal[:, ::-1]]), np.concatenate([base, base])
+    pair_numbers = np.unique(np.arange(0, len(base_pairs), step).astype(np.intp))
+    counts = (last - first)[pair_numbers]
+    repeated_numbers = np.repeat(pair_numbers, counts)
+    offset = np.arange(len(repeated_numbers)) - np.repeat(np.cumsum(counts) - counts, counts)
+    goal_pairs = base_pairs[order][first[repeated_numbers] + offset]
+    bases = np.tile(base_pairs[repeated_numbers], (2, 1))
+    goals = np.concatenate([goal_pairs, goal_pairs[:, ::-1]])
     index = _HoleIndex(points_um)
-    hits, kinds = zip(*(_motion_hits(z, base, goal, index, mirrored) for mirrored in (False, True)), strict=True)
+    hits, kinds = zip(*(_motion_hits(z, bases, goals, index, mirrored) for mirrored in (False, True)), strict=True)
     return Motions(np.concatenate(hits), np.concatenate(kinds))
 
 
@@ -80,51 +81,51 @@ class _HoleIndex:
             first, last = (((point + d - self.low) / self.cell).astype(np.intp) for d in (-self.reach, self.reach))
             self.table[first[0] : last[0] + 1, first[1] : last[1] + 1] = k
 
-    def holes_at(self, landed: NDArray[np.complex128]) -> Ints:
+    def holes_at(self, points: NDArray[np.complex128]) -> Ints:
         """Return the number of the hole at each point, or n where there is none."""
         if self.table is None:
-            flat = np.stack([landed.real.ravel(), landed.imag.ravel()], axis=1)
-            nearest = self.tree.query(flat, distance_upper_bound=self.reach)[1]
-            return np.asarray(nearest, dtype=np.intp).reshape(landed.shape)
+            points_xy = np.stack([points.real.ravel(), points.imag.ravel()], axis=1)
+            hole_numbers = self.tree.query(points_xy, distance_upper_bound=self.reach)[1]
+            return np.asarray(hole_numbers, dtype=np.intp).reshape(points.shape)
         # Far outside is cut off to the table's border, which is empty.
         x, y = (
-            np.clip((part - low) / self.cell, 0, n - 1).astype(np.intp)
-            for part, low, n in zip((landed.real, landed.imag), self.low, self.table.shape, strict=True)
+            np.clip((coordinate - low) / self.cell, 0, n - 1).astype(np.intp)
+            for coordinate, low, n in zip((points.real, points.imag), self.low, self.table.shape, strict=True)
         )
         holes = self.table[x, y].astype(np.intp).ravel()
-        near = np.flatnonzero(holes < self.n)
-        holes[near[np.abs(landed.ravel()[near] - self.z[holes[near]]) > self.reach]] = self.n
-        return holes.reshape(landed.shape)
+        candidates = np.flatnonzero(holes < self.n)
+        holes[candidates[np.abs(points.ravel()[candidates] - self.z[holes[candidates]]) > self.reach]] = self.n
+        return holes.reshape(points.shape)
 
 
 def _motion_hits(
-    z: NDArray[np.complex128], base: Ints, goal: Ints, index: _HoleIndex, mirrored: bool
+    z: NDArray[np.complex128], base_pairs: Ints, goal_pairs: Ints, hole_index: _HoleIndex, mirrored: bool
 ) -> tuple[Bools, NDArray[np.str_]]:
     """Return which holes meet one under each motion, and the kind of each."""
     source = np.conj(z) if mirrored else z
-    is_motion = source[base[:, 1]] != source[base[:, 0]]
+    is_motion = source[base_pairs[:, 1]] != source[base_pairs[:, 0]]
     if not mirrored:
-        is_motion &= np.any(base != goal, axis=1)
-    (start, end), (goal_start, goal_end) = base[is_motion].T, goal[is_motion].T
+        is_motion &= np.any(base_pairs != goal_pairs, axis=1)
+    (start, end), (goal_start, goal_end) = base_pairs[is_motion].T, goal_pairs[is_motion].T
     alpha = (z[goal_end] - z[goal_start]) / (source[end] - source[start])
-    landed = alpha[:, None] * source + (z[goal_start] - alpha * source[start])[:, None]
-    holes = index.holes_at(landed)
-    hit = holes < len(z)
+    moved_points = alpha[:, None] * source + (z[goal_start] - alpha * source[start])[:, None]
+    holes = hole_index.holes_at(moved_points)
+    is_hit = holes < len(z)
     if mirrored:
-        return hit, np.full(len(hit), "mirror")
-    turn = np.abs(np.degrees(np.angle(alpha)))
-    hit &= ~((turn < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
-    half, quarter = turn >= 180 - _TURN_DEG, np.abs(turn - 90) <= _TURN_DEG
-    return hit, np.select([half, quarter], ["half turn", "quarter turn"], "shift")
+        return is_hit, np.full(len(is_hit), "mirror")
+    turn_deg = np.abs(np.degrees(np.angle(alpha)))
+    is_hit &= ~((turn_deg < _TURN_DEG)[:, None] & (holes == np.arange(len(z))))
+    is_half_turn, is_quarter_turn = turn_deg >= 180 - _TURN_DEG, np.abs(turn_deg - 90) <= _TURN_DEG
+    return is_hit, np.select([is_half_turn, is_quarter_turn], ["half turn", "quarter turn"], "shift")
 
 
 def perimeter_order(points_um: Floats) -> Ints:
     """Sort the holes (n, 2) along the rectangle around them, counter-clockwise from its lower left corner."""
     x, y = (points_um - points_um.min(axis=0)).T
     width, height = np.ptp(points_um, axis=0)
-    side = np.argmin([y, width - x, height - y, x], axis=0)
-    along = np.choose(side, [x, width + y, 2 * width + height - x, 2 * (width + height) - y])
-    return np.argsort(along, kind="stable")
+    nearest_side = np.argmin([y, width - x, height - y, x], axis=0)
+    perimeter_um = np.choose(nearest_side, [x, width + y, 2 * width + height - x, 2 * (width + height) - y])
+    return np.argsort(perimeter_um, kind="stable")
 
 
 def code_misfit_um(points_um: Floats) -> float:
@@ -254,21 +255,21 @@ def simple_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rules that need no search: count, place, radius, spacing, area, marker, crop."""
     points, diameter = pattern.points_um, pattern.diameter_um
     field = np.array(pattern.field_um)
-    beyond = np.maximum(np.abs(points - pattern.field_low_um - field / 2) - field / 2, 0.0)
-    inside = int(np.sum(np.hypot(*beyond.T) < pattern.burnt_um - 1e-6))
-    radius = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
+    outside_um = np.maximum(np.abs(points - pattern.field_low_um - field / 2) - field / 2, 0.0)
+    n_inside = int(np.sum(np.hypot(*outside_um.T) < pattern.burnt_um - 1e-6))
+    rms_radius_um = float(np.sqrt(np.mean(np.sum((points - points.mean(axis=0)) ** 2, axis=1))))
     first, second = np.triu_indices(len(points), 1)
-    gap = float(np.hypot(*(points[first] - points[second]).T).min())
+    least_spacing_um = float(np.hypot(*(points[first] - points[second]).T).min())
     # How much farther the emptiest corner of the frame is from its nearest hole than the next one.
     corners = pattern.frame_low_um + pattern.frame_um * np.array([[0, 0], [1, 0], [1, 1], [0, 1]])
-    nearest = np.sort(np.hypot(*(corners - points[:, None]).T).min(axis=1))
+    corner_distances = np.sort(np.hypot(*(corners - points[:, None]).T).min(axis=1))
     return (
         _rule("count", len(points), LEAST_HOLES),
-        _rule("around", inside, 0),
-        _rule("radius", radius / float(np.hypot(*field)), 0.4),
-        _rule("spacing", gap, max(SPACING_DIAMETERS * diameter, pattern.spacing_um)),
+        _rule("around", n_inside, 0),
+        _rule("radius", rms_radius_um / float(np.hypot(*field)), 0.4),
+        _rule("spacing", least_spacing_um, max(SPACING_DIAMETERS * diameter, pattern.spacing_um)),
         area_rule(pattern, len(points)),
-        _rule("marker", float(nearest[3] - nearest[2]), MARKER_DIAMETERS * diameter),
+        _rule("marker", float(corner_distances[3] - corner_distances[2]), MARKER_DIAMETERS * diameter),
         _rule("crop", int(crops(pattern).sum(axis=1).min()), 4),
     )
 
@@ -286,16 +287,16 @@ def code_rules(pattern: Pattern) -> tuple[Rule, ...]:
 
 def matching_rules(pattern: Pattern) -> tuple[Rule, ...]:
     """Apply the rules against taking the pattern for itself in another position."""
-    points, masks = pattern.points_um, crops(pattern)
+    points, crop_masks = pattern.points_um, crops(pattern)
     motions = self_motions(points)
     kinds = ("half turn", "quarter turn", "mirror", "shift")
     # Of each crop, the holes that the best motion without a mirror explains.
-    hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
-    counts = np.max(hit @ masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
+    is_hit = motions.hit[motions.kind != "mirror"].astype(np.float32)
+    hit_counts = np.max(is_hit @ crop_masks.T.astype(np.float32), axis=0, initial=0).astype(np.intp)
     # Of so few survivors, three may meet by chance; four are needed to believe an arrangement.
-    worst = float(np.max(counts / np.maximum(masks.sum(axis=1), 6)))
+    worst_share = float(np.max(hit_counts / np.maximum(crop_masks.sum(axis=1), 6)))
     rivals = [_rule(kind, motions.best_count(kind) / len(points), RIVAL_SHARE) for kind in kinds]
-    return (*rivals, _rule("crop told apart", worst, RIVAL_SHARE))
+    return (*rivals, _rule("crop told apart", worst_share, RIVAL_SHARE))
 
 
 def crops(pattern: Pattern) -> Bools:
@@ -308,14 +309,14 @@ def crops(pattern: Pattern) -> Bools:
     points, radius = pattern.points_um - pattern.origin_um, 0.5 * pattern.diameter_um
     lows, highs = (points - radius).T, (points + radius).T
     survivors: list[Bools] = []
-    for across, along in ((0, 1), (1, 0)):  # the side that the crop keeps lies along the second direction
-        view, low, high = pattern.view_um[along], lows[along], highs[along]
-        length, depth = (1 - CROP) * view, (1 - CROP) * pattern.view_um[across]
-        steps = np.concatenate([low + 1e-3, high - length - 1e-3, [0.0, CROP * view]])
-        steps = np.unique(np.clip(steps, 0.0, CROP * view))[:, None]
-        inside = (low >= steps) & (high <= steps + length)
-        survivors.append(inside & (highs[across] <= depth))
-        survivors.append(inside & (lows[across] >= pattern.view_um[across] - depth))
+    for depth_axis, side_axis in ((0, 1), (1, 0)):  # the side that the crop keeps lies along the second direction
+        view_um, low, high = pattern.view_um[side_axis], lows[side_axis], highs[side_axis]
+        window_um, depth_um = (1 - CROP) * view_um, (1 - CROP) * pattern.view_um[depth_axis]
+        starts_um = np.concatenate([low + 1e-3, high - window_um - 1e-3, [0.0, CROP * view_um]])
+        starts_um = np.unique(np.clip(starts_um, 0.0, CROP * view_um))[:, None]
+        is_inside = (low >= starts_um) & (high <= starts_um + window_um)
+        survivors.append(is_inside & (highs[depth_axis] <= depth_um))
+        survivors.append(is_inside & (lows[depth_axis] >= pattern.view_um[depth_axis] - depth_um))
     return np.unique(np.concatenate(survivors), axis=0)
 
 

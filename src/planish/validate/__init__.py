@@ -1,7 +1,7 @@
 """The calibration certificate: synthetic specimens through the whole program, and what every stage is off by.
 
 ``scenario`` says which specimens and figures, ``certify`` runs them, ``truth`` and ``errors`` compare, ``table`` and
-``page`` write; ``like`` makes specimens like a real run.
+``page`` write; ``specimen_template`` makes specimens like a real run.
 """
 
 import lazy_loader as lazy

@@ -108,8 +108,8 @@ class Certificate:
         names = {name for entry in self.judged for name in entry.values} | limits.keys()
         for name, figure in FIGURES.items():
             if name in names:
-                values = tuple(entry.values.get(name) for entry in self.judged)
-                lines[name] = LedgerLine(figure=figure, values=values, limit=limits.get(name))
+                seed_values = tuple(entry.values.get(name) for entry in self.judged)
+                lines[name] = LedgerLine(figure=figure, values=seed_values, limit=limits.get(name))
         return lines
 
     @property
@@ -139,9 +139,9 @@ def run_scenario(
     Certificate
         A seed on which the program refuses is an entry with its message, no error.
     """
-    numbers, entries = seed_numbers(scenario, seeds), list[Entry]()
-    for k, seed in enumerate(numbers):
-        progress(scenario.name, f"seed {seed}, {k + 1} of {len(numbers)}")
+    seed_list, entries = seed_numbers(scenario, seeds), list[Entry]()
+    for k, seed in enumerate(seed_list):
+        progress(scenario.name, f"seed {seed}, {k + 1} of {len(seed_list)}")
         if scenario.kind == "mesh":
             entries.append(Entry(seed=seed, values=in_order(mesh_values(seed, once=k == 0))))
         else:
@@ -189,15 +189,15 @@ def _make_specimens(
     first = make_specimen(params)
     if scenario.second is None:
         return [(first, write_instruments(first, folder / "specimen", volume=scenario.instrument))]
-    second = make_specimen(scenario.second_params(seed), sheet=first.sheet)
-    pair = zip(PAIR, (first, second), (scenario.instrument, scenario.second.instrument), strict=True)
-    return [(s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in pair]
+    specimens = first, make_specimen(scenario.second_params(seed), sheet=first.sheet)
+    layers = zip(PAIR, specimens, (scenario.instrument, scenario.second.instrument), strict=True)
+    return [(s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in layers]
 
 
 def seed_numbers(scenario: Scenario, seeds: int | Sequence[int] | None) -> list[int]:
     """Seeds as numbers: 0 to the scenario's number where none are given."""
-    chosen = scenario.seeds if seeds is None else seeds
-    return list(range(chosen)) if isinstance(chosen, int) else list(chosen)
+    wanted = scenario.seeds if seeds is None else seeds
+    return list(range(wanted)) if isinstance(wanted, int) else list(wanted)
 
 
 # Of a baseline: growth against next to nothing is none. A quarter of it is noticed, that is 0.002 of an r.
@@ -250,47 +250,48 @@ def sensitivity(
     """
     if scenario.kind != "line":
         raise InputError(f"The scenario {scenario.name} has no nuisances. Give one that runs the whole line.")
-    names, numbers = scenario.active, seed_numbers(scenario, seeds)
+    names, seed_list = scenario.active, seed_numbers(scenario, seeds)
     if not names:
         raise InputError(f"No nuisance of the scenario {scenario.name} is on. Give one with nuisances, such as small.")
 
-    def measure(label: str, chosen: str | tuple[str, ...]) -> tuple[Values, str | None]:
+    def measure(label: str, nuisances: str | tuple[str, ...]) -> tuple[Values, str | None]:
         """Return the rms of each figure over the seeds, and the first refusal."""
         entries: list[Entry] = []
-        for seed in numbers:
+        for seed in seed_list:
             progress("sensitivity", f"{label}, seed {seed}")
-            entries.append(run_specimen(scenario, scenario.params(seed, chosen), seed, compute=compute))
-        names = {name for entry in entries for name in entry.values}
-        figures = {name: rms(np.array([e.values.get(name) for e in entries], dtype=np.float64)) for name in names}
+            entries.append(run_specimen(scenario, scenario.params(seed, nuisances), seed, compute=compute))
+        seed_values = {name: [e.values.get(name) for e in entries] for entry in entries for name in entry.values}
+        figures = {name: rms(np.array(values, dtype=np.float64)) for name, values in seed_values.items()}
         return figures, next((entry.refusal for entry in entries if entry.refusal is not None), None)
 
-    base, refusal = measure("no nuisance", NONE)
+    base_figures, refusal = measure("no nuisance", NONE)
     if refusal is not None:
         raise InputError(f"The scenario {scenario.name} does not even come through without nuisances: {refusal}")
-    candidates = {stage: [name for name in names if base.get(name) is not None] for stage, names in KEYS.items()}
-    keys = {stage: names[0] for stage, names in candidates.items() if names}
-    quiet = {stage: value for stage, name in keys.items() if (value := base[name]) is not None}
+    measured = {name: value for name, value in base_figures.items() if value is not None}
+    keys = {stage: next((k for k in candidates if k in measured), "") for stage, candidates in KEYS.items()}
+    keys = {stage: name for stage, name in keys.items() if name}
+    quiet = {stage: measured[name] for stage, name in keys.items()}
     rows = [make_row(name, keys, quiet, *measure(f"{NUISANCES[name].title} alone", (name,))) for name in names]
     # All that are on: scenario.nuisances may be a list.
-    all_on, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
-    loud = {stage: all_on.get(name) for stage, name in keys.items()}
+    all_figures, _ = measure("all together", scenario.nuisances if scenario.nuisances != NONE else ALL)
+    loud = {stage: all_figures.get(name) for stage, name in keys.items()}
     ratio = {stage: _ratio(stage, keys, quiet, loud, rows) for stage in keys}
-    off = [stage for stage, value in ratio.items() if value is not None and not 1 / _AGREES <= value <= _AGREES]
+    deviating = [stage for stage, r in ratio.items() if r is not None and not 1 / _AGREES <= r <= _AGREES]
     together: dict[str, tuple[str, ...]] = {}
-    if off and len(names) > 1:
-        less = {
+    if deviating and len(names) > 1:
+        figures_without = {
             name: measure(f"all but {NUISANCES[name].title}", tuple(other for other in names if other != name))[0]
             for name in names
         }
-        together = {stage: _most_changing(loud[stage] or 0.0, keys[stage], less) for stage in off}
+        together = {stage: _most_changing(loud[stage] or 0.0, keys[stage], figures_without) for stage in deviating}
     return Sensitivity(
-        keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(numbers)
+        keys=keys, quiet=quiet, loud=loud, rows=tuple(rows), ratio=ratio, together=together, seeds=tuple(seed_list)
     )
 
 
-def _most_changing(error: float, key: str, less: dict[str, Values]) -> tuple[str, ...]:
+def _most_changing(error: float, key: str, figures_without: dict[str, Values]) -> tuple[str, ...]:
     """Name the two nuisances without which a key figure's error changes most; a missing one changes nothing."""
-    errors = {name: figures.get(key) for name, figures in less.items()}
+    errors = {name: figures.get(key) for name, figures in figures_without.items()}
     changes = {name: 0.0 if e is None else abs(error**2 - e**2) for name, e in errors.items()}
     return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
 
@@ -304,12 +305,12 @@ def make_row(
     relative to its own baseline, as the one that grows most.
     """
     added = {stage: added_error(figures.get(key), quiet[stage]) for stage, key in keys.items()}
-    base = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
-    growth = {stage: error / base[stage] for stage, error in added.items() if error is not None}
-    most = max(growth.values(), default=0.0)
+    baselines = {stage: max(quiet[stage], _FLOOR[FIGURES[key].unit]) for stage, key in keys.items()}
+    growth = {stage: added_um / baselines[stage] for stage, added_um in added.items() if added_um is not None}
+    max_growth = max(growth.values(), default=0.0)
     # With less growth, in baselines, no stage is said to suffer.
-    hit = (stage for stage, factor in growth.items() if most >= 0.25 and factor >= _CARRIED * most)
-    return NuisanceRow(nuisance=name, added=added, growth=growth, suffers=next(hit, None), refusal=refusal)
+    affected = (stage for stage, factor in growth.items() if max_growth >= 0.25 and factor >= _CARRIED * max_growth)
+    return NuisanceRow(nuisance=name, added=added, growth=growth, suffers=next(affected, None), refusal=refusal)
 
 
 def added_error(error: float | None, base: float) -> float | None:
@@ -321,10 +322,10 @@ def _ratio(
     stage: str, keys: dict[str, str], quiet: dict[str, float], loud: Values, rows: Sequence[NuisanceRow]
 ) -> float | None:
     """Sum of squares over the whole; None where both stay below the floor or half of the baseline."""
-    whole = added_error(loud[stage], quiet[stage])
-    summed = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
+    total = added_error(loud[stage], quiet[stage])
+    sum_of_singles = float(np.sqrt(sum((row.added[stage] or 0.0) ** 2 for row in rows)))
     # Where all together add less, their sum is not worth naming.
-    least = max(_FLOOR[FIGURES[keys[stage]].unit], 0.5 * quiet[stage])
-    if whole is None or max(whole, summed) < least:
+    floor = max(_FLOOR[FIGURES[keys[stage]].unit], 0.5 * quiet[stage])
+    if total is None or max(total, sum_of_singles) < floor:
         return None
-    return summed / whole if whole > 0 else float("inf")
+    return sum_of_singles / total if total > 0 else float("inf")

@@ -42,23 +42,23 @@ def section_errors(comparison: Comparison) -> Values:
     A shift and a shear of the whole stack are no error of the sheet's structure: they are taken away.
     """
     sections, surfaces = comparison.groups.get("sections"), comparison.surfaces
-    frame, across = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
+    frame, sections_um = Frame.of(surfaces), np.asarray(surfaces["y"].values, dtype=np.float64)
     # Through z, a section shows the sheet from above, and its pose has other axes.
-    if sections is None or frame.through == "z" or across.size < 4:
+    if sections is None or frame.through == "z" or sections_um.size < 4:
         return {}
-    middle = {
+    centre = {
         frame.cols: float(surfaces["x"].values.mean()),
         frame.through: float(np.nanmean(surfaces["centre"].values)),
-        frame.rows: across,
+        frame.rows: sections_um,
     }
-    points = np.stack([np.broadcast_to(middle[axis], across.shape) for axis in ("x", "y", "z")], axis=-1)
-    moved = comparison.files.to_physical(points, sections) - points
-    line = np.polynomial.polynomial.polyfit(across, moved, 1)
-    residual = moved - np.polynomial.polynomial.polyval(across, line).T
+    points = np.stack([np.broadcast_to(centre[axis], sections_um.shape) for axis in ("x", "y", "z")], axis=-1)
+    displacement = comparison.files.to_physical(points, sections) - points
+    line_fit = np.polynomial.polynomial.polyfit(sections_um, displacement, 1)
+    residual = displacement - np.polynomial.polynomial.polyval(sections_um, line_fit).T
     # In the physical frame x runs along the section, y across the sections and z through the sheet.
     # What varies more slowly than the run's cut-off cannot be separated from the sheet's own bend: it is left alone.
     # The rest is jitter that should be gone.
-    jitter = [quick_part(across, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"])) for k in (0, 2)]
+    jitter = [quick_part(sections_um, residual[:, k], cutoff_um=float(sections.attrs["cutoff_um"])) for k in (0, 2)]
     return {
         "sections_x_rms": rms(residual[:, 0]),
         "sections_z_rms": rms(residual[:, 2]),
@@ -71,22 +71,22 @@ def section_errors(comparison: Comparison) -> Values:
 def surface_errors(comparison: Comparison) -> Values:
     """Heights of the four faces at the measured columns, along the true normals."""
     surfaces, sheet = comparison.surfaces, comparison.specimen.sheet
-    values, pool = Values(), list[Floats]()
+    values, all_errors = Values(), list[Floats]()
     for face, field in zip(FACES, sheet.faces, strict=True):
-        heights = np.where(comparison.measured, comparison.take(surfaces[face].values), np.nan)
+        heights = np.where(comparison.measured, comparison.at_columns(surfaces[face].values), np.nan)
         u, v, s = np.moveaxis(comparison.material_at(comparison.places(heights, *comparison.columns)), -1, 0)
         errors = s - field_at(sheet, field, u, v)
         values |= bias_rmse_p95(face, errors)
-        pool.append(errors[np.isfinite(errors)])
-    values["surfaces_rmse"] = rms(np.concatenate(pool))
+        all_errors.append(errors[np.isfinite(errors)])
+    values["surfaces_rmse"] = rms(np.concatenate(all_errors))
     # Columns that have a sheet: away from the true holes, and from the rims that are left out on purpose.
     u, v, _ = np.moveaxis(comparison.material, -1, 0)
-    outside = np.fmin(*(field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
-    status = comparison.take(surfaces["status"].values)
-    has_sheet = outside & (status != Status.RIM)
+    is_off_holes = np.fmin(*(field_at(sheet, field, u, v) for field in sheet.rim_um)) > 0
+    status = comparison.at_columns(surfaces["status"].values)
+    has_sheet = is_off_holes & (status != Status.RIM)
     has_faces = (status == 0) | (status == Status.NORMAL_LEAVES_SHEET)
-    for name, of_columns in (("found_share", has_faces), ("measured_share", comparison.measured)):
-        values[name] = 100.0 * float(np.mean(of_columns[has_sheet])) if has_sheet.any() else None
+    for share_name, is_counted in (("found_share", has_faces), ("measured_share", comparison.measured)):
+        values[share_name] = 100.0 * float(np.mean(is_counted[has_sheet])) if has_sheet.any() else None
     return values
 
 
@@ -95,22 +95,22 @@ def centre_errors(comparison: Comparison) -> Values:
     u, v, s = np.moveaxis(np.where(comparison.measured[..., None], comparison.material, np.nan), -1, 0)
     centre = comparison.surfaces["centre"].values
     # Neighbouring sections scatter against each other: their normals are of a wider difference.
-    reach = [max(1, round(20.0 / p)) if "sections" in comparison.groups else 1 for p in pitch(comparison.surfaces)]
-    sides: list[Floats] = []
-    for axis, (n, r) in enumerate(zip(centre.shape, reach, strict=True)):
-        ends: list[Floats] = []
+    half_steps = [max(1, round(20.0 / p)) if "sections" in comparison.groups else 1 for p in pitch(comparison.surfaces)]
+    tangents: list[Floats] = []
+    for axis, (n, r) in enumerate(zip(centre.shape, half_steps, strict=True)):
+        end_points: list[Floats] = []
         for offset in (-r, r):
             index = list(comparison.columns)
             index[axis] = np.clip(index[axis] + offset, 0, n - 1)
             heights = np.asarray(centre[np.ix_(*index)], dtype=np.float64)
-            ends.append(comparison.physical_at(comparison.places(heights, index[0], index[1])))
-        sides.append(ends[1] - ends[0])
-    normals = np.cross(sides[1], sides[0])
+            end_points.append(comparison.physical_at(comparison.places(heights, index[0], index[1])))
+        tangents.append(end_points[1] - end_points[0])
+    normals = np.cross(tangents[1], tangents[0])
     length = np.linalg.norm(normals, axis=-1)
     is_valid = np.isfinite(u) & (length > 0)
-    true = comparison.specimen.warp.normals(u[is_valid], v[is_valid])
+    true_normals = comparison.specimen.warp.normals(u[is_valid], v[is_valid])
     # The arc sine of the cross product keeps small angles, which the arc cosine loses to rounding.
-    sine = np.linalg.norm(np.cross(normals[is_valid] / length[is_valid][:, None], true), axis=-1)
+    sine = np.linalg.norm(np.cross(normals[is_valid] / length[is_valid][:, None], true_normals), axis=-1)
     angle = np.rad2deg(np.arcsin(np.clip(sine, 0.0, 1.0)))
     mean = mean_of(s)
     return {
@@ -126,37 +126,37 @@ def thickness_errors(comparison: Comparison) -> Values:
     u, v = comparison.material[..., 0], comparison.material[..., 1]
     values = Values()
     for name in THICKNESSES:
-        measured = comparison.take(comparison.surfaces[name].values)
+        measured = comparison.at_columns(comparison.surfaces[name].values)
         values |= bias_rmse_p95(f"column_{name}", measured - true_thickness(comparison.specimen.sheet, name, u, v))
-        if (stated := comparison.surfaces.get(f"{name}_se")) is not None:
-            values[f"predicted_{name}"] = rms(comparison.take(stated.values)[np.isfinite(measured)])
+        if (standard_errors := comparison.surfaces.get(f"{name}_se")) is not None:
+            values[f"predicted_{name}"] = rms(comparison.at_columns(standard_errors.values)[np.isfinite(measured)])
     return values
 
 
 def flattening_errors(comparison: Comparison) -> Values:
     """Flat places of the measured columns against their true ones, after the best turn and shift."""
-    flat = np.stack([comparison.take(comparison.groups["flat"][name].values) for name in ("u", "v")], axis=-1)
-    flat[~comparison.measured] = np.nan
-    true = comparison.material[..., :2]
-    is_valid = np.isfinite(flat).all(axis=-1) & np.isfinite(true).all(axis=-1)
+    flat_uv = np.stack([comparison.at_columns(comparison.groups["flat"][name].values) for name in ("u", "v")], axis=-1)
+    flat_uv[~comparison.measured] = np.nan
+    true_uv = comparison.material[..., :2]
+    is_valid = np.isfinite(flat_uv).all(axis=-1) & np.isfinite(true_uv).all(axis=-1)
     if np.count_nonzero(is_valid) < 3:
         return {}
-    every = max(1, np.count_nonzero(is_valid) // FITTED)
-    ends = flat[is_valid][::every], true[is_valid][::every]
-    rigid, similar = (fit_transform(*ends, model=m, mirrored=None, robust=False) for m in ("rigid", "similarity"))
-    off = true[is_valid] - rigid.transform(flat[is_valid])
-    away = np.hypot(*(off - off.mean(axis=0)).T)
+    stride = max(1, np.count_nonzero(is_valid) // FITTED)
+    fit_points = flat_uv[is_valid][::stride], true_uv[is_valid][::stride]
+    rigid, similar = (fit_transform(*fit_points, model=m, mirrored=None, robust=False) for m in ("rigid", "similarity"))
+    error_uv = true_uv[is_valid] - rigid.transform(flat_uv[is_valid])
+    errors_um = np.hypot(*(error_uv - error_uv.mean(axis=0)).T)
     strains: list[Floats] = []
     for axis, step in enumerate(comparison.pitch_um):
         n = max(1, round(100.0 / step))  # well over the scatter of single columns
-        along = (np.moveaxis(places, axis, 0) for places in (flat, true))
-        of_flat, of_true = (np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in along)
+        moved_axes = (np.moveaxis(places, axis, 0) for places in (flat_uv, true_uv))
+        flat_lengths, true_lengths = (np.linalg.norm(places[n:] - places[:-n], axis=-1) for places in moved_axes)
         with np.errstate(invalid="ignore", divide="ignore"):
-            strains.append((of_flat / of_true - 1.0).ravel())
+            strains.append((flat_lengths / true_lengths - 1.0).ravel())
     strain = rms(np.concatenate(strains))
     return {
-        "node_rms": rms(away),
-        "node_p95": percentile(away, 95),
+        "node_rms": rms(errors_um),
+        "node_p95": percentile(errors_um, 95),
         # The flat map is the source of the fit: it is too large where the fit has to shrink it.
         "flat_scale": 100.0 * (1.0 / similar.transform.scale - 1.0),
         "strain_rms": None if strain is None else 100.0 * strain,
@@ -171,34 +171,34 @@ def pixel_errors(comparison: Comparison) -> Values:
     """Linked thicknesses against those of the material that each pixel shows, and the region of thin coating."""
     values: Values = {}
     for name in THICKNESSES:
-        linked, true = comparison.linked_values(name), comparison.pixel_thickness(name, *comparison.true_uv)
-        values |= bias_rmse_p95(f"pixel_{name}", linked - true)
+        linked_um, true_um = comparison.linked_values(name), comparison.pixel_thickness(name, *comparison.true_uv)
+        values |= bias_rmse_p95(f"pixel_{name}", linked_um - true_um)
         if name != "coating_top":
             continue
         thin_um = comparison.run.study.correlate.thin_um
-        is_valid = np.isfinite(linked) & np.isfinite(true)
-        count = int(np.count_nonzero(is_valid))
+        is_valid = np.isfinite(linked_um) & np.isfinite(true_um)
+        n_valid = int(np.count_nonzero(is_valid))
         # With fewer of the valid pixels, the thin region is some specks.
-        if count and np.count_nonzero(true[is_valid] < thin_um) >= 0.002 * count:
-            values["thin_dice"] = dice(linked < thin_um, (true < thin_um) & is_valid)
+        if n_valid and np.count_nonzero(true_um[is_valid] < thin_um) >= 0.002 * n_valid:
+            values["thin_dice"] = dice(linked_um < thin_um, (true_um < thin_um) & is_valid)
             values["thin_lag"] = outline_lag(
-                linked, np.where(is_valid, true, np.nan), thin_um, pitch(comparison.linked)
+                linked_um, np.where(is_valid, true_um, np.nan), thin_um, pitch(comparison.linked)
             )
     return values
 
 
-def dice(first: Bools, second: Bools) -> float | None:
+def dice(first_mask: Bools, second_mask: Bools) -> float | None:
     """Twice the common area over the sum of both; None where both are empty."""
-    total = int(first.sum()) + int(second.sum())
-    return 2.0 * int((first & second).sum()) / total if total else None
+    total = int(first_mask.sum()) + int(second_mask.sum())
+    return 2.0 * int((first_mask & second_mask).sum()) / total if total else None
 
 
-def outline_lag(first: Floats, second: Floats, level: float, pitch_um: tuple[float, float]) -> float | None:
+def outline_lag(first_map: Floats, second_map: Floats, level: float, pitch_um: tuple[float, float]) -> float | None:
     """Median distance in um between the contour lines of two maps at ``level``, taken from both sides.
 
     No line passes where a map is NaN; None where one of them has no contour. ``pitch_um`` is that of rows and columns.
     """
-    a, b = (contour_points(m, level) * np.array(pitch_um) for m in (first, second))
+    a, b = (contour_points(m, level) * np.array(pitch_um) for m in (first_map, second_map))
     if not len(a) or not len(b):
         return None
     away = np.concatenate([KDTree(b).query(a)[0], KDTree(a).query(b)[0]])
@@ -219,64 +219,64 @@ def hole_errors(comparison: Comparison) -> Values:
     """Compare the holes of either side with the true ones; they are found again, with the run's options."""
     linked, maps, specimen = comparison.linked, comparison.groups["maps"], comparison.specimen
     hole_um = comparison.run.study.holes.hole_um
-    true = specimen.sheet.holes
+    true_uv = specimen.sheet.holes
     radius = 0.5 * float(np.mean(hole_um))
     y, x = linked["y"].values, linked["x"].values
     pixel = pitch(linked)
     holes = find_holes(np.asarray(linked["image"].values), pixel_um=pixel, diameter_um=hole_um)
-    in_image = np.asarray(specimen.pose.inverse(_xy(holes)), dtype=np.float64).reshape(-1, 2)
-    places = specimen.pose(true)
-    inside = np.all((places > radius) & (places < [x[-1] - radius, y[-1] - radius]), axis=1)
-    values = _side_errors(in_image, true, inside, "image")
+    image_uv = np.asarray(specimen.pose.inverse(_xy(holes)), dtype=np.float64).reshape(-1, 2)
+    true_xy = specimen.pose(true_uv)
+    is_inside = np.all((true_xy > radius) & (true_xy < [x[-1] - radius, y[-1] - radius]), axis=1)
+    values = _side_errors(image_uv, true_uv, is_inside, "image")
     holes = find_holes(maps["presence"].values, pixel_um=pitch(maps)[1], diameter_um=hole_um, polarity="dark")
     moving = _xy(holes) + np.array([maps["u"].values[0], maps["v"].values[0]])
-    volume = values_at(maps, ("volume_x", "volume_y", "volume_z"), moving)
-    in_sheet = comparison.material_at(volume)[:, :2]
+    volume_xyz = values_at(maps, ("volume_x", "volume_y", "volume_z"), moving)
+    volume_uv = comparison.material_at(volume_xyz)[:, :2]
     column_uv = comparison.material[np.isfinite(comparison.material[..., 0])][:, :2]
-    ring = true[:, None] + np.concatenate([np.zeros((1, 2)), radius * _RING])
-    reach = np.asarray(KDTree(column_uv).query(ring.reshape(-1, 2))[0]).reshape(len(true), -1)
-    values |= _side_errors(in_sheet, true, np.all(reach < 2.0 * max(comparison.pitch_um), axis=1), "volume")
-    sides = [values.get(f"fle_{side}") for side in ("image", "volume")]
-    if sides[0] is not None and sides[1] is not None:
-        values["fle_pair"] = float(np.hypot(sides[0], sides[1]))
+    rings = true_uv[:, None] + np.concatenate([np.zeros((1, 2)), radius * _RING])
+    distances_um = np.asarray(KDTree(column_uv).query(rings.reshape(-1, 2))[0]).reshape(len(true_uv), -1)
+    values |= _side_errors(volume_uv, true_uv, np.all(distances_um < 2.0 * max(comparison.pitch_um), axis=1), "volume")
+    localisation = [values.get(f"fle_{side}") for side in ("image", "volume")]
+    if localisation[0] is not None and localisation[1] is not None:
+        values["fle_pair"] = float(np.hypot(localisation[0], localisation[1]))
     return values
 
 
-def _side_errors(holes_uv: Floats, true: Floats, inside: Bools, side: str) -> Values:
+def _side_errors(holes_uv: Floats, true_uv: Floats, is_inside: Bools, side: str) -> Values:
     """Recall, false ones and localisation error of one side; all places are material (u, v) in um."""
     holes_uv = holes_uv[np.isfinite(holes_uv).all(axis=1)]
-    if not len(true):
+    if not len(true_uv):
         return {f"false_{side}": float(len(holes_uv))}
-    away = np.linalg.norm(holes_uv[:, None] - true[None], axis=-1)
-    right = away.min(axis=1) < 60.0  # a third of a hole: nearer than that it is the same one
-    hit = np.zeros(len(true), dtype=bool)
-    hit[away.argmin(axis=1)[right]] = True
-    errors = away.min(axis=1)[right]
+    distances_um = np.linalg.norm(holes_uv[:, None] - true_uv[None], axis=-1)
+    is_true = distances_um.min(axis=1) < 60.0  # a third of a hole: nearer than that it is the same one
+    is_detected = np.zeros(len(true_uv), dtype=bool)
+    is_detected[distances_um.argmin(axis=1)[is_true]] = True
+    errors = distances_um.min(axis=1)[is_true]
     return {
-        f"recall_{side}": float((hit & inside).sum() / inside.sum()) if inside.any() else None,
-        f"false_{side}": float(np.count_nonzero(~right)),
+        f"recall_{side}": float((is_detected & is_inside).sum() / is_inside.sum()) if is_inside.any() else None,
+        f"false_{side}": float(np.count_nonzero(~is_true)),
         f"fle_{side}": rms(errors),
     }
 
 
 def registration_errors(comparison: Comparison) -> Values:
     """Error of every pixel in the sheet, what the marks say of it, and what it would be without flattening."""
-    fit, away = comparison.fit, comparison.away_um
-    expected = rms(comparison.linked["expected_error"].values[comparison.valid].astype(np.float64))
-    true, scale = rms(away), None
-    uv = np.stack([values[comparison.valid] for values in comparison.true_uv], axis=1)
+    fit, errors_um = comparison.fit, comparison.place_error_um
+    expected_rms = rms(comparison.linked["expected_error"].values[comparison.valid].astype(np.float64))
+    true_rms, scale = rms(errors_um), None
+    uv = np.stack([coordinate[comparison.valid] for coordinate in comparison.true_uv], axis=1)
     if len(uv) >= 3:  # of the similarity that is nearest to the true pose over the valid pixels
         uv = uv[:: max(1, len(uv) // FITTED)]
         scale = fit_transform(uv, comparison.specimen.pose(uv), mirrored=None, robust=False).transform.scale
     return {
-        "tre_median": percentile(away, 50),
-        "tre_p95": percentile(away, 95),
-        "tre_max": percentile(away, 99.9),
-        "tre_rms": true,
+        "tre_median": percentile(errors_um, 50),
+        "tre_p95": percentile(errors_um, 95),
+        "tre_max": percentile(errors_um, 99.9),
+        "tre_rms": true_rms,
         "fre_rms": fit.rms_um,
         "loo_rms": rms(fit.leave_one_out_um),
-        "predicted_rms": expected,
-        "predicted_ratio": true / expected if true is not None and expected else None,
+        "predicted_rms": expected_rms,
+        "predicted_ratio": true_rms / expected_rms if true_rms is not None and expected_rms else None,
         "scale_deviation": 100.0 * (fit.transform.scale / scale - 1.0) if scale else None,
         "tre_projection_p95": _projection_error(comparison, fit, scale),
     }
@@ -285,16 +285,16 @@ def registration_errors(comparison: Comparison) -> Values:
 def _projection_error(comparison: Comparison, fit: FittedTransform, scale: float | None) -> float | None:
     """95th percentile over the columns that the image shows; the distance in the image, brought to the sheet."""
     names = ("projected_u", "projected_v")
-    marks = values_at(comparison.groups["maps"], names, fit.moving)
-    if scale is None or not np.isfinite(marks).all():
+    marks_uv = values_at(comparison.groups["maps"], names, fit.moving)
+    if scale is None or not np.isfinite(marks_uv).all():
         return None
-    projected = fit_transform(marks, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
-    from_run = np.stack([comparison.take(comparison.groups["flat"][name].values) for name in names], axis=-1)
-    is_valid = comparison.measured & np.isfinite(comparison.material[..., 0]) & np.isfinite(from_run).all(axis=-1)
+    projected = fit_transform(marks_uv, fit.fixed, mirrored=fit.transform.mirrored, robust=False)
+    run_uv = np.stack([comparison.at_columns(comparison.groups["flat"][name].values) for name in names], axis=-1)
+    is_valid = comparison.measured & np.isfinite(comparison.material[..., 0]) & np.isfinite(run_uv).all(axis=-1)
     true_xy = comparison.specimen.pose(comparison.material[is_valid][:, :2])
     x, y = (comparison.linked[d].values for d in "xy")
-    inside = np.all((true_xy >= 0) & (true_xy <= [x[-1], y[-1]]), axis=1)
-    return percentile(np.linalg.norm(projected(from_run[is_valid]) - true_xy, axis=1)[inside] / scale, 95)
+    is_inside = np.all((true_xy >= 0) & (true_xy <= [x[-1], y[-1]]), axis=1)
+    return percentile(np.linalg.norm(projected(run_uv[is_valid]) - true_xy, axis=1)[is_inside] / scale, 95)
 
 
 def resampling_errors(comparison: Comparison) -> Values:
@@ -302,29 +302,30 @@ def resampling_errors(comparison: Comparison) -> Values:
     surfaces, flat, linked = (comparison.groups[name] for name in ("surfaces", "flat", "linked"))
     name = "coating_top" if np.isfinite(linked["coating_top"].values).any() else "thickness"
     height, width = surfaces["centre"].shape
-    most = min(height, max(2, 1_500_000 // width))
-    rows, cols = np.arange(most) + (height - most) // 2, np.arange(width)
+    max_rows = min(height, max(2, 1_500_000 // width))
+    rows, cols = np.arange(max_rows) + (height - max_rows) // 2, np.arange(width)
     centre = np.asarray(surfaces["centre"].values[rows], dtype=np.float64)
     u, v, _ = np.moveaxis(comparison.material_at(comparison.places(centre, rows, cols)), -1, 0)
     fit = comparison.fit
     uv = np.stack([flat["u"].values[rows], flat["v"].values[rows]], axis=-1)
     places = find_places(fit.transform(uv), Grid.of(linked), least_um=min(pitch(surfaces)) * fit.transform.scale)
-    carried = resample(true_thickness(comparison.specimen.sheet, name, u, v), places)
-    true = comparison.pixel_thickness(name, comparison.linked_material[..., 0], comparison.linked_material[..., 1])
-    errors = np.where(comparison.valid, carried - true, np.nan)
+    resampled_um = resample(true_thickness(comparison.specimen.sheet, name, u, v), places)
+    true_um = comparison.pixel_thickness(name, comparison.linked_material[..., 0], comparison.linked_material[..., 1])
+    errors = np.where(comparison.valid, resampled_um - true_um, np.nan)
     return {"resampling_rmse": rms(errors), "resampling_p95": percentile(errors, 95)}
 
 
 def statistic_errors(comparison: Comparison) -> Values:
     """Correlation with the image of the measured and of the true map, over the same pixels and the run's points."""
     image, pixel = np.asarray(comparison.linked["image"].values, dtype=np.float64), pitch(comparison.linked)
-    measured = comparison.linked_values(comparison.headline)
-    true = np.where(np.isfinite(measured), comparison.pixel_thickness(comparison.headline, *comparison.true_uv), np.nan)
+    measured_map = comparison.linked_values(comparison.headline)
+    true_map = comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
+    true_map[~np.isfinite(measured_map)] = np.nan
     point_um = comparison.run.study.correlate.point_um
-    pixels = [pearson(m, image) for m in (measured, true)]
-    points = [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured, true)]
+    pixel_r = [pearson(m, image) for m in (measured_map, true_map)]
+    point_r = [correlate(m, image, pixel_um=pixel, point_um=point_um).r for m in (measured_map, true_map)]
     values = Values()
-    for key, (r_measured, r_true) in (("pixel", pixels), ("point", points)):
+    for key, (r_measured, r_true) in (("pixel", pixel_r), ("point", point_r)):
         is_finite = np.isfinite(r_measured) and np.isfinite(r_true)
         correlations = (r_measured, r_true, r_measured - r_true) if is_finite else (None, None, None)
         values |= dict(zip((f"r_{key}", f"r_true_{key}", f"r_difference_{key}"), correlations, strict=True))
@@ -336,15 +337,16 @@ def pair_errors(specimens: Sequence[tuple[Specimen, InstrumentFiles]], run: Run)
     maps = [run.groups[f"layers/{name}"] for name in PAIR]
     valid = maps[0]["valid"].values & maps[1]["valid"].values
     values: Values = {}
-    shown: list[Floats] = []
+    materials: list[Floats] = []
     for name, (specimen, files), layer_maps in zip(PAIR, specimens, maps, strict=True):
         places = np.stack([layer_maps[f"volume_{axis}"].values[valid] for axis in ("x", "y", "z")], axis=-1)
         comparison = Comparison(specimen, files, replace(run, groups=run.sheets[name].groups))
-        shown.append(comparison.material_at(places.astype(np.float64)))
-        true = true_thickness(specimen.sheet, "coating_top", shown[-1][..., 0], shown[-1][..., 1])
-        values[f"pair_coating_{name}_bias"] = mean_of(layer_maps["coating_top"].values[valid] - true)
-    off = np.hypot(*(shown[0] - shown[1])[..., :2].T)
-    values["pair_median"], values["pair_p95"], values["pair_rms"] = percentile(off, 50), percentile(off, 95), rms(off)
+        materials.append(comparison.material_at(places.astype(np.float64)))
+        true_um = true_thickness(specimen.sheet, "coating_top", materials[-1][..., 0], materials[-1][..., 1])
+        values[f"pair_coating_{name}_bias"] = mean_of(layer_maps["coating_top"].values[valid] - true_um)
+    distances_um = np.hypot(*(materials[0] - materials[1])[..., :2].T)
+    values["pair_median"], values["pair_p95"] = percentile(distances_um, 50), percentile(distances_um, 95)
+    values["pair_rms"] = rms(distances_um)
     values["pair_predicted_rms"] = rms(maps[0]["expected_error"].values[valid].astype(np.float64))
     rows = [row for row in run.results.correlations if row.a_map == "coating_top"]
     if rows:

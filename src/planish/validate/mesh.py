@@ -30,11 +30,11 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     relaxed = relax_dynamically(start, rest)
     values: Values = {"mesh_seconds": time.perf_counter() - begin, "mesh_inverted": float(relaxed.inverted)}
     fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
-    for end, state in (("", relaxed), ("_fine", fine)):
-        for name, error in zip(("width", "height", "aspect"), size_errors(state.uv, flat), strict=True):
-            values[f"mesh_{name}{end}"] = 100.0 * float(error) if state.outcome is Outcome.RESTED else None
-    first = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
-    values["mesh_first"] = 100.0 * float(np.abs(size_errors(first.uv, flat)).max())
+    for suffix, mesh in (("", relaxed), ("_fine", fine)):
+        for name, error in zip(("width", "height", "aspect"), size_errors(mesh.uv, flat), strict=True):
+            values[f"mesh_{name}{suffix}"] = 100.0 * float(error) if mesh.outcome is Outcome.RESTED else None
+    first_stop = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
+    values["mesh_first"] = 100.0 * float(np.abs(size_errors(first_stop.uv, flat)).max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
     euler = RelaxationParams(integrator="euler", most_steps=_FEW_STEPS)
     for name, params in (("feedback", feedback), ("euler", euler)):
@@ -43,16 +43,16 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     if not once:
         return values
     # The cylinder, and both solvers' minimum on a dome, which has no flat state without strain.
-    projected, points = cylinder()
+    projected, arc_points = cylinder()
     begin = time.perf_counter()
-    relaxed = relax_dynamically(projected, rest_lengths(points))
+    relaxed = relax_dynamically(projected, rest_lengths(arc_points))
     values["mesh_cylinder_seconds"] = time.perf_counter() - begin
     values["mesh_cylinder"] = node_error(relaxed.uv, unrolled(projected))
-    away = np.sum((flat - flat.mean(axis=(0, 1))) ** 2, axis=-1)
-    dome = np.concatenate([flat, 2.0 * np.exp(-away / 72.0)[..., None]], axis=-1)
-    solvers = ("multigrid", RelaxationParams(mean_speed=1e-4))
-    solved, moved = (relax_grid(dome, method=method, rest="chord").uv for method in solvers)
-    return values | {"mesh_minimum": node_error(solved, moved)}
+    squared_radius = np.sum((flat - flat.mean(axis=(0, 1))) ** 2, axis=-1)
+    dome = np.concatenate([flat, 2.0 * np.exp(-squared_radius / 72.0)[..., None]], axis=-1)
+    methods = ("multigrid", RelaxationParams(mean_speed=1e-4))
+    multigrid_uv, dynamic_uv = (relax_grid(dome, method=method, rest="chord").uv for method in methods)
+    return values | {"mesh_minimum": node_error(multigrid_uv, dynamic_uv)}
 
 
 def grid(rows: int, cols: int) -> Floats:

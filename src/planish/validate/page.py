@@ -32,9 +32,9 @@ def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
     """Draw what the image of a linked run showed, what was measured, and the errors of place and thickness."""
     name, rows, cols = _NAMES[comparison.headline], comparison.linked["y"].values, comparison.linked["x"].values
     image = comparison.linked["image"].values.astype(np.float64)
-    measured = comparison.linked_values(comparison.headline)
-    error = measured - comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
-    worst = percentile(comparison.away_um, 99.9) or 1.0
+    measured_map = comparison.linked_values(comparison.headline)
+    error_map = measured_map - comparison.pixel_thickness(comparison.headline, *comparison.true_uv)
+    largest_error = percentile(comparison.place_error_um, 99.9) or 1.0
     valid = image[comparison.valid] if comparison.valid.any() else image
     pictures: list[Picture] = []
 
@@ -47,25 +47,25 @@ def draw_example(comparison: Comparison, seed: int) -> list[Picture]:
         f"Seed {seed}; pixels of {plain(round(pitch(comparison.linked)[1], 4))}.", label="",
     )  # fmt: skip
     draw(
-        measured, limits(measured), f"Measured {name}",
+        measured_map, limits(measured_map), f"Measured {name}",
         "On the image's pixels; grey is not valid: holes with their rims, and what lies beside the volume.",
     )  # fmt: skip
     draw(
-        comparison.away_um, Scale(0.0, max(worst, 1e-6), ERROR), "Error of place",
+        comparison.place_error_um, Scale(0.0, max(largest_error, 1e-6), ERROR), "Error of place",
         "Distance in the sheet between the material that a pixel shows and the one whose thickness it was given; "
-        f"99.9 % of the pixels are below {length(worst)}.",
+        f"99.9 % of the pixels are below {length(largest_error)}.",
     )  # fmt: skip
     draw(
-        error, limits(error, SIGNED, symmetric=True), f"Error of the {name}",
-        f"Measured minus true; {length(mean_of(error))} in the mean.",
+        error_map, limits(error_map, SIGNED, symmetric=True), f"Error of the {name}",
+        f"Measured minus true; {length(mean_of(error_map))} in the mean.",
     )  # fmt: skip
     return pictures
 
 
 def draw_expected(entries: Sequence[Entry]) -> Picture | None:
     """Draw the true error of registration over the one that each run expects; None without a pair of them."""
-    errors = [(entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries]
-    pairs = np.array([pair for pair in errors if None not in pair], dtype=np.float64).reshape(-1, 2)
+    error_pairs = [(entry.values.get("predicted_rms"), entry.values.get("tre_rms")) for entry in entries]
+    pairs = np.array([pair for pair in error_pairs if None not in pair], dtype=np.float64).reshape(-1, 2)
     if not pairs.size:
         return None
     high = 1.15 * float(pairs.max())
@@ -90,8 +90,8 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
     if not seed_values:
         return ""
     width, height = 150.0, 16.0  # CSS pixels of a row of dots
-    ends = [] if bound is None else [bound, -bound] if min(seed_values) < 0 and bound else [bound]
-    low, high = min(0.0, *seed_values, *ends), max(0.0, *seed_values, *ends)
+    bounds = [] if bound is None else [bound, -bound] if min(seed_values) < 0 and bound else [bound]
+    low, high = min(0.0, *seed_values, *bounds), max(0.0, *seed_values, *bounds)
     span = (high - low) or 1.0
 
     def tick(value: float, top: float, style: str) -> str:
@@ -101,14 +101,14 @@ def dots(seed_values: Sequence[float], bound: float | None) -> str:
         return f"{_DOT_MARGIN + (value - low) / span * (width - 2 * _DOT_MARGIN):.1f}"
 
     middle = height / 2
-    parts = [
+    elements = [
         f'<line x1="{_DOT_MARGIN}" x2="{width - _DOT_MARGIN}" y1="{middle}" y2="{middle}" stroke="{FAINT}"/>',
         tick(0.0, 3, f'stroke="{SOFT}"'),
-        *(tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in ends),
+        *(tick(limit, 1, f'stroke="{ACCENT}" stroke-width="2"') for limit in bounds),
         *(f'<circle cx="{x_of(v)}" cy="{middle}" r="3.2" fill="{INK}" fill-opacity="0.55"/>' for v in seed_values),
     ]
     size = f'width="{width:g}" height="{height:g}" viewBox="0 0 {width:g} {height:g}"'
-    return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(parts)}</svg>'
+    return f'<svg {size} role="img" aria-label="{len(seed_values)} specimens">{"".join(elements)}</svg>'
 
 
 def write_page(path: Path, certificate: Certificate, table: Sensitivity | None = None) -> None:
@@ -118,16 +118,16 @@ def write_page(path: Path, certificate: Certificate, table: Sensitivity | None =
 
 def render_page(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """Return the page of :func:`write_page` as text."""
-    heat: list[list[tuple[str, bool]]] = []
+    heat_rows: list[list[tuple[str, bool]]] = []
     for row in table.rows if table is not None else ():
         # Three times the baseline is the darkest cell of the heat table.
         shades = {stage: min(1.0, row.growth.get(stage, 0.0) / 3.0) for stage in row.added}
-        heat.append([(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()])
+        heat_rows.append([(f"{shade:.3f}", row.suffers == stage) for stage, shade in shades.items()])
     scenario, entries = certificate.scenario, certificate.entries
     page = template("planish.validate", "certificate.html.j2").render(
         certificate=certificate, scenario=scenario, params=scenario.params(0), lines=certificate.lines(), table=table,
-        heat=heat, tables=tables, dots=dots, stages=STAGES, described=FIGURES, presets=PRESETS, version=__version__,
-        nuisances=[NUISANCES[name].title for name in scenario.active], expected=draw_expected(entries),
-        pictures=next((entry.pictures for entry in entries if entry.pictures), ()),
+        heat=heat_rows, tables=tables, dots=dots, stages=STAGES, described=FIGURES, presets=PRESETS,
+        version=__version__, nuisances=[NUISANCES[name].title for name in scenario.active],
+        expected=draw_expected(entries), pictures=next((entry.pictures for entry in entries if entry.pictures), ()),
     )  # fmt: skip
     return f"{page}\n"

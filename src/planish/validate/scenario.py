@@ -44,8 +44,8 @@ class Figure(NamedTuple):
 
 def _figures(stage: str, table: dict[str, Any]) -> Iterator[Figure]:
     for stem, (quantity, sentence) in table.get("errors", {}).items():
-        for kind, title, mean in _KINDS:
-            yield Figure(f"{stem}_{kind}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}")
+        for statistic, title, mean in _KINDS:
+            yield Figure(f"{stem}_{statistic}", stage, "um", f"{quantity}, {title}", f"{mean} of {sentence}")
     for name, row in table.get("figures", {}).items():
         yield Figure(name, stage, *row)
 
@@ -145,10 +145,10 @@ class Scenario(Params):
     @field_validator(*_KNOWN)
     @classmethod
     def _check_names(cls, value: Any, info: ValidationInfo) -> Any:
-        names, kind = _KNOWN[str(info.field_name)]
+        choices, noun = _KNOWN[str(info.field_name)]
         for name in () if value in (ALL, NONE) else (value,) if isinstance(value, str) else value:
-            if name not in names:
-                raise ValueError(f"there is no {kind} {name!r}; known are {', '.join(sorted(names))}")
+            if name not in choices:
+                raise ValueError(f"there is no {noun} {name!r}; known are {', '.join(sorted(choices))}")
         return value
 
     @model_validator(mode="after")
@@ -207,9 +207,9 @@ def amended(params: SpecimenParams, changes: dict[str, Any]) -> SpecimenParams:
     return TypeAdapter(SpecimenParams).validate_python(_merged(asdict(params), changes))
 
 
-def _merged(old: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
-    tables = {k: _merged(old[k], v) for k, v in changes.items() if isinstance(v, dict) and isinstance(old.get(k), dict)}
-    return old | changes | tables
+def _merged(base: dict[str, Any], changes: dict[str, Any]) -> dict[str, Any]:
+    nested = [k for k, v in changes.items() if isinstance(v, dict) and isinstance(base.get(k), dict)]
+    return base | changes | {k: _merged(base[k], changes[k]) for k in nested}
 
 
 def scenario_names() -> list[str]:

@@ -62,36 +62,38 @@ def sensitivity_rows(table: Sensitivity) -> tuple[tuple[str, ...], list[tuple[st
 
     rows = [("no nuisance", *write(dict(table.quiet)), "")]
     for row in table.rows:
-        added = ["refused"] * len(table.keys) if row.refusal else write(row.added)
-        rows.append((NUISANCES[row.nuisance].title, *added, STAGES[row.suffers] if row.suffers else NONE))
+        added_cells = ["refused"] * len(table.keys) if row.refusal else write(row.added)
+        rows.append((NUISANCES[row.nuisance].title, *added_cells, STAGES[row.suffers] if row.suffers else NONE))
     rows.append(("all together", *write(table.loud), ""))
     rows.append(("sum / all", *(number(table.ratio[s], 2) for s in table.keys), ""))
-    head = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
-    return head, [tuple(in_ascii(cell) for cell in row) for row in rows]
+    heading = ("", *(_SHORT.get(s, s) for s in table.keys), "suffers")
+    return heading, [tuple(in_ascii(cell) for cell in row) for row in rows]
 
 
 def markdown(certificate: Certificate, table: Sensitivity | None = None) -> str:
     """The certificate as a section of Markdown."""
-    text = [f"## {certificate.scenario.title}", "", f"{verdict(certificate)} {summary(certificate)}", ""]
-    notes = [f"- {note}" for note in certificate.notes]
-    ends = [f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal]
-    ends += [f"- Seed {entry.seed}, failed: {check}" for entry in certificate.entries for check in entry.failed]
-    for listed in (notes, ends):
-        text += [*listed, ""] if listed else []
-    text += ["| Stage | Figure | Unit | Mean | sd | Worst | Limit | |", "|---|---|---|---:|---:|---:|---:|---|"]
+    lines = [f"## {certificate.scenario.title}", "", f"{verdict(certificate)} {summary(certificate)}", ""]
+    note_lines = [f"- {note}" for note in certificate.notes]
+    outcome_lines = [f"- Seed {entry.seed}: {entry.refusal}" for entry in certificate.entries if entry.refusal]
+    outcome_lines += [
+        f"- Seed {entry.seed}, failed: {check}" for entry in certificate.entries for check in entry.failed
+    ]
+    for bullet_lines in (note_lines, outcome_lines):
+        lines += [*bullet_lines, ""] if bullet_lines else []
+    lines += ["| Stage | Figure | Unit | Mean | sd | Worst | Limit | |", "|---|---|---|---:|---:|---:|---:|---|"]
     for stage, group in by_stage(certificate):
         for k, line in enumerate(group):
             *row, limit, state = cells(line)
             source = f" ({line.limit.source})" if line.limit and line.limit.source else ""
-            columns = ("" if k else stage, *row, limit + source, f"**{state}**" if line.met is False else state)
-            text.append(f"| {' | '.join(columns)} |")
+            row_cells = ("" if k else stage, *row, limit + source, f"**{state}**" if line.met is False else state)
+            lines.append(f"| {' | '.join(row_cells)} |")
     if table is not None:
-        head, rows = sensitivity_rows(table)
-        text += ["", "What each nuisance alone adds to the key figure of each stage, in squares:", ""]
-        text += [f"| {' | '.join(head)} |", "|---|" + "---:|" * (len(head) - 2) + "---|"]
-        text += [f"| {' | '.join(row)} |" for row in rows]
-        text += ["", *(f"- {sum_sentence(stage, table)}" for stage in table.keys)]
-    return "\n".join(text) + "\n"
+        heading, rows = sensitivity_rows(table)
+        lines += ["", "What each nuisance alone adds to the key figure of each stage, in squares:", ""]
+        lines += [f"| {' | '.join(heading)} |", "|---|" + "---:|" * (len(heading) - 2) + "---|"]
+        lines += [f"| {' | '.join(row)} |" for row in rows]
+        lines += ["", *(f"- {sum_sentence(stage, table)}" for stage in table.keys)]
+    return "\n".join(lines) + "\n"
 
 
 def as_json(certificate: Certificate, table: Sensitivity | None = None) -> dict[str, Any]:
@@ -143,40 +145,46 @@ def verdict(certificate: Certificate) -> str:
         )
     if not means:
         return "The program gave no result on specimens like these."
-    sentences, written = list[str](), {name: length(mean, 2) for name, mean in means.items()}
+    sentences, length_texts = list[str](), {name: length(mean, 2) for name, mean in means.items()}
     if {"tre_median", "pair_median"} & means.keys():
-        sentences.append(_VERDICTS[certificate.scenario.kind].format_map(written))
-    parts = [f"{what} by {written[name]}" for name, what in _THICKNESSES.items() if name in means]
-    if parts:
-        sentences.append(f"At a pixel {', '.join(parts)} (rms).".replace(" by ", " is off by ", 1))
+        sentences.append(_VERDICTS[certificate.scenario.kind].format_map(length_texts))
+    clauses = [
+        f"{thickness_name} by {length_texts[name]}" for name, thickness_name in _THICKNESSES.items() if name in means
+    ]
+    if clauses:
+        sentences.append(f"At a pixel {', '.join(clauses)} (rms).".replace(" by ", " is off by ", 1))
     return " ".join(sentences) or "The maps of specimens like these were made, but not linked to an image."
 
 
 def summary(certificate: Certificate) -> str:
     """Count the specimens that came through and the limits that are met, in sentences."""
     entries, n = certificate.entries, len(certificate.entries)
-    met = [line.met for line in certificate.lines().values() if line.met is not None]
-    word = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
+    limits_met = [line.met for line in certificate.lines().values() if line.met is not None]
+    noun = "deformation" if certificate.scenario.kind == "mesh" else "specimen"
     refused, failed = (sum(bool(getattr(entry, field)) for entry in entries) for field in ("refusal", "failed"))
-    sentences = [f"On {refused} of {n} {word}s the program gave no result."] if refused else []
-    sentences += [f"On {failed} of {n} {word}s a check of the run failed."] if failed else []
-    missed = met.count(False)
-    if not met:
+    sentences = [f"On {refused} of {n} {noun}s the program gave no result."] if refused else []
+    sentences += [f"On {failed} of {n} {noun}s a check of the run failed."] if failed else []
+    missed = limits_met.count(False)
+    if not limits_met:
         sentences.append("The scenario sets no limits.")
     elif missed:
-        sentences.append(f"{missed} of {len(met)} limits {'is' if missed == 1 else 'are'} missed.")
+        sentences.append(f"{missed} of {len(limits_met)} limits {'is' if missed == 1 else 'are'} missed.")
     else:
-        of = f"the {word}s with a result" if refused else f"the one {word}" if n == 1 else f"all {n} {word}s"
-        sentences.append(f"All {len(met)} limits are met by {of}.")
+        specimens_text = (
+            f"the {noun}s with a result" if refused else f"the one {noun}" if n == 1 else f"all {n} {noun}s"
+        )
+        sentences.append(f"All {len(limits_met)} limits are met by {specimens_text}.")
     return " ".join(sentences)
 
 
 def limit_sentence(line: LedgerLine) -> str:
     """Write one limit and whether it is met."""
-    start, limit = f"{STAGES[line.figure.stage]}, {line.figure.title}", limit_text(line)
+    title_text, required_text = f"{STAGES[line.figure.stage]}, {line.figure.title}", limit_text(line)
     if line.worst is None:
-        return f"{start}: could not be measured; {limit} is required."
-    return f"{start}: {with_unit(line.figure, line.worst)}, {limit} required{'' if line.met else ': missed'}."
+        return f"{title_text}: could not be measured; {required_text} is required."
+    return (
+        f"{title_text}: {with_unit(line.figure, line.worst)}, {required_text} required{'' if line.met else ': missed'}."
+    )
 
 
 def limit_text(line: LedgerLine) -> str:

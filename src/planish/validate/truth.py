@@ -64,29 +64,29 @@ class Comparison:
         down, across = pitch(self.surfaces)
         return step * down, step * across
 
-    def take(self, values: NDArray[Any]) -> Floats:
+    def at_columns(self, values: NDArray[Any]) -> Floats:
         """Values (y, x) of the run at the chosen columns, as float64."""
         return np.asarray(values[np.ix_(*self.columns)], dtype=np.float64)
 
     @cached_property
     def material(self) -> Floats:
         """True material (rows, cols, 3) of the points of the centre surface that the run found."""
-        return self.material_at(self.places(self.take(self.surfaces["centre"].values), *self.columns))
+        return self.material_at(self.places(self.at_columns(self.surfaces["centre"].values), *self.columns))
 
     @cached_property
     def measured(self) -> Bools:
         """True where the run measured the column."""
-        return self.take(self.surfaces["status"].values) == 0
+        return self.at_columns(self.surfaces["status"].values) == 0
 
     def places(self, heights: Floats, rows: Index, cols: Index) -> Floats:
         """Places (m, n, 3) as x, y, z of the file, in um, of heights (m, n) over the columns ``rows`` and ``cols``."""
         frame = Frame.of(self.surfaces)
-        along = {
+        coordinates = {
             frame.rows: self.surfaces["y"].values[rows][:, None],
             frame.cols: self.surfaces["x"].values[cols][None, :],
             frame.through: np.asarray(heights, dtype=np.float64),
         }
-        return np.stack([np.broadcast_to(along[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
+        return np.stack([np.broadcast_to(coordinates[axis], heights.shape) for axis in ("x", "y", "z")], axis=-1)
 
     def physical_at(self, places: Floats) -> Floats:
         """Places (..., 3) in space of places in the file."""
@@ -130,7 +130,7 @@ class Comparison:
         return self.material_at(np.where(self.valid[..., None], places, np.nan))
 
     @cached_property
-    def away_um(self) -> Floats:
+    def place_error_um(self) -> Floats:
         """Error of each pixel: distance in the sheet between the material it shows and the one it was given."""
         u, v = self.true_uv
         return np.hypot(self.linked_material[..., 0] - u, self.linked_material[..., 1] - v)
@@ -152,14 +152,14 @@ class Comparison:
 
         A pixel is an area: at 12 um it shows the mean of fibres of 20 to 35 um. One of 4 um is taken as a point.
         """
-        truth, sides = self.specimen.truth, list[Floats]()
+        truth, axis_offsets = self.specimen.truth, list[Floats]()
         for step in pitch(truth):
             n = max(1, round(step / 4.0))  # of a pixel that counts as a point: the sheet holds little below
-            sides.append(step * ((np.arange(n) + 0.5) / n - 0.5))
-        around = np.stack(np.meshgrid(*sides[::-1]), axis=-1).reshape(-1, 2)
-        middle = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
+            axis_offsets.append(step * ((np.arange(n) + 0.5) / n - 0.5))
+        offsets = np.stack(np.meshgrid(*axis_offsets[::-1]), axis=-1).reshape(-1, 2)
+        centre = np.array([float(truth[d].values.mean()) for d in ("x", "y")])
         inverse = self.specimen.pose.inverse
-        return np.asarray(inverse(middle + around) - inverse(middle[None]), dtype=np.float64)
+        return np.asarray(inverse(centre + offsets) - inverse(centre[None]), dtype=np.float64)
 
 
 def _where_finite(function: Callable[[Floats], Floats], points: Floats) -> Floats:

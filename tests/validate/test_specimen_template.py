@@ -6,11 +6,11 @@ import shutil
 import pytest
 
 from planish.core.errors import FileError, InputError, PlanishError
-from planish.validate import like, read_scenario
+from planish.validate import read_scenario, specimen_template
 
 
 def test_a_run_of_a_known_specimen(specimen, linked_run):
-    true, found = specimen.params, like.like_run(linked_run).params
+    true, found = specimen.params, specimen_template.like_run(linked_run).params
     assert found.scanner.voxel_um == pytest.approx(true.scanner.voxel_um)
     assert found.camera.pixel_um == pytest.approx(true.camera.pixel_um, rel=1e-4)
     assert found.paper.coating_top_um == pytest.approx(true.paper.coating_top_um, rel=0.1)
@@ -28,7 +28,7 @@ def test_a_run_of_a_known_specimen(specimen, linked_run):
 
 
 def test_the_template_states_its_sources_and_takes_the_place_of_paper_and_instruments(linked_run):
-    found = like.like_run(linked_run)
+    found = specimen_template.like_run(linked_run)
     assert "Taken: Voxels of 4 um." in found.notes
     assert any(note.startswith("Assumed: Fringe") for note in found.notes)
     assert all(note.endswith(".") for note in found.notes)
@@ -48,7 +48,7 @@ def test_a_folder_that_is_no_run(linked_run, tmp_path, missing):
     else:
         (part / missing).unlink()
     with pytest.raises(FileError, match=r"results\.json|is no run"):
-        like.like_run(part)
+        specimen_template.like_run(part)
 
 
 @pytest.mark.parametrize("text", ["{", "[1, 2]", "{}", '{"inputs": {"volume": {"voxel_um": [1, 2, 3]}}}'])
@@ -57,5 +57,5 @@ def test_damaged_results(linked_run, tmp_path, text):
     shutil.copytree(linked_run, part)
     (part / "results.json").write_text(text)
     with pytest.raises(PlanishError, match=r"results\.json") as error:
-        like.like_run(part)
+        specimen_template.like_run(part)
     assert isinstance(error.value, InputError)

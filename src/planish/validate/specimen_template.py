@@ -46,13 +46,13 @@ def like_run(folder: Path) -> SpecimenTemplate:
         raise InputError(f"{folder} does not hold the map of one volume. Give a run of planish map, or of one volume.")
     tables = {"surface": volumes[0].surface, "flatten": volumes[0].flatten, "holes": run.study.holes}
     tables |= {"registration": run.study.registration, "correlate": run.study.correlate}
-    excluded = {"marks", "design", "sheet_grey", "seed_um", "labels"}
+    excluded_options = {"marks", "design", "sheet_grey", "seed_um", "labels"}
     template = SpecimenTemplate(run)
     template.study = {
-        k: model.model_dump(mode="json", exclude_none=True, exclude=excluded) for k, model in tables.items()
+        k: model.model_dump(mode="json", exclude_none=True, exclude=excluded_options) for k, model in tables.items()
     }
-    for read in (template.scan, template.paper, template.warp, template.camera, template.holes):
-        read()
+    for read_section in (template.scan, template.paper, template.warp, template.camera, template.holes):
+        read_section()
     template.assumed.append("Fringes, cupping, rings and streaks of a scanner cannot be read from a run: they are off.")
     return template
 
@@ -95,20 +95,20 @@ class SpecimenTemplate:
 
     def scan(self) -> None:
         """Voxel, size, blur and noise of the volume."""
-        surfaces, voxel = self.sheet.surfaces, self.layer.source.size_um
-        size = float(np.exp(np.mean(np.log(voxel))))
-        sides = dict(zip("zyx", np.multiply(self.layer.source.shape, voxel).tolist(), strict=True))
+        surfaces, voxel_sides = self.sheet.surfaces, self.layer.source.size_um
+        voxel_um = float(np.exp(np.mean(np.log(voxel_sides))))
+        sides = dict(zip("zyx", np.multiply(self.layer.source.shape, voxel_sides).tolist(), strict=True))
         field = sides[surfaces.col_axis], sides[surfaces.row_axis]
         wide, high = np.clip(field, _LEAST_UM, SIZES_UM["T1"]).tolist()
         self.params = replace(self.params, size_um=(wide, high))
-        self.derived.append(f"Voxels of {size:.3g} um.")
-        if max(voxel) > 1.05 * min(voxel):
-            stated = " x ".join(f"{v:.3g}" for v in voxel)
+        self.derived.append(f"Voxels of {voxel_um:.3g} um.")
+        if max(voxel_sides) > 1.05 * min(voxel_sides):
+            stated = " x ".join(f"{v:.3g}" for v in voxel_sides)
             self.assumed.append(f"The voxels are {stated} um; cubes of the same volume are made.")
         if (wide, high) != field:
             run_field, specimen_field = (f"{a / 1000:.2g} x {b / 1000:.2g} mm" for a, b in (field, (wide, high)))
             self.assumed.append(f"The field is {run_field}; specimens of {specimen_field} are made.")
-        self.change("scanner", voxel_um=size)
+        self.change("scanner", voxel_um=voxel_um)
         if blur := surfaces.blur_um:
             self.change("scanner", fwhm_um=2.3548 * blur)  # of a Gaussian: 2 sqrt(2 ln 2)
             self.derived.append(f"Blur of {blur:.2g} um (standard deviation), learnt by the surface search.")
@@ -131,9 +131,9 @@ class SpecimenTemplate:
         if any(p.mean is None for p in thicknesses.values()):
             raise InputError("The run withholds its thicknesses, because a check failed. Mend what it names first.")
         for side in ("top", "bottom"):
-            layer = thicknesses.get(f"coating_{side}")
-            self.change("paper", **{f"coating_{side}_um": layer.mean if layer else 0.0})
-            self.derived.append(f"Coating on the {side} side: {f'{layer.mean:.3g} um' if layer else 'none'}.")
+            coating = thicknesses.get(f"coating_{side}")
+            self.change("paper", **{f"coating_{side}_um": coating.mean if coating else 0.0})
+            self.derived.append(f"Coating on the {side} side: {f'{coating.mean:.3g} um' if coating else 'none'}.")
         top, base = thicknesses.get("coating_top"), thicknesses.get("base_thickness") or thicknesses["thickness"]
         self.change("paper", coating_sd_um=top.sd if top else 0.0, base_um=base.mean)
         self.derived.append(f"Base paper of {base.mean:.3g} um.")
@@ -145,36 +145,38 @@ class SpecimenTemplate:
         surfaces, flat = self.run.groups["surfaces"], self.run.groups["flat"]
         steps = pitch(surfaces)
         # The slopes of the warp are those of the centre surface over 300 um.
-        every = [max(1, int(300.0 / 4 / p)) for p in steps]
-        centre = np.asarray(surfaces["centre"].values[:: every[0], :: every[1]], dtype=np.float64)
+        strides = [max(1, int(300.0 / 4 / p)) for p in steps]
+        centre = np.asarray(surfaces["centre"].values[:: strides[0], :: strides[1]], dtype=np.float64)
         if min(centre.shape) < 3:
             raise InputError("The field of the run is too small to measure how the sheet is bent. Give a larger one.")
-        down, across = (np.gradient(centre, e * p, axis=i) for i, (e, p) in enumerate(zip(every, steps, strict=True)))
-        is_finite = np.isfinite(down) & np.isfinite(across)
+        dz_dy, dz_dx = (np.gradient(centre, e * p, axis=i) for i, (e, p) in enumerate(zip(strides, steps, strict=True)))
+        is_finite = np.isfinite(dz_dy) & np.isfinite(dz_dx)
         if np.count_nonzero(is_finite) < 10:
             raise InputError(
                 "The run holds almost no centre surface. Check its report before making specimens like it."
             )
-        slopes = np.stack([across[is_finite], down[is_finite]], axis=1)
+        slopes = np.stack([dz_dx[is_finite], dz_dy[is_finite]], axis=1)
         slopes -= slopes.mean(axis=0)  # a tilt of the whole sheet makes it no harder to flatten
         _, directions = np.linalg.eigh(slopes.T @ slopes)
-        along, aside = slopes @ directions[:, 1], slopes @ directions[:, 0]
-        slope = float(np.percentile(np.abs(along), 95))  # of a sine, 0.997 of the steepest
+        ruled_slopes, cross_slopes = slopes @ directions[:, 1], slopes @ directions[:, 0]
+        steepest_slope = float(np.percentile(np.abs(ruled_slopes), 95))  # of a sine, 0.997 of the steepest
         if Frame.of(surfaces).mirrored:
             directions = directions * np.array([[-1.0], [1.0]])
         ruling = (float(np.rad2deg(np.arctan2(*directions[::-1, 1]))) + 90.0) % 180.0 - 90.0
-        waves = _wavelength(centre, every, steps, slope)
-        self.change("warp", slope=slope, wavelength_um=waves, ruling_deg=ruling)
+        wavelength_um = _wavelength(centre, strides, steps, steepest_slope)
+        self.change("warp", slope=steepest_slope, wavelength_um=wavelength_um, ruling_deg=ruling)
         self.derived.append(
-            f"Slopes of up to {slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves of {waves:.0f} um."
+            f"Slopes of up to {steepest_slope:.2g} (95 %), rolled along {ruling:.0f} degrees, waves of "
+            f"{wavelength_um:.0f} um."
         )
-        share = float(np.sqrt(np.mean(aside**2) / max(float(np.mean(along**2)), 1e-12)))
+        share = float(np.sqrt(np.mean(cross_slopes**2) / max(float(np.mean(ruled_slopes**2)), 1e-12)))
         self.assumed.append(
             f"The sheet is bent in one direction only; across it the slopes are {share:.2g} times as large."
         )
-        longer = [float(np.ptp(_finite(flat[a].values)) - np.ptp(_finite(flat[f"projected_{a}"].values))) for a in "uv"]
+        spans = [[np.ptp(_finite(flat[f"{view}{a}"].values)) for view in ("", "projected_")] for a in "uv"]
+        growth_um = [float(flattened - projected) for flattened, projected in spans]
         self.derived.append(
-            f"For comparison: flattening made the run's sheet longer by {longer[0]:.0f} x {longer[1]:.0f} um."
+            f"For comparison: flattening made the run's sheet longer by {growth_um[0]:.0f} x {growth_um[1]:.0f} um."
         )
 
     def camera(self) -> None:
@@ -184,11 +186,10 @@ class SpecimenTemplate:
         if registration is None or results.reference.kind != "image":
             self.assumed.append(f"The run has no image: one with pixels of {self.params.camera.pixel_um:g} um is made.")
             return
-        pixel, turn = float(np.sqrt(np.prod(results.reference.source.size_um))), registration.rotation_deg
-        self.derived.append(f"Image pixels of {pixel:.3g} um, turned by {turn:.1f} degrees.")
-        self.change(
-            "camera", pixel_um=pixel, turn_deg=turn, turn_range_deg=0.0, scale_range=abs(registration.scale - 1.0)
-        )
+        pixel_um, turn_deg = float(np.sqrt(np.prod(results.reference.source.size_um))), registration.rotation_deg
+        scale_range = abs(registration.scale - 1.0)
+        self.derived.append(f"Image pixels of {pixel_um:.3g} um, turned by {turn_deg:.1f} degrees.")
+        self.change("camera", pixel_um=pixel_um, turn_deg=turn_deg, turn_range_deg=0.0, scale_range=scale_range)
         rows = (row for row in results.correlations if row.a_map == self.layer.headline and row.point_um > 50)
         r2 = next((row.r2 for row in rows), None)
         if r2 is not None and 0.01 < r2 < 0.99:
@@ -199,29 +200,30 @@ class SpecimenTemplate:
     def holes(self) -> None:
         """Number and diameter of the holes that the run's image shows."""
         width, height = self.params.size_um
-        room = max(_LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2))
-        sizes, diameter = np.empty(0), self.run.study.holes.hole_um
+        most_holes = max(_LEAST_HOLES, int((width - 2 * _BORDER_UM) * (height - 2 * _BORDER_UM) / _HOLE_UM2))
+        diameters_um, hole_um = np.empty(0), self.run.study.holes.hole_um
         if (linked := self.run.groups.get("linked")) is not None:
-            holes = find_holes(np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=diameter)
-            sizes = np.asarray(holes["diameter"].values, dtype=np.float64)
-        if sizes.size > 1:
-            self.change("holes", diameter_um=float(np.median(sizes)), diameter_sd_um=float(sizes.std(ddof=1)))
-            self.derived.append(f"{sizes.size} holes of {np.median(sizes):.0f} um, as the image shows them.")
+            holes = find_holes(np.asarray(linked["image"].values), pixel_um=pitch(linked), diameter_um=hole_um)
+            diameters_um = np.asarray(holes["diameter"].values, dtype=np.float64)
+        if diameters_um.size > 1:
+            median_um, sd_um = float(np.median(diameters_um)), float(diameters_um.std(ddof=1))
+            self.change("holes", diameter_um=median_um, diameter_sd_um=sd_um)
+            self.derived.append(f"{diameters_um.size} holes of {median_um:.0f} um, as the image shows them.")
         else:
             self.assumed.append(f"Holes of {self.params.holes.diameter_um:.3g} um: the image of the run shows none.")
-        count = min(max(_LEAST_HOLES, sizes.size if sizes.size > 1 else 0), room)
+        count = min(max(_LEAST_HOLES, diameters_um.size if diameters_um.size > 1 else 0), most_holes)
         self.change("holes", pattern="irregular", count=count)
         self.assumed.append(f"{count} holes are scattered over each specimen, and not where they are in the run.")
 
 
-def _wavelength(centre: Floats, every: list[int], steps: tuple[float, float], slope: float) -> float:
+def _wavelength(centre: Floats, strides: list[int], steps: tuple[float, float], slope: float) -> float:
     """Wavelength of a sine with this steepest slope and the height of the centre surface: 2 pi A / slope."""
     heights = _finite(centre)
     y, x = np.indices(centre.shape)[:, np.isfinite(centre)]
     plane = np.stack([np.ones(heights.size), y.astype(np.float64), x.astype(np.float64)], axis=1)
-    height = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
-    span = max(n * e * p for n, e, p in zip(centre.shape, every, steps, strict=True))
-    amplitude = float(np.sqrt(2.0) * height.std())
+    detrended = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
+    span = max(n * e * p for n, e, p in zip(centre.shape, strides, steps, strict=True))
+    amplitude = float(np.sqrt(2.0) * detrended.std())
     # Shorter waves than the surface search passes cannot be in its result; longer ones than the field look like a tilt.
     return float(np.clip(2 * np.pi * amplitude / max(slope, 1e-6), 800.0, 4 * span))
 
