@@ -103,8 +103,8 @@ def steady_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether all slices have one grey scale; through the sheet, the sheet itself changes."""
     greys, coating_grey = scan.greys, denser_coating(scan.greys)
     contrast = abs((greys.base if coating_grey is None else coating_grey) - greys.air)
-    judged_axes = [axis for axis in scan.windows if axis not in (*scan.assembled_axes, scan.through)]
-    jumps: dict[str, float] = {axis: level_jump(scan.windows[axis]) / contrast for axis in judged_axes}
+    other_axes = (*scan.assembled_axes, scan.through)
+    jumps = {axis: level_jump(w) / contrast for axis, w in scan.windows.items() if axis not in other_axes}
     axis, jump_share = max(jumps.items(), key=lambda jump: jump[1], default=("z", 0.0))
     return rule.at_most(
         jump_share, look=0.03,
@@ -198,10 +198,11 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
     block_starts = (np.unique(np.linspace(0, k.size - _EDGE, 6)[1:-1].astype(int)).tolist() for k in plane_coordinates)
     lags = np.zeros(_LAGS)
     for row, col in product(*([slice(k, k + _EDGE) for k in side] for side in block_starts)):
-        ends_y, ends_x = plane_coordinates[0][row][[0, -1]], plane_coordinates[1][col][[0, -1]]
-        is_row, is_col = ((measured[k].values >= a) & (measured[k].values <= b)
-                          for k, (a, b) in (("y", ends_y), ("x", ends_x)))  # fmt: skip
-        block_faces = faces[:, is_row][:, :, is_col]
+        block_um = (axis_um[voxels] for axis_um, voxels in zip(plane_coordinates, (row, col), strict=True))
+        is_inside = [
+            (measured[k].values >= um[0]) & (measured[k].values <= um[-1]) for k, um in zip("yx", block_um, strict=True)
+        ]
+        block_faces = faces[:, is_inside[0]][:, :, is_inside[1]]
         if not np.isfinite(block_faces).any():
             continue
         low, high = (np.searchsorted(heights, f(block_faces)) for f in (np.nanmin, np.nanmax))

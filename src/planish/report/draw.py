@@ -182,17 +182,17 @@ class Axes:
         from contourpy import LineType, contour_generator
 
         shown, (left, right, bottom, top) = self.shown, self.shown.extent
-        (rows, cols), finite_values = shown.values.shape, shown.values[np.isfinite(shown.values)]
-        if min(rows, cols) < 2 or finite_values.size == 0:
+        rows, cols = shown.values.shape
+        if min(rows, cols) < 2 or not np.isfinite(shown.values).any():
             return
         x_um = left + (np.arange(cols) + 0.5) * (right - left) / cols
         y_um = top + (np.arange(rows) + 0.5) * (bottom - top) / rows
         generator = contour_generator(x_um, y_um, np.ma.masked_invalid(shown.values), line_type=LineType.Separate)
         label_pixels = self.place(avoided)
-        for level in levels[(levels > finite_values.min()) & (levels < finite_values.max())]:
+        for level in levels[(levels > np.nanmin(shown.values)) & (levels < np.nanmax(shown.values))]:
             lines = [line for line in generator.lines(float(level)) if isinstance(line, np.ndarray)]
-            path_data = "".join(_path(self.place(line)) for line in lines)
-            self._stroke(path_data, "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7)
+            path = map(_path, map(self.place, lines))
+            self._stroke("".join(path), "white", 1.4 if labels else 0.8, opacity=0.9 if labels else 0.7)
             if labels and lines:  # where the line is farthest from the border and from other labels
                 line = max(lines, key=len)
                 line_pixels = self.place(line)

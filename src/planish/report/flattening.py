@@ -132,9 +132,8 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
         axes.across(level, colour=draw.FAINT, width=0.5)
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)
     step_table = {"step": [*range(1, nodes.size + 1)], "nodes": nodes.astype(int).tolist()}
-    coarser = node_counts.size - 1
-    coarse_text = f", grey on {coarser} coarser meshes that are solved first" if coarser > 0 else ""
-    finest_count = count(int(nodes.max(initial=0)))
+    n_coarser, finest_count = node_counts.size - 1, count(int(nodes.max(initial=0)))
+    coarse_text = f", grey on {n_coarser} coarser meshes that are solved first" if n_coarser > 0 else ""
     return canvas.picture(
         title="Convergence",
         caption=(

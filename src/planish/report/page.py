@@ -136,13 +136,8 @@ def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] 
     if facts is None or len(sheet_data) < len(_SHEET_PARTS):
         return None
     surfaces, strain, height = sheet_data["surfaces"], sheet_data["strain"], sheet_data["surfaces"]["centre"].values
-    draw_maps = partial(
-        maps.draw_maps,
-        sheet_data["maps"],
-        facts.properties,
-        headline=layer.headline,
-        rim_um=facts.surfaces.rim_um or 0.0,
-    )
+    rim_um = facts.surfaces.rim_um or 0.0
+    draw_maps = partial(maps.draw_maps, sheet_data["maps"], facts.properties, headline=layer.headline, rim_um=rim_um)
     return {
         "layer": layer, "warp_um": float(np.nanmax(height) - np.nanmin(height)),
         "slices": slices.draw_slices(sheet_data["slices"], surfaces),
@@ -194,14 +189,15 @@ def _registration_pictures(
     r, reference_layer, has_two_layers = layer.registration, results.reference, len(results.layers) == 2
     assert r is not None
     hole_um = float(sum(results.parameters.get("holes", {}).get("hole_um", (100.0, 300.0))) / 2)
-    valid = (
-        layer_maps["valid"].values.astype(bool) if "valid" in layer_maps and reference_layer.kind == "image" else None
-    )
-    edge_map = next(
-        layer_maps[name] for name in ("u", "image", "thickness", *layer_maps.data_vars) if name in layer_maps
-    )
+    has_window = "valid" in layer_maps and reference_layer.kind == "image"
+    valid = layer_maps["valid"].values.astype(bool) if has_window else None
+    edge_name = next(name for name in ("u", "image", "thickness", *layer_maps.data_vars) if name in layer_maps)
     ground = registration.ground_of(
-        reference_map, layer=reference_layer.name, valid=valid, edge=np.isfinite(edge_map.values), edge_layer=layer.name
+        reference_map,
+        layer=reference_layer.name,
+        valid=valid,
+        edge=np.isfinite(layer_maps[edge_name].values),
+        edge_layer=layer.name,
     )
     pictures: list[Picture | None] = []
     if marks is not None:

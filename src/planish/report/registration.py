@@ -71,9 +71,8 @@ def blank_ground(points: Array, *, layer: str) -> Ground:
     low, high = (points.min(axis=0), points.max(axis=0)) if points.size else (np.zeros(2), np.ones(2))
     margin = 0.2 * max(float((high - low).max()), 1.0)
     x, y = (np.linspace(low[k] - margin, high[k] + margin, _BLANK) for k in (0, 1))
-    caption = (
-        f"Places are in the coordinates of {layer}, which is not resampled to this grid; no map is shown, no mask."
-    )
+    grid = f"the coordinates of {layer}, which is not resampled to this grid"
+    caption = f"Places are in {grid}; no map is shown, no mask."
     return Ground(np.full((_BLANK, _BLANK), np.nan), y, x, Scale(0.0, 1.0, GREYS), f"the layer {layer}", caption)
 
 
@@ -228,12 +227,8 @@ def _draw_direction(canvas: draw.Canvas, axes: draw.Axes, angle_deg: float, mark
     """Draw an axis with a head at both ends in the corner that is farthest from all marks."""
     corners = np.array([(0, 0), (axes.width, 0), (0, axes.height), (axes.width, axes.height)])
     mark_pixels = axes.place(marks_xy[np.isfinite(marks_xy).all(axis=1)])
-    distances_px = (
-        np.hypot(*(corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)).min(axis=1)
-        if mark_pixels.size
-        else np.zeros(4)
-    )
-    x, y = corners[int(np.argmax(distances_px))]
+    offsets = (corners[:, None] - mark_pixels[None]).transpose(2, 0, 1)
+    x, y = corners[int(np.argmax(np.hypot(*offsets).min(axis=1)))] if mark_pixels.size else corners[0]
     left_px = axes.x + (8 if x == 0 else axes.width - _AXIS - 8)
     top_px = axes.y + (8 if y == 0 else axes.height - _AXIS - 8)
     canvas.box(left_px, top_px, _AXIS, _AXIS, fill="rgba(255,255,255,0.86)")

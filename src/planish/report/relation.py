@@ -201,10 +201,7 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
     line_levels = [v for v in (row.difference_mean, *row.limits) if is_known(v)]
     low, high = _axis_limits(differences)
     margin = 0.04 * (high - low)
-    y_limits = (
-        min(low, *line_levels) - margin if line_levels else low,
-        max(high, *line_levels) + margin if line_levels else high,
-    )
+    y_limits = (min(low, *line_levels) - margin, max(high, *line_levels) + margin) if line_levels else (low, high)
     axes = canvas.axes(_RIGHT, _TOP, _WIDE, _HIGH, (*_axis_limits(mean), *y_limits))
     axes.across(0.0, width=1)
     axes.dots(np.stack([mean, differences], axis=1), colour=POINT, size=3 if mean.size > 2000 else 4.4, opacity=0.5)
@@ -226,11 +223,9 @@ def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, fl
     """Draw larger points one by one; where they are many and there is room for a colour ``bar_px``, their density."""
     if bar_px and points[0].size > 5000:
         return _draw_density(canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points")
-    axes, is_dense = (
-        canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0))),
-        points[0].size > 2000,
-    )
-    axes.dots(np.stack(points, axis=1), colour=POINT, size=3 if is_dense else 4.6, opacity=0.5 if is_dense else 0.7)
+    axes = canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0)))
+    size, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
+    axes.dots(np.stack(points, axis=1), colour=POINT, size=size, opacity=opacity)
     return axes
 
 
