@@ -38,19 +38,19 @@ class SheetImage:
 def clipped_grey(rule: CheckRule, scan: GreyScan) -> Check:
     """Judge whether the grey scale ends where the sheet's densest layer lies."""
     greys = scan.greys
-    spike, share, end_grey = clipping(scan.sample, greys)
+    spike, spike_share, end_grey = clipping(scan.sample, greys)
     coating_grey = denser_coating(greys)
     layer, layer_grey = ("base", greys.base) if coating_grey is None else ("coating", coating_grey)
     # So near to the layer's own level, a limit moves it.
     is_inside = greys.polarity * (end_grey - layer_grey) < greys.noise + 0.02 * abs(layer_grey - greys.air)
-    crowd_text = f"{100 * share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
+    crowd_text = f"{100 * spike_share:.2g} % of the voxels around the sheet have the grey {end_grey:.5g}"
     make_check = functools.partial(rule.check, value=spike, limit=SPIKE)
-    if not (spike > SPIKE and share > SHARE):
-        text = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
-        return make_check("pass", text, figures=())
-    if not is_inside and share < 0.02:
-        text = f"{crowd_text}, where the scale was cut off; the {layer} lies well inside ({layer_grey:.4g})."
-        return make_check("pass", text, figures=())
+    if not (spike > SPIKE and spike_share > SHARE):
+        sentence = "The grey scale does not end at the sheet: no grey is crowded at the end where the sheet lies."
+        return make_check("pass", sentence, figures=())
+    if not is_inside and spike_share < 0.02:
+        sentence = f"{crowd_text}, where the scale was cut off; the {layer} lies well inside ({layer_grey:.4g})."
+        return make_check("pass", sentence, figures=())
     return make_check(
         "look", f"{crowd_text}, where the scale was cut off, and the {layer} lies at {layer_grey:.4g}: its contrast is "
         "too low, and its face is displaced.", figures=(PROPERTIES,) if coating_grey is None else rule.figures,
@@ -129,30 +129,30 @@ def shading(rule: CheckRule, scan: GreyScan) -> Check:
     Along each axis of the sheet a parabola is fitted to the tiles' grey.
     """
     core, grey, contrast = scan.core, scan.core_grey, abs(scan.greys.base - scan.greys.air)
-    points = core.points.reshape(*core.shape, 3)
+    voxels = core.points.reshape(*core.shape, 3)
     is_seen = np.any(np.isfinite(grey).all(axis=2), axis=1)
     if np.count_nonzero(is_seen) < 20 or not contrast > 0:
         return rule.check(
             "unknown", f"The base is seen in {np.count_nonzero(is_seen)} tiles only, too few to follow its grey."
         )
     tile_greys = np.nanmedian(grey[is_seen], axis=(1, 2))
-    share, limit, shaded_axis = 0.0, SHADED, ""
+    grey_change, share_limit, shaded_axis = 0.0, SHADED, ""
     for k, axis in enumerate("zyx"):
         if axis == scan.through:
             continue
-        positions = np.nanmean(np.where(core.is_base[is_seen], points[is_seen, :, 0, k], np.nan), axis=1)
+        positions = np.nanmean(np.where(core.is_base[is_seen], voxels[is_seen, :, 0, k], np.nan), axis=1)
         if np.unique(positions).size < 4:
             continue
         fit = np.polynomial.Polynomial.fit(positions, tile_greys, 2)
         change_share = float(np.ptp(fit(fit.linspace(41)[0]))) / contrast
         # Chance makes no range of a fitted parabola of 9 standard errors of a mean.
         chance_share = 9.0 * float(np.std(tile_greys - fit(positions))) / contrast / np.sqrt(tile_greys.size)
-        if not shaded_axis or change_share - max(SHADED, chance_share) > share - limit:
-            share, limit, shaded_axis = change_share, max(SHADED, chance_share), axis
+        if not shaded_axis or change_share - max(SHADED, chance_share) > grey_change - share_limit:
+            grey_change, share_limit, shaded_axis = change_share, max(SHADED, chance_share), axis
     return rule.at_most(
-        share, look=limit, units="share",
-        sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * share:.2g} % of its contrast to the "
-        "air.",
+        grey_change, look=share_limit, units="share",
+        sentence=f"Along {shaded_axis}, the grey of the base changes by {100 * grey_change:.2g} % of its contrast to "
+        "the air.",
         advice="The beam or the light faded, or the scan is shaded. Correct it by a flat field, or scan again.",
     )  # fmt: skip
 
@@ -216,9 +216,10 @@ def noise_width(volume: xr.DataArray, measured: xr.Dataset) -> float:
             # Noise below half a step of the grey scale is that of rounding.
             if np.isfinite(variance) and variance > 0.5**2 * (volume.dtype.kind != "f"):
                 # Mean products with the neighbours at 0, 1, 2 ... voxels along the two axes of the sheet.
-                sides = grey, grey.swapaxes(0, 1)
+                turned = grey, grey.swapaxes(0, 1)
                 lags += np.array(
-                    [[float(np.mean(v[k:] * v[: len(v) - k])) for v in sides] for k in range(_LAGS)], dtype=np.float64
+                    [[float(np.mean(v[k:] * v[: len(v) - k])) for v in turned] for k in range(_LAGS)],
+                    dtype=np.float64,
                 ).mean(axis=1)
     if not lags[0] > lags[-1]:
         return float("nan")
@@ -236,19 +237,19 @@ def clipped_image(rule: CheckRule, image: SheetImage) -> Check:
     """Judge whether the greys of an image are cut off."""
     grey = np.asarray(image.greys, dtype=np.float64)
     grey = grey[np.isfinite(grey)]
-    share, tone = 0.0, "dark"
+    clipped_share, tone = 0.0, "dark"
     if grey.size and np.unique(grey).size >= 8:  # fewer levels are an image of areas
         lowest, highest = float(grey.min()), float(grey.max())
         near_width = 1 / 64 * (highest - lowest)  # counted as next to an end
         for end_tone, end_grey in (("dark", lowest), ("bright", highest)):
             end_share = float(np.mean(grey == end_grey))
             near_share = float(np.mean((grey != end_grey) & (np.abs(grey - end_grey) < near_width)))
-            if end_share > SPIKE * near_share and end_share > share:
-                share, tone = end_share, end_tone
+            if end_share > SPIKE * near_share and end_share > clipped_share:
+                clipped_share, tone = end_share, end_tone
     return rule.at_most(
-        share, look=0.01, units="share",  # from which on a correlation suffers
-        sentence=f"{100 * share:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
-        if share > 0.01 else "The image's grey scale does not end within the sheet's greys.",
+        clipped_share, look=0.01, units="share",  # from which on a correlation suffers
+        sentence=f"{100 * clipped_share:.2g} % of the image's pixels on the sheet are as {tone} as its scale allows."
+        if clipped_share > 0.01 else "The image's grey scale does not end within the sheet's greys.",
         advice="The true grey of these pixels is lost, and r is too weak. Take the image again with another exposure, "
         "or export it with a wider grey window.",
     )  # fmt: skip

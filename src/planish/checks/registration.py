@@ -103,16 +103,16 @@ def tilt(rule: CheckRule, registered: RegisteredLayer) -> Check | None:
     hole_tilt = registered.facts.tilt
     if hole_tilt is None or hole_tilt.tilt_deg is None or hole_tilt.offset_count < 4:
         return None
-    angle_deg, offset_um, error = (
+    angle_deg, offset_um, offset_error_um = (
         float(np.linalg.norm(np.array(v, dtype=np.float64)))
         for v in (hole_tilt.tilt_deg, hole_tilt.offset_um, hole_tilt.offset_error_um)
     )
-    error *= angle_deg / max(offset_um, 1e-9) / np.sqrt(2)
-    limit_deg = max(1.5, 4.0 * error)  # of holes burnt from above
+    error_deg = offset_error_um * (angle_deg / max(offset_um, 1e-9) / np.sqrt(2))
+    limit_deg = max(1.5, 4.0 * error_deg)  # of holes burnt from above
     end_text = " from its normal, all to one side" if angle_deg > limit_deg else " from its normal on average"
     return rule.at_most(
         angle_deg, look=limit_deg, units="deg",
-        sentence=f"The holes run through the sheet at {angle_deg:.2g} ± {error:.1g}°{end_text}.",
+        sentence=f"The holes run through the sheet at {angle_deg:.2g} ± {error_deg:.1g}°{end_text}.",
         advice="Either the laser was not perpendicular to the sheet, or slices drift sideways through the volume, and "
         "then places and thicknesses are wrong. Ask how the holes were burnt.",
     )  # fmt: skip
@@ -137,7 +137,7 @@ def holes_of_layer(rule: CheckRule, detected: DetectedHoles) -> Check:
     """Judge how many holes were found and what was rejected; a look where places were not measured."""
     attrs, hole_count = detected.holes.attrs, detected.holes.sizes["mark"]
     rejected: dict[str, int] = attrs.get("not_taken", {})
-    rejected_texts = [f"{rejected[name]} {words}" for name, words in REASONS.items() if rejected.get(name)]
+    rejected_texts = [f"{rejected[name]} {reason_text}" for name, reason_text in REASONS.items() if rejected.get(name)]
     rejected_text = f"; seen and not taken: {', '.join(rejected_texts)}" if rejected_texts else ""
     sentence = f"{hole_count} {'hole' if hole_count == 1 else 'holes'} found{rejected_text}."
     n_not_measured, n_openings = rejected.get("not_measured", 0), int(attrs.get("openings", 0))

@@ -109,8 +109,9 @@ def core_places(volume: xr.DataArray, measured: xr.Dataset) -> Core:
         voxel_indices = np.rint((measured[dim].values - axis_um[0]) / axis_step).astype(np.int32)
         points[..., "zyx".index(axis)] = voxel_indices[columns][..., None]
     is_base, high, low = has_base[r, c], high[r, c], low[r, c]
-    for k, share in enumerate(np.linspace(margin, 1 - margin, depths)):
-        depth_index = np.rint((np.nan_to_num(high * (1 - share) + low * share) - heights[0]) / step_um).astype(np.int32)
+    for k, depth_share in enumerate(np.linspace(margin, 1 - margin, depths)):
+        height = np.nan_to_num(high * (1 - depth_share) + low * depth_share)
+        depth_index = np.rint((height - heights[0]) / step_um).astype(np.int32)
         points[..., k, "zyx".index(frame.through)] = np.clip(depth_index, 0, heights.size - 1)
     points[~is_base] = 0
     return Core(points=points.reshape(-1, 3), shape=(*r.shape, depths), is_base=is_base)

@@ -41,10 +41,10 @@ def coverage(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     surfaces = sheet.facts.surfaces
     # Rims of holes are left out on purpose, and beside a small specimen is air: what counts is the rest.
     air_share = min(surfaces.empty_share or 0.0, surfaces.shares["no_sheet"])
-    share = surfaces.shares["measured"] / max(1.0 - surfaces.shares["rim"] - air_share, 1e-9)
+    measured_share = surfaces.shares["measured"] / max(1.0 - surfaces.shares["rim"] - air_share, 1e-9)
     return rule.at_least(
-        share, look=0.5, units="share",
-        sentence=f"{100 * share:.0f} % of the columns with a sheet, away from rims, are measured.",
+        measured_share, look=0.5, units="share",
+        sentence=f"{100 * measured_share:.0f} % of the columns with a sheet, away from rims, are measured.",
         advice="The maps are mostly blank, and what is left may not stand for the sheet. Look at the slices.",
     )  # fmt: skip
 
@@ -84,12 +84,12 @@ def alignment(rule: CheckRule, sheet: MeasuredSheet) -> Check | None:
 def cutoff(rule: CheckRule, sheet: MeasuredSheet) -> Check:
     """Judge the cut-off of the centre surface: the stated one wherever it was measured."""
     attrs = sheet.measured.attrs
-    share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
+    bridged_share, cutoff_um = float(attrs.get("bridged_off_rims_share", 0.0)), float(attrs["cutoff_um"])
     return rule.at_most(
-        share, look=0.02,
-        sentence=f"The centre surface has the stated cut-off of {cutoff_um:g} um in {100 * (1 - share):.1f} % of the "
-        "columns away from holes and rims"
-        + (", and twice or four times as much in the alternatives." if share > 0 else "."),
+        bridged_share, look=0.02,
+        sentence=f"The centre surface has the stated cut-off of {cutoff_um:g} um in {100 * (1 - bridged_share):.1f} % "
+        "of the columns away from holes and rims"
+        + (", and twice or four times as much in the alternatives." if bridged_share > 0 else "."),
         advice="Choose a longer --cutoff-um, or a smaller --rim-um if the rims take the sheet away.",
     )  # fmt: skip
 
@@ -135,8 +135,8 @@ def one_sheet(rule: CheckRule, scan: GreyScan) -> Check:
     # In a tile a few columns side by side may lie in one pore.
     is_seen = np.isfinite(profiles).all(axis=2).sum(axis=1) >= max(5, 1 / 3 * core.shape[1])
     if np.count_nonzero(is_seen) < 10:
-        text = f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few to tell one"
-        return rule.check("unknown", f"{text} sheet from two.")
+        few_text = f"The base is seen in {np.count_nonzero(is_seen)} tiles of {TILE_UM:g} um only, too few to tell one"
+        return rule.check("unknown", f"{few_text} sheet from two.")
     profiles = profiles[is_seen]
     n_columns = np.isfinite(profiles).sum(axis=1)
     median_profiles = np.nanmedian(profiles, axis=1)

@@ -188,9 +188,9 @@ class _Stack:
         fourth = np.array([_square(np.subtract(self.s[i + 1], self.s[i], dtype=np.float64) ** 2, 0.0) for i in k])
         return np.sqrt(np.maximum(fourth / np.maximum(self.d1[k] ** 2, 1e-300) - 1, 0) / self.s.shape[1])
 
-    def all_good(self, k: Ints, low: int, high: int) -> Bools:
+    def all_good(self, k: Ints, first_offset: int, last_offset: int) -> Bools:
         """Tell for each ``k`` if slices ``k + low`` to ``k + high`` are all good."""
-        return np.logical_and.reduce([self.is_good[k + i] for i in range(low, high + 1)])
+        return np.logical_and.reduce([self.is_good[k + i] for i in range(first_offset, last_offset + 1)])
 
 
 def _differences(s: Array, lag: int) -> Floats:
@@ -351,12 +351,12 @@ def _jump(t: _Stack, k: int) -> Fault:
         if nearest in (0, t.d1.size) or max(t.d1[nearest - 1], t.d1[nearest]) > 1.3 * usual_difference:
             return Fault(kind="moved", first=k + 1, last=k + 1, other=nearest)
     # Slices by which the body goes on too far: as far apart slices beside the jump must be to differ as much.
-    segments, difference, previous_median = (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]), float(t.d1[k]), 0.0
+    segments, jump_difference, previous_median = (t.s[max(k - 40, 0) : k + 1], t.s[k + 1 : k + 42]), float(t.d1[k]), 0.0
     for lag in range(1, 21):
         lag_differences = [_differences(segment, lag) for segment in segments if len(segment) > lag + 2]
         median = float(np.median(np.concatenate(lag_differences))) if lag_differences else 0.0
-        if median >= difference:
-            steps = lag - (median - difference) / max(median - previous_median, 1e-300) - 1.0
+        if median >= jump_difference:
+            steps = lag - (median - jump_difference) / max(median - previous_median, 1e-300) - 1.0
             return Fault(kind="jump", first=k, last=k + 1, steps=steps)
         previous_median = median
     return Fault(kind="jump", first=k, last=k + 1)

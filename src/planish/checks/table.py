@@ -126,13 +126,13 @@ def apply_checks(results: Results) -> Results:
     checks = results.checks
     if all(check.state in ("pass", "unknown") for check in checks):
         return results
-    rows, names = rows_with_trust(results.correlations, checks), [layer.name for layer in results.layers]
+    rows, layer_names = rows_with_trust(results.correlations, checks), [layer.name for layer in results.layers]
     withheld_pairs = {(row.a, row.a_map, row.b, row.b_map) for row in rows if row.trust == "withheld"}
     return results.model_copy(update={
         "layers": tuple(_layer_with_trust(layer, checks) for layer in results.layers),
         "correlations": rows,
         "comparison": tuple(
-            _marked(row, checks, names, row.property, POSITION, CORRELATION) for row in results.comparison
+            _marked(row, checks, layer_names, row.property, POSITION, CORRELATION) for row in results.comparison
         ),
         "evidence": tuple(e for e in results.evidence if (e.a, e.a_map, e.b, e.b_map) not in withheld_pairs),
     })  # fmt: skip

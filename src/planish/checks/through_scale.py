@@ -132,29 +132,29 @@ def judge_marks(rule: CheckRule, sheet: RegisteredSheet, marks: ThroughScale, sl
     """Say what marks and thickness mean for the spacing along the axis through a sheet."""
     axis, stated_um = _spacing(sheet)
     # The centre surface is smoothed, and which surface is neutral is not known.
-    error = float(np.hypot(marks.error, 0.01))
-    is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * error
-    if not is_off and error > _UNCERTAIN:
+    scale_error = float(np.hypot(marks.error, 0.01))
+    is_off = marks.excludes_one and abs(marks.scale - 1) > _BEYOND * scale_error
+    if not is_off and scale_error > _UNCERTAIN:
         if slope.error <= _UNCERTAIN:
             return scale_by_thickness(rule, sheet)
-        times_text = f"{marks.scale:.2g} ± {error:.2g}" if np.isfinite(marks.error) else "any"
+        times_text = f"{marks.scale:.2g} ± {scale_error:.2g}" if np.isfinite(marks.error) else "any"
         return rule.check(
             "unknown", value=marks.scale,
             sentence=f"The sheet is too flat, or its {marks.marks} marks too few or too uncertain, to say whether the "
             f"voxel spacing of {stated_um:.4g} um along {axis} is right: they agree with {times_text} times that.",
         )  # fmt: skip
-    text = (
-        f"The marks ask for a voxel spacing along {axis} that is {marks.scale:.3g} ± {error:.2g} times the stated "
-        f"one: {marks.scale * stated_um:.3g} um for {stated_um:.4g}."
+    sentence = (
+        f"The marks ask for a voxel spacing along {axis} that is {marks.scale:.3g} ± {scale_error:.2g} times the "
+        f"stated one: {marks.scale * stated_um:.3g} um for {stated_um:.4g}."
     )
     state: State = "pass"
     if is_off:
         state, explanation = _explained(marks, slope)
-        text += explanation
+        sentence += explanation
     if is_off and sheet.either:
-        state, text = "look", f"{text} The other sheet's may be wrong as well."
+        state, sentence = "look", f"{sentence} The other sheet's may be wrong as well."
     return rule.check(
-        state, text, value=marks.scale, limit=_limit(marks.scale, error),
+        state, sentence, value=marks.scale, limit=_limit(marks.scale, scale_error),
         advice=_ADVICE.format(axis=axis) if is_off else "",
     )  # fmt: skip
 

@@ -81,8 +81,8 @@ def read_windows(
     points = np.empty((0, 3), np.int32) if points is None else points
     window_number = np.full(len(points), -1, np.int8)  # of the axis in whose window each point is read; -1 for none
     for i, box in enumerate(boxes.values()):
-        low, high = np.array([(box[name].start, box[name].stop) for name in "zyx"], points.dtype).T
-        window_number[((points >= low) & (points < high)).all(axis=1)] = i
+        box_start, box_stop = np.array([(box[name].start, box[name].stop) for name in "zyx"], points.dtype).T
+        window_number[((points >= box_start) & (points < box_stop)).all(axis=1)] = i
     z_range = slice(min(p["z"].start for p in boxes.values()), max(p["z"].stop for p in boxes.values()))
 
     def read(piece: slice) -> list[_Part | None]:
@@ -185,11 +185,11 @@ def _pieces(volume: xr.DataArray, boxes: dict[Axis, dict[str, slice]], z_range: 
 
 def _part_sums(greys: Array, axis: Axis, n_before: int, fill_grey: float) -> Sums:
     """Sums of a part (z, y, x) of a window."""
-    part = np.ascontiguousarray(np.moveaxis(greys, "zyx".index(axis), 0), dtype=np.float32)
-    sums = _sums(part, n_before)
+    slices = np.ascontiguousarray(np.moveaxis(greys, "zyx".index(axis), 0), dtype=np.float32)
+    sums = _sums(slices, n_before)
     if np.isfinite(sums[0]).all() and np.isfinite(sums[2]).all():
         return sums
-    return _sums(np.nan_to_num(part, nan=fill_grey, posinf=fill_grey, neginf=fill_grey), n_before)
+    return _sums(np.nan_to_num(slices, nan=fill_grey, posinf=fill_grey, neginf=fill_grey), n_before)
 
 
 def _sums(part: NDArray[np.float32], n_before: int = 0) -> Sums:
@@ -212,11 +212,11 @@ def _joined(axis: Axis, window_box: dict[str, slice], sums: list[Sums]) -> Windo
     axis_index = 0 if axis == "z" else 1
     shape = list(sums[0][2].shape)
     shape[axis_index] = sum(p[2].shape[axis_index] for p in sums)
-    blocks, start = np.empty(shape, dtype=np.float32), 0
+    blocks, n_copied = np.empty(shape, dtype=np.float32), 0
     while sums:
         part = sums.pop(0)[2]  # a part goes as soon as it is copied
-        blocks[(slice(None),) * axis_index + (slice(start, start + part.shape[axis_index]),)] = part
-        start += part.shape[axis_index]
+        blocks[(slice(None),) * axis_index + (slice(n_copied, n_copied + part.shape[axis_index]),)] = part
+        n_copied += part.shape[axis_index]
     return Window(
         axis=axis, first=window_box[axis].start, square=square / voxels, product=product / voxels, blocks=blocks
     )  # fmt: skip

@@ -184,8 +184,8 @@ def error_page(pattern: Pattern, predicted: Predicted, imaging: ImagingParams, r
         page.plan.plot(*point[:, None], "+", ms=9, mew=1.4, color=ACCENT, clip_on=False)
         x, y = np.sign(field_points[0] - point)
         alignment = ("center", "left", "right")[int(x)]
-        text = f"{name}: {error_um:.2f} µm"
-        _write(page.plan, point, text, (10 * x, 12 * (y or -1)), ha=alignment, fontsize=8.5, bbox=text_box)
+        error_text = f"{name}: {error_um:.2f} µm"
+        _write(page.plan, point, error_text, (10 * x, 12 * (y or -1)), ha=alignment, fontsize=8.5, bbox=text_box)
     rows = [
         ("one hole", f"{predicted.fle_um:.2f} µm rms"),
         ("holes N", f"{len(predicted.holes_um)}"),
@@ -212,8 +212,8 @@ def _error_map(page: Page, pattern: Pattern, predicted: Predicted) -> None:
     axes, field_low = page.plan, pattern.field_low_um
     # 200 pixels along the longer side of the map.
     x_um, y_um = (
-        start + np.linspace(0, side, max(20, round(200 * side / max(pattern.field_um))))
-        for start, side in zip(field_low, pattern.field_um, strict=True)
+        low_um + np.linspace(0, side_um, max(20, round(200 * side_um / max(pattern.field_um))))
+        for low_um, side_um in zip(field_low, pattern.field_um, strict=True)
     )
     error_um = predicted.at(np.stack(np.meshgrid(x_um, y_um), axis=-1))
     field_high = field_low + pattern.field_um

@@ -241,13 +241,13 @@ def read_pattern(path: str | Path, *, field_um: Pair | None = None, diameter_um:
         return Pattern.from_json(text)
     table = parse_table(text, file_path.name, needed=_COLUMNS[1:3], error=MarkError)
     has_diameter = _COLUMNS[3] in table.header
-    numbers = table.numbers(_COLUMNS[1 : 3 + has_diameter])
+    columns = table.numbers(_COLUMNS[1 : 3 + has_diameter])
     table.check()
-    if diameter_um is None and has_diameter and len(numbers):
-        diameter_um = float(np.median(numbers[:, 2]))
+    if diameter_um is None and has_diameter and len(columns):
+        diameter_um = float(np.median(columns[:, 2]))
     if diameter_um is not None and not 10 <= diameter_um <= 2000:
         raise MarkError(f"{file_path.name}: a diameter of {diameter_um:g} um; 10 to 2000 um are possible.")
-    return own_pattern(numbers[:, :2], name=file_path.stem, field_um=field_um, diameter_um=diameter_um)
+    return own_pattern(columns[:, :2], name=file_path.stem, field_um=field_um, diameter_um=diameter_um)
 
 
 # Ratio of the error that 95 % stay below to the rms, where both axes err alike and independently.

@@ -35,7 +35,7 @@ def _place_side(
 ) -> Steps | None:
     """Place ``n_holes`` holes between the corners of a side and give them with those in the corners; None if none fit.
 
-    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few of those ``used`` repeat.
+    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few ``used`` repeat.
     """
     spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
@@ -208,7 +208,7 @@ def _search(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Design
 
 def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> Pattern | None:
     """Draw one pattern; None where a side has no room."""
-    width_steps, height_steps = (round(side / STEP_UM) for side in blank.frame_um)
+    width_steps, height_steps = (round(side_number / STEP_UM) for side_number in blank.frame_um)
     side_steps = (width_steps, height_steps, width_steps, height_steps)
     # Three corners hold holes too.
     hole_counts = [min(4, max(1, (hole_count - 3) // 4))] * 4
@@ -218,18 +218,18 @@ def _draw_pattern(blank: Pattern, hole_count: int, rng: np.random.Generator) -> 
     # Last pitch over first pitch, less 1.
     rates = rng.permutation(np.array([1.0, 1.5, 2.1, 2.8])) + rng.uniform(-0.4, 0.4, 4)
     used_distances: set[int] = set()
-    points: list[Steps] = []
+    side_points: list[Steps] = []
     side_names: list[str] = []
     corners = np.array([(0, 0), (width_steps, 0), (width_steps, height_steps), (0, height_steps)])
     directions = np.array([(1, 0), (0, 1), (-1, 0), (0, -1)])
-    for side, (n_steps, n_inner) in enumerate(zip(side_steps, hole_counts, strict=True)):
-        rate = float(rates[side]) if blank.layout == "line" else 0.0
-        positions = _place_side(blank, side, n_steps, n_inner, rate, used_distances, rng)
+    for side_number, (n_steps, n_inner) in enumerate(zip(side_steps, hole_counts, strict=True)):
+        rate = float(rates[side_number]) if blank.layout == "line" else 0.0
+        positions = _place_side(blank, side_number, n_steps, n_inner, rate, used_distances, rng)
         if positions is None:
             return None
         used_distances |= set(_distances(positions[None])[0].tolist())
         # The hole at the end is the first one of the next side.
-        positions = positions[:-1] if side != 3 else positions
-        points.append(corners[side] + positions[:, None] * directions[side])
-        side_names += [SIDES[side]] * len(positions)
-    return blank.with_holes(STEP_UM * np.concatenate(points) + blank.frame_low_um, side_names)
+        positions = positions[:-1] if side_number != 3 else positions
+        side_points.append(corners[side_number] + positions[:, None] * directions[side_number])
+        side_names += [SIDES[side_number]] * len(positions)
+    return blank.with_holes(STEP_UM * np.concatenate(side_points) + blank.frame_low_um, side_names)

@@ -89,8 +89,8 @@ class _HoleIndex:
             return np.asarray(hole_numbers, dtype=np.intp).reshape(points.shape)
         # Far outside is cut off to the table's border, which is empty.
         x, y = (
-            np.clip((coordinate - low) / self.cell, 0, n - 1).astype(np.intp)
-            for coordinate, low, n in zip((points.real, points.imag), self.low, self.table.shape, strict=True)
+            np.clip((coordinate - table_low) / self.cell, 0, n - 1).astype(np.intp)
+            for coordinate, table_low, n in zip((points.real, points.imag), self.low, self.table.shape, strict=True)
         )
         holes = self.table[x, y].astype(np.intp).ravel()
         candidates = np.flatnonzero(holes < self.n)

@@ -120,10 +120,10 @@ class Axes:
         self, x: Sequence[float], y: Sequence[float], *, colour: str, width: float, dash: str = "", dot_px: float = 0.0
     ) -> None:  # fmt: skip
         """Draw a line through points x, y, and dots of ``dot_px`` on them."""
-        points = np.stack([x, y], axis=1)
-        self.line(points, colour=colour, width=width, dash=dash)
+        line_points = np.stack([x, y], axis=1)
+        self.line(line_points, colour=colour, width=width, dash=dash)
         if dot_px:
-            self.dots(points, colour=colour, size=dot_px)
+            self.dots(line_points, colour=colour, size=dot_px)
 
     def across(self, y: float, *, colour: str = SOFT, width: float = 0.8, dash: str = "") -> None:
         """Draw a line over the whole width."""

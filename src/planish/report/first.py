@@ -52,12 +52,12 @@ def _draw_map(data: xr.DataArray, colour_values: Array, *, layer: str, excluded_
     """Draw a map on a third of the page, with its colours below, which span those of ``colour_values``."""
     x, map_px = data["x"].values, THIRD - MARGIN - 12
     shown = reduced(data.values, data["y"].values, x, width=map_px)
-    box = shown.fit(map_px, 330.0)
-    scale, bar_px = colours_of(data, colour_values), max(box[0], 150.0)
-    canvas = Canvas(THIRD, box[1] + BELOW + 74)
-    canvas.map_axes(MARGIN, 8, box, shown, scale)
-    bottom_px = box[1] + BELOW + 8
-    canvas.draw_axis_names(MARGIN + box[0], bottom_px)
+    map_size = shown.fit(map_px, 330.0)
+    scale, bar_px = colours_of(data, colour_values), max(map_size[0], 150.0)
+    canvas = Canvas(THIRD, map_size[1] + BELOW + 74)
+    canvas.map_axes(MARGIN, 8, map_size, shown, scale)
+    bottom_px = map_size[1] + BELOW + 8
+    canvas.draw_axis_names(MARGIN + map_size[0], bottom_px)
     canvas.colour_bar(MARGIN, bottom_px + 22, bar_px, 10, scale)
     canvas.text(MARGIN + bar_px / 2, bottom_px + 62, label_of(data), anchor="middle")
     return canvas.picture(
@@ -87,16 +87,16 @@ def recommendations(results: Results) -> list[tuple[str, Check | None]]:
     return advice[:2] or [(usual_text, None)]
 
 
-def _field_advice(rows: Sequence[CorrelationRow]) -> str:
+def _field_advice(pair_rows: Sequence[CorrelationRow]) -> str:
     """Say what a larger field would do to the interval of r."""
-    row = largest(rows) if rows else None
+    row = largest(pair_rows) if pair_rows else None
     if row is None or row.trust != "ok" or not is_known(row.r):
         return ""
     if not is_known(row.interval):
         return "A larger field, or more fields: there are too few independent points for an interval of r."
-    low, high = row.interval
+    r_low, r_high = row.interval
     # With a wider interval of r, a larger field is worth its while.
-    if (high - low) / 2 <= 0.1 and row.direction:
+    if (r_high - r_low) / 2 <= 0.1 and row.direction:
         return ""
     interval = interval_text(row.interval)
     return f"A larger field, or more fields: four times the area would about halve the interval of r (now {interval})."

@@ -84,8 +84,8 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
     y, x, gap_px = strain["y"].values, strain["x"].values, 25.0
     panel_px = (draw.FULL - 2 * gap_px - draw.MARGIN - 6) / 3
     area_map = draw.reduced(area_change, y, x, width=panel_px)
-    box = area_map.fit(panel_px, 450.0)
-    bottom_px = box[1] + draw.BELOW
+    map_size = area_map.fit(panel_px, 450.0)
+    bottom_px = map_size[1] + draw.BELOW
     canvas = draw.Canvas(draw.FULL, bottom_px + 90)
     panels = (
         ("Change of area", area_change, limits(area_change, SIGNED, symmetric=True)),
@@ -96,10 +96,10 @@ def _draw_strain(strain: xr.Dataset, flat: xr.Dataset) -> draw.Picture:
         left_px = draw.MARGIN + k * (panel_px + gap_px)
         shown = draw.reduced(_from_top(values, flat), y, x, width=panel_px)
         canvas.text(left_px, 18, f"{name} / %", bold=True)
-        canvas.map_axes(left_px, 26, box, shown, scale, has_y_ticks=k == 0)
-        canvas.colour_bar(left_px + 16, bottom_px + 36, max(box[0] - 32, 190), 10, scale)
-    canvas.scale_bar(draw.MARGIN, bottom_px + 66, width=box[0], um=area_map.width)
-    canvas.draw_axis_names(draw.MARGIN + 2 * (panel_px + gap_px) + box[0], bottom_px + 66)
+        canvas.map_axes(left_px, 26, map_size, shown, scale, has_y_ticks=k == 0)
+        canvas.colour_bar(left_px + 16, bottom_px + 36, max(map_size[0] - 32, 190), 10, scale)
+    canvas.scale_bar(draw.MARGIN, bottom_px + 66, width=map_size[0], um=area_map.width)
+    canvas.draw_axis_names(draw.MARGIN + 2 * (panel_px + gap_px) + map_size[0], bottom_px + 66)
     return canvas.picture(
         title="Strain of the flattening",
         caption=(
@@ -123,11 +123,11 @@ def draw_progress(strain: xr.Dataset) -> draw.Picture:
     axes = canvas.axes(78, 15, draw.HALF - 95, 215, (0.5, max(nodes.size, 1) + 0.5, low, high))
     for node_count in node_counts:
         mesh_steps = np.flatnonzero((nodes == node_count) & is_moved)
-        points = np.stack([mesh_steps + 1.0, log_moves[mesh_steps]], axis=1)[:: max(1, mesh_steps.size // 600)]
+        curve_points = np.stack([mesh_steps + 1.0, log_moves[mesh_steps]], axis=1)[:: max(1, mesh_steps.size // 600)]
         colour = draw.ACCENT if node_count == node_counts[-1] else draw.SOFT
-        axes.line(points, colour=colour, width=1.6)
+        axes.line(curve_points, colour=colour, width=1.6)
         if nodes.size <= 200:
-            axes.dots(points, colour=colour, size=5)
+            axes.dots(curve_points, colour=colour, size=5)
     for level in draw.multiples(low, high, 1.0):
         axes.across(level, colour=draw.FAINT, width=0.5)
     canvas.ticks(axes, "step", "mean move of a node / µm", log=True)

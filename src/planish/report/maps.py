@@ -109,14 +109,14 @@ def _draw_property(
     data, map_px = maps[name], width - draw.MARGIN - _BESIDE
     values = data.values.astype(np.float64)
     shown = draw.reduced(values, data["v"].values, data["u"].values, width=map_px)
-    box = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
+    size = shown.fit(map_px, 480.0 if width < draw.FULL else 640.0)
     scale = colours_of(data, np.concatenate([maps[k].values.ravel() for k in sorted({name, partner or name})]))
-    bar_height = draw.panel_height(box, "colours")
+    bar_height = draw.panel_height(size, "colours")
     canvas = draw.Canvas(width, bar_height + draw.BELOW + 38)
-    axes = canvas.map_axes(draw.MARGIN, 8, box, shown, scale)
-    bar_left = draw.MARGIN + box[0] + 12
+    axes = canvas.map_axes(draw.MARGIN, 8, size, shown, scale)
+    bar_left = draw.MARGIN + size[0] + 12
     canvas.colour_bar(bar_left, 8, 13, bar_height, scale)
-    canvas.text(draw.MARGIN + box[0] + _BESIDE - 10, 8 + bar_height / 2, label_of(data), anchor="middle", upwards=True)
+    canvas.text(draw.MARGIN + size[0] + _BESIDE - 10, 8 + bar_height / 2, label_of(data), anchor="middle", upwards=True)
     histogram = _draw_histogram(canvas, (bar_left + 58, 8, 62, bar_height), values, scale, facts)
     canvas.draw_scale_row(axes, 2, "u, v")
     mean_text = ""
@@ -147,13 +147,13 @@ def draw_side_by_side(
     """
     y, x, map_px = maps[0]["y"].values, maps[0]["x"].values, draw.HALF - draw.MARGIN - draw.BESIDE
     shown_maps = [draw.reduced(data.values, y, x, width=map_px) for data in maps]
-    box = shown_maps[0].fit(map_px, 480.0)
-    canvas = draw.Canvas(draw.FULL, draw.panel_height(box, "colours") + draw.BELOW + 64)
+    map_size = shown_maps[0].fit(map_px, 480.0)
+    canvas = draw.Canvas(draw.FULL, draw.panel_height(map_size, "colours") + draw.BELOW + 64)
     for k, (data, shown, layer) in enumerate(zip(maps, shown_maps, layers, strict=True)):
         left_px = k * (draw.FULL - draw.HALF)
         canvas.text(left_px + draw.MARGIN, 18, layer, bold=True, size=13)
         colour_values = np.concatenate([m.values.ravel() for m in maps]) if same_scale else data.values
-        canvas.panel(left_px, 24, shown, box, scale=colours_of(data, colour_values), label=label_of(data))
+        canvas.panel(left_px, 24, shown, map_size, scale=colours_of(data, colour_values), label=label_of(data))
     titles, units = [in_words(title_of(m)) for m in maps], [unit_of(m) or "none" for m in maps]
     return canvas.picture(
         title=f"{layers[0]} on the pixels of {layers[1]}",
@@ -228,9 +228,9 @@ def draw_outlines(linked: xr.Dataset, *, name: str, thin_um: float, excluded_tex
 
 def _darkness_sentence(image: Array, is_outlined: NDArray[np.bool_], valid: NDArray[np.bool_]) -> str:
     """Compare the grey value inside the outlines with the rest."""
-    inside, outside = image[is_outlined & valid], image[valid & ~is_outlined]
-    if inside.size == 0 or outside.size == 0 or (spread := float(np.std(image[valid]))) == 0:
+    inside_greys, outside_greys = image[is_outlined & valid], image[valid & ~is_outlined]
+    if inside_greys.size == 0 or outside_greys.size == 0 or (grey_sd := float(np.std(image[valid]))) == 0:
         return ""
-    shift = float(inside.mean() - outside.mean()) / spread
-    word = "darker" if shift < 0 else "brighter"
-    return f"Inside, the image is on average {abs(shift):.2f} standard deviations {word} than elsewhere. "
+    shift = float(inside_greys.mean() - outside_greys.mean()) / grey_sd
+    comparative = "darker" if shift < 0 else "brighter"
+    return f"Inside, the image is on average {abs(shift):.2f} standard deviations {comparative} than elsewhere. "

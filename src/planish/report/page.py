@@ -132,7 +132,7 @@ def report_template() -> Template:
 def _sheet_section(run_maps: maps.RunMaps, layer: LayerFacts) -> dict[str, Any] | None:
     """Draw all that is shown of a sheet; None for an image, and for a sheet whose groups are elsewhere."""
     facts = layer.sheet
-    sheet_data = {name: data for name in _SHEET_PARTS if (data := run_maps.part(layer, name)) is not None}
+    sheet_data = {name: part_data for name in _SHEET_PARTS if (part_data := run_maps.part(layer, name)) is not None}
     if facts is None or len(sheet_data) < len(_SHEET_PARTS):
         return None
     surfaces, strain, height = sheet_data["surfaces"], sheet_data["strain"], sheet_data["surfaces"]["centre"].values
@@ -165,10 +165,10 @@ def _registration_section(run_maps: maps.RunMaps, layer: LayerFacts, marks: xr.D
             with_image, name=layer.headline, thin_um=thin_um, excluded_text=run_maps.excluded_text
         )
     else:
-        rows = summary.headline_pair(results, layer)
+        pair_rows = summary.headline_pair(results, layer)
         map_pair = _valid_values(layer_maps, layer.headline), _valid_values(reference_maps, reference_layer.headline)
         linked_pictures = [maps.draw_side_by_side(
-            map_pair, (layer.name, reference_layer.name), same_scale=bool(rows) and rows[0].same_quantity,
+            map_pair, (layer.name, reference_layer.name), same_scale=bool(pair_rows) and pair_rows[0].same_quantity,
             excluded_text=run_maps.excluded_text,
         )]  # fmt: skip
     return {
@@ -220,8 +220,8 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
     """Give the pairs of maps that stand for two layers, and all maps of the same quantity, where both are at hand."""
     results, pairs = run_maps.results, dict[summary.PairKey, MapPair]()
     headlines = {(layer.name, layer.headline) for layer in results.layers}
-    for rows in summary.by_pair(results):
-        row, pair = rows[0], MapPair.of(run_maps.linked, rows, summary.density_of(results, rows[0]))
+    for pair_rows in summary.by_pair(results):
+        row, pair = pair_rows[0], MapPair.of(run_maps.linked, pair_rows, summary.density_of(results, pair_rows[0]))
         if pair and (row.same_quantity or headlines >= {(row.a, row.a_map), (row.b, row.b_map)}):
             pairs[summary.key_of(row)] = pair
     return pairs
@@ -229,8 +229,8 @@ def _map_pairs(run_maps: maps.RunMaps) -> dict[summary.PairKey, MapPair]:
 
 def _draw_pair(run_maps: maps.RunMaps, pair: MapPair) -> Picture:
     with_layers = len(run_maps.results.layers) > 2 or pair.coarse.same_quantity
-    names = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
-    return draw_pair(pair, names=names, excluded_text=run_maps.excluded_text)
+    titles = summary.titles_of(pair.coarse, run_maps.titles, with_layers=with_layers)
+    return draw_pair(pair, names=titles, excluded_text=run_maps.excluded_text)
 
 
 def _evidence_section(
@@ -238,21 +238,21 @@ def _evidence_section(
 ) -> dict[str, Any]:
     """Draw what stands beside r of the maps that stand for two layers, and say what it means, by section."""
     titles, excluded_text, is_same_map = run_maps.titles, run_maps.excluded_text, e.a_map == e.b_map
-    names, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
+    titles_text, pair = summary.names_in_words(e, titles), pairs.get(summary.key_of(e))
     figures: dict[Section, list[Picture]] = {"scale": [], "distance": [], "repeated": [], "light": []}
     if e.sizes or e.bands:
-        figures["scale"].append(diagnostics.draw_scale(e, names=names, excluded_text=excluded_text))
+        figures["scale"].append(diagnostics.draw_scale(e, names=titles_text, excluded_text=excluded_text))
     map_keys = [(curve.layer, curve.map) for curve in e.variograms]
     map_titles = tuple(titles.get(key, key[1]) + (f", {key[0]}" if is_same_map else "") for key in map_keys)
     if e.variograms:
         figures["distance"].append(diagnostics.draw_variograms(e, titles=map_titles, excluded_text=excluded_text))
     if e.correlogram is not None:
-        moved_names = (f"{names[0]} of {e.a}", f"that of {e.b}") if is_same_map else names
+        moved_names = (f"{titles_text[0]} of {e.a}", f"that of {e.b}") if is_same_map else titles_text
         figures["distance"].append(
             diagnostics.draw_correlogram(e.correlogram, names=moved_names, excluded_text=excluded_text)
         )
     if e.twice is not None and e.twice.rings:
-        rings = diagnostics.draw_rings(e.twice, name=names[0], layers=(e.a, e.b), excluded_text=excluded_text)
+        rings = diagnostics.draw_rings(e.twice, name=titles_text[0], layers=(e.a, e.b), excluded_text=excluded_text)
         figures["repeated"].append(rings)
     if e.kubelka_munk is not None and is_known(e.kubelka_munk.scattering) and pair is not None:
         figures["light"].append(diagnostics.draw_kubelka_munk(
@@ -260,19 +260,19 @@ def _evidence_section(
             excluded_text=excluded_text,
         ))  # fmt: skip
     point_um = float(run_maps.results.parameters.get("correlate", {}).get("point_um", "nan"))
-    pair_words = PairWords(point_um, names[1], map_titles)
+    pair_words = PairWords(point_um, titles_text[1], map_titles)
     section_sentences = {section: [*sentences(e, section, pair_words)] for section in figures}
     return {"of": f"{e.a} and {e.b}", "figures": figures, "sentences": section_sentences}
 
 
-def _valid_values(data: xr.Dataset, name: str) -> xr.DataArray:
+def _valid_values(maps: xr.Dataset, name: str) -> xr.DataArray:
     """Return a map, NaN where it is not valid."""
-    is_valid: NDArray[np.bool_] | bool = data["valid"].values.astype(bool) if "valid" in data else True
-    return data[name].copy(data=np.where(is_valid, data[name].values.astype(np.float64), np.nan))
+    is_valid: NDArray[np.bool_] | bool = maps["valid"].values.astype(bool) if "valid" in maps else True
+    return maps[name].copy(data=np.where(is_valid, maps[name].values.astype(np.float64), np.nan))
 
 
-def _map_in_words(data: xr.DataArray, layer: LayerFacts) -> str:
-    layer_text, title = text.with_article(layer.name), in_words(text.title_of(data))
+def _map_in_words(map_data: xr.DataArray, layer: LayerFacts) -> str:
+    layer_text, title = text.with_article(layer.name), in_words(text.title_of(map_data))
     if layer.kind == "image":
         return layer_text
     return title if layer_text != layer.name else f"{title} of {layer.name}"

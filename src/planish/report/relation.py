@@ -183,10 +183,10 @@ def _draw_lines(axes: Axes, row: CorrelationRow) -> None:
         draw_fit(axes, line_ends, dash=dash)
 
 
-def draw_fit(axes: Axes, points: ArrayLike, *, dash: str = "", width: float = 2.2) -> None:
+def draw_fit(axes: Axes, line_points: ArrayLike, *, dash: str = "", width: float = 2.2) -> None:
     """Draw a line that stands out from the points below it."""
-    axes.line(points, colour="white", width=4)
-    axes.line(points, colour=ACCENT, width=width, dash=dash)
+    axes.line(line_points, colour="white", width=4)
+    axes.line(line_points, colour=ACCENT, width=width, dash=dash)
 
 
 def largest(rows: Sequence[Row]) -> Row:
@@ -210,8 +210,8 @@ def _draw_differences(canvas: Canvas, a: Array, b: Array, row: CorrelationRow, u
     canvas.ticks(axes, axis_label("mean of the two", units), axis_label("difference", units))
     mean, spread, lower, upper = written_difference(row)
     unit_text = f" {units}" if units else ""
-    text = f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to {upper}{unit_text}"
-    _draw_heading(canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", text)
+    numbers_text = f"mean {mean}{unit_text}\u2003s. d. {spread}{unit_text}\u2003limits {lower} to {upper}{unit_text}"
+    _draw_heading(canvas, _RIGHT, f"Difference, points of {plain(round(row.point_um, 4))}", numbers_text)
 
 
 def written_difference(row: CorrelationRow) -> tuple[str, ...]:
@@ -224,8 +224,8 @@ def draw_dots(canvas: Canvas, points: Points, box: tuple[float, float, float, fl
     if bar_px and points[0].size > 5000:
         return _draw_density(canvas, (*box[:2], box[2] - bar_px, box[3]), points, counted_text="points")
     axes = canvas.axes(*box, (*_axis_limits(points[0], 0.0), *_axis_limits(points[1], 0.0)))
-    size, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
-    axes.dots(np.stack(points, axis=1), colour=POINT, size=size, opacity=opacity)
+    dot_px, opacity = (3, 0.5) if points[0].size > 2000 else (4.6, 0.7)
+    axes.dots(np.stack(points, axis=1), colour=POINT, size=dot_px, opacity=opacity)
     return axes
 
 
@@ -248,10 +248,10 @@ def _draw_heading(canvas: Canvas, left_px: float, title: str, numbers_text: str)
     canvas.text(left_px, 43, numbers_text)
 
 
-def _axis_limits(data: Array, percent: float = 0.05) -> tuple[float, float]:
-    if data.size == 0:
+def _axis_limits(values: Array, percent: float = 0.05) -> tuple[float, float]:
+    if values.size == 0:
         return 0.0, 1.0
-    low, high = (float(v) for v in np.percentile(data, [percent, 100 - percent]))
+    low, high = (float(v) for v in np.percentile(values, [percent, 100 - percent]))
     margin = 0.04 * (high - low) or 0.5
     return low - margin, high + margin
 

@@ -99,8 +99,8 @@ def _specimen_orders(results: SeriesResults, factors: Sequence[str]) -> list[tup
     for k, q in enumerate(results.quantities):
         if q.map == results.quantities[0].map:
             title = {"mean": "mean", "sd": "standard deviation", "thin_share": "thin share", "r": "r"}[q.what]
-            values = [s.cells[k].value if s.cells else None for s in specimens]
-            finite_first = [(False, v) if v is not None and math.isfinite(v) else (True, 0.0) for v in values]
+            map_values = [s.cells[k].value if s.cells else None for s in specimens]
+            finite_first = [(False, v) if v is not None and math.isfinite(v) else (True, 0.0) for v in map_values]
             sort_keys.append((title, finite_first))
     orders = [("as listed", list(range(len(specimens))))]
     for name, sort_key in sort_keys:

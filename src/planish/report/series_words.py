@@ -245,8 +245,8 @@ def heterogeneous(g: GroupFacts, q: Quantity) -> str:
     v = g.variances
     if v is None or not is_known(v.sd_within) or not is_known(v.share):
         return (v.reason if v else "") or NONE
-    low, high = (number(100 * share, 2) for share in v.share_interval)
-    limits_text = f" (95 %: {low} to {high}\u202f%)" if is_known(v.share_interval) else ""
+    low_text, high_text = (number(100 * share, 2) for share in v.share_interval)
+    limits_text = f" (95 %: {low_text} to {high_text}\u202f%)" if is_known(v.share_interval) else ""
     return (
         f"sd {value(v.sd_between, q)} between, {value(v.sd_within, q)} within; between: {number(100 * v.share, 2)}"
         f"\u202f% of the variance{limits_text}, p {p_text(v.p)}"

@@ -156,8 +156,8 @@ def _detail_windows(cuts: list[Slice], spans: list[Window], margin: float) -> li
     for cut, (left, right, low, high) in zip(cuts, tight_windows, strict=True):
         floor, ceiling = cut.range
         bottom = min(max((low + high - height_um) / 2, floor), max(ceiling - height_um, floor))
-        inside = max(left, float(cut.x[0])), min(right, float(cut.x[-1]))
-        windows.append((*inside, bottom, min(bottom + height_um, ceiling)))
+        x_limits = max(left, float(cut.x[0])), min(right, float(cut.x[-1]))
+        windows.append((*x_limits, bottom, min(bottom + height_um, ceiling)))
     return windows
 
 

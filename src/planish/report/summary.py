@@ -135,10 +135,10 @@ def _map_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]
     sheet, layer = results.reference.sheet, results.reference.name
     assert sheet is not None
     measured_share, strain = sheet.surfaces.shares.get("measured"), sheet.flatten.edge_strain_p95
-    names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
+    map_names = [in_words(titles.get((layer, name), name)) for name in sheet.properties]
     sentence = (
         f"The sheet was found in {percent(measured_share, 2)} of the columns and flattened; mapped: "
-        f"{', '.join(names) if names else 'no property'}. No image was linked."
+        f"{', '.join(map_names) if map_names else 'no property'}. No image was linked."
     )
     if not {"coating_top", "coating_bottom"} & set(sheet.properties):
         sentence += " No coating was found."
@@ -187,12 +187,12 @@ def point_of(row: CorrelationRow) -> str:
     return plain(round(row.point_um, 4))
 
 
-def _relation_sentence(rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
+def _relation_sentence(pair_rows: list[CorrelationRow], results: Results, titles: Titles) -> str:
     """Describe the correlation of two maps, at the pixel and at the largest points."""
-    if not rows or (rows[0].trust == "ok" and not is_known(rows[0].r)):
-        n = count(rows[0].n if rows else 0)
+    if not pair_rows or (pair_rows[0].trust == "ok" and not is_known(pair_rows[0].r)):
+        n = count(pair_rows[0].n if pair_rows else 0)
         return f"The two layers could not be correlated: {n} pixels are valid in both, or one of the maps is constant."
-    pixel, row, (a, b) = rows[0], largest(rows), names_in_words(rows[0], titles)
+    pixel, row, (a, b) = pair_rows[0], largest(pair_rows), names_in_words(pair_rows[0], titles)
     if pixel.trust != "ok":
         return f"The correlation of {a} and {b} {doubt(results, pixel.trust, (pixel.a, pixel.b))}."
     is_image = results.layer(pixel.b).kind == "image"
@@ -206,10 +206,10 @@ def _relation_sentence(rows: list[CorrelationRow], results: Results, titles: Tit
     limits_text = f"r = {r_text(row)} with {interval}, over {points_text} ({REGISTERED})."
     if not row.direction:
         return f"No relation of {second_text} with {first_text} is certain: {limits_text}"
-    word = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
+    comparative = (("brighter", "darker") if is_image else ("larger", "smaller"))[row.direction < 0]
     title = titles.get((pixel.b, pixel.b_map)) if is_image else None
     title_text = f" ({title[:1].lower()}{title[1:]})" if title else ""
-    return f"{capital(second_text)} is {word}{title_text} where {first_text} is larger: {limits_text}"
+    return f"{capital(second_text)} is {comparative}{title_text} where {first_text} is larger: {limits_text}"
 
 
 def cautions(results: Results) -> list[str]:
@@ -242,8 +242,8 @@ def _difference_sentence(row: CorrelationRow, titles: Titles) -> str:
 
 
 def _layers_summary(results: Results, titles: Titles) -> tuple[str, list[KeyFigure]]:
-    reference, names = results.reference.name, [layer.name for layer in results.moving]
-    sentence = f"The layers {', '.join(names[:-1])} and {names[-1]} were brought onto the pixels of {reference}."
+    reference, moving = results.reference.name, [layer.name for layer in results.moving]
+    sentence = f"The layers {', '.join(moving[:-1])} and {moving[-1]} were brought onto the pixels of {reference}."
     registrations = [layer.registration for layer in results.moving if layer.registration]
     expected_errors = [e for r in registrations if (e := r.expected_error) and e.trust == "ok"]
     expected_errors = expected_errors if len(registrations) == len(results.moving) else []

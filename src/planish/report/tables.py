@@ -136,22 +136,22 @@ def parameters(values: Mapping[str, Any]) -> list[tuple[str, list[tuple[str, str
     return [(name, rows) for name, table in [*sections, ("others", unsectioned)] if (rows := [*_flat_rows(table)])]
 
 
-def _flat_rows(values: Mapping[str, Any], before: str = "") -> Iterator[tuple[str, str]]:
+def _flat_rows(section: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, str]]:
     """Write a section of parameters; what lies in a section of its own has that one's name before it."""
-    for key, value in values.items():
+    for key, value in section.items():
         if isinstance(value, Mapping):
-            yield from _flat_rows(cast("Mapping[str, Any]", value), f"{before}{key}.")
+            yield from _flat_rows(cast("Mapping[str, Any]", value), f"{prefix}{key}.")
         else:
-            yield f"{before}{key}", _parameter_text(value, key)
+            yield f"{prefix}{key}", _parameter_text(value, key)
 
 
 def _parameter_text(value: Any, key: str) -> str:
     if isinstance(value, bool):
         return "yes" if value else "no"
     if isinstance(value, (list, tuple)):
-        text = ", ".join(_parameter_text(v, "") for v in cast("list[Any]", value))
+        value_text = ", ".join(_parameter_text(v, "") for v in cast("list[Any]", value))
     elif isinstance(value, (int, float)):
-        text = f"{value:.6g}".replace("-", "−")
+        value_text = f"{value:.6g}".replace("-", "−")
     else:
-        text = str(value)
-    return f"{text} {unit('um')}" if key.endswith("_um") else text
+        value_text = str(value)
+    return f"{value_text} {unit('um')}" if key.endswith("_um") else value_text

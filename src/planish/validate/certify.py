@@ -186,10 +186,10 @@ def _make_specimens(
     scenario: Scenario, params: SpecimenParams, seed: int, folder: Path
 ) -> list[tuple[Specimen, InstrumentFiles]]:
     """Make the specimen as each instrument has it, and write their files."""
-    first = make_specimen(params)
+    first_specimen = make_specimen(params)
     if scenario.second is None:
-        return [(first, write_instruments(first, folder / "specimen", volume=scenario.instrument))]
-    specimens = first, make_specimen(scenario.second_params(seed), sheet=first.sheet)
+        return [(first_specimen, write_instruments(first_specimen, folder / "specimen", volume=scenario.instrument))]
+    specimens = first_specimen, make_specimen(scenario.second_params(seed), sheet=first_specimen.sheet)
     layers = zip(PAIR, specimens, (scenario.instrument, scenario.second.instrument), strict=True)
     return [(s, write_instruments(s, folder / name, volume=volume, image=False)) for name, s, volume in layers]
 
@@ -289,10 +289,10 @@ def sensitivity(
     )
 
 
-def _most_changing(error: float, key: str, figures_without: dict[str, Values]) -> tuple[str, ...]:
+def _most_changing(all_error: float, key: str, figures_without: dict[str, Values]) -> tuple[str, ...]:
     """Name the two nuisances without which a key figure's error changes most; a missing one changes nothing."""
     errors = {name: figures.get(key) for name, figures in figures_without.items()}
-    changes = {name: 0.0 if e is None else abs(error**2 - e**2) for name, e in errors.items()}
+    changes = {name: 0.0 if e is None else abs(all_error**2 - e**2) for name, e in errors.items()}
     return tuple(sorted(changes, key=lambda name: -changes[name])[:2])
 
 

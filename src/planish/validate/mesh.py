@@ -31,8 +31,8 @@ def mesh_values(seed: int, *, once: bool) -> Values:
     values: Values = {"mesh_seconds": time.perf_counter() - begin, "mesh_inverted": float(relaxed.inverted)}
     fine = relax_dynamically(start, rest, params=RelaxationParams(mean_speed=1e-4))
     for suffix, mesh in (("", relaxed), ("_fine", fine)):
-        for name, error in zip(("width", "height", "aspect"), size_errors(mesh.uv, flat), strict=True):
-            values[f"mesh_{name}{suffix}"] = 100.0 * float(error) if mesh.outcome is Outcome.RESTED else None
+        for name, size_error in zip(("width", "height", "aspect"), size_errors(mesh.uv, flat), strict=True):
+            values[f"mesh_{name}{suffix}"] = 100.0 * float(size_error) if mesh.outcome is Outcome.RESTED else None
     first_stop = relax_dynamically(start, rest, params=RelaxationParams(stop="first"))
     values["mesh_first"] = 100.0 * float(np.abs(size_errors(first_stop.uv, flat)).max())
     feedback = RelaxationParams(control="feedback", fixed_dt=0.3, most_steps=_FEW_STEPS)
