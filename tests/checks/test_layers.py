@@ -221,7 +221,7 @@ def test_slices_scaled_one_by_one_are_seen():
     gain = 1 + 0.1 * np.random.default_rng(1).normal(size=len(values))
     wrong = window_of(values * gain[:, None, None], "y")
     print(f"levels jump by {level_jump(right):.2f} and {level_jump(wrong):.2f} greys of 160")
-    scan = {"greys": GREYS, "assembled": (), "through": "z"}
+    scan = {"greys": GREYS, "assembled_axes": (), "through": "z"}
     assert judged("grey of the slices", windows={"y": right}, **scan).state == "pass"
     check = judged("grey of the slices", windows={"y": right, "x": wrong}, **scan)
     assert check.state == "look"

@@ -35,7 +35,7 @@ def _place_side(
 ) -> Steps | None:
     """Place ``n_holes`` holes between the corners of a side and give them with those in the corners; None if none fit.
 
-    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few ``used`` repeat.
+    The pitch grows evenly by ``rate``; with 0 all distances differ (a Golomb ruler) and few of those ``used`` repeat.
     """
     spacing_steps = int(np.ceil(blank.spacing_um / STEP_UM - 1e-9))
     marker_steps = max(spacing_steps, int(np.ceil(MARKER_DIAMETERS * blank.diameter_um / STEP_UM)))
